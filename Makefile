@@ -1,0 +1,125 @@
+# Everything happens in a virtual environment of the project's own, .venv.
+
+PYTHON  ?= python3
+VENV    ?= .venv
+OUT     ?= results
+# processes that run the tests
+WORKERS ?= 2
+
+UV_VERSION = 0.13.8
+
+BIN   := $(VENV)/bin
+PY    := $(BIN)/python
+PIP   := $(PY) -m pip --disable-pip-version-check --no-input
+STAMP := $(VENV)/.installed
+BENCH_STAMP := $(VENV)/.installed-bench
+
+# Figures are drawn without a screen, and what the tools keep for themselves stays in
+# .venv, so that nothing is written to the home directory.
+export MPLBACKEND := Agg
+export MPLCONFIGDIR := $(abspath $(VENV))/var/matplotlib
+export IPYTHONDIR := $(abspath $(VENV))/var/ipython
+export JUPYTER_CONFIG_DIR := $(abspath $(VENV))/var/jupyter/config
+export JUPYTER_DATA_DIR := $(abspath $(VENV))/var/jupyter/data
+export JUPYTER_RUNTIME_DIR := $(abspath $(VENV))/var/jupyter/runtime
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+
+.PHONY: help
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+
+# ---------------------------------------------------------------- use
+
+.PHONY: setup
+setup: $(STAMP) ## make .venv with the locked packages and the project itself
+
+.PHONY: reproduce
+reproduce: $(STAMP) ## reproduce the paper's results (OUT=results)
+	$(PY) -m paper_repro --out $(OUT)
+
+.PHONY: notebooks
+notebooks: $(STAMP) ## run every notebook into OUT/notebooks
+	@mkdir -p $(OUT)/notebooks
+	@set -e; for source in $(wildcard notebooks/*.py); do \
+	    name=$$(basename $$source .py); echo "$$source -> $(OUT)/notebooks/$$name.ipynb"; \
+	    $(BIN)/jupytext --quiet --to ipynb --set-kernel python3 --execute \
+	        --output $(OUT)/notebooks/$$name.ipynb $$source; \
+	done
+
+# ---------------------------------------------------------------- checks
+
+# The processes share the cores, so that each computes with one thread.
+PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+    $(PY) -m pytest -n $(WORKERS) --dist loadgroup
+
+.PHONY: test
+test: lint types $(STAMP) ## every check: lint, types, unit tests, doctests and the wheel
+	$(PYTEST) -m "not slow and not bench"
+
+.PHONY: test-slow
+test-slow: $(STAMP) ## the tests that take long
+	$(PYTEST) -m slow
+
+.PHONY: wheel-test
+wheel-test: $(STAMP) ## build the wheel, install it elsewhere and use it there
+	$(PY) -m pytest -m wheel tests/test_packaging.py
+
+.PHONY: lint
+lint: $(STAMP) ## ruff's checks, its formatting among them
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+
+.PHONY: format
+format: $(STAMP) ## rewrite the files as ruff formats them
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+
+.PHONY: types
+types: $(STAMP) ## mypy over mdp and solvers
+	$(PY) -m mypy
+
+.PHONY: bench
+bench: $(BENCH_STAMP) ## the benchmarks, with the solvers compared with
+	$(PY) -m pytest -m bench --benchmark-enable
+
+# ---------------------------------------------------------------- upkeep
+
+.PHONY: lock
+lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
+	$(PIP) install -qq uv==$(UV_VERSION)
+	$(COMPILE) --extra all --extra test --output-file requirements.lock pyproject.toml
+	$(COMPILE) --extra bench --constraints requirements.lock \
+	    --output-file requirements-bench.lock pyproject.toml
+
+COMPILE = $(PY) -m uv pip compile --quiet --universal --python-version 3.11 \
+    --fork-strategy fewest --generate-hashes --no-emit-index-url \
+    --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade)
+
+.PHONY: clean
+clean: ## remove what the targets above wrote, .venv excepted
+	rm -rf $(OUT) build dist *.egg-info .hypothesis .pytest_cache .mypy_cache .ruff_cache \
+	    .benchmarks .asv
+	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# ---------------------------------------------------------------- .venv
+
+$(PY):
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	    echo "exact-mdp needs Python 3.11 or newer, and '$(PYTHON)' is:" >&2; \
+	    $(PYTHON) --version >&2; \
+	    echo "Name another one, as in: make setup PYTHON=python3.12" >&2; \
+	    exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# Compiling every module at installation would nearly double its time.
+$(STAMP): pyproject.toml requirements.lock | $(PY)
+	$(PIP) install -qq --no-compile --require-hashes --no-deps -r requirements.lock
+	$(PIP) install -qq --no-build-isolation --no-deps -e .
+	@touch $@
+
+$(BENCH_STAMP): requirements-bench.lock $(STAMP)
+	$(PIP) install -qq --no-compile --require-hashes --no-deps -r requirements-bench.lock
+	@touch $@

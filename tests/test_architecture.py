@@ -1,0 +1,204 @@
+"""The shape of the code: which package may import which, and what is imported only when used."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Imports point one way: a package may import itself and those before it.
+LAYERS = ["mdp", "solvers", "analysis", "paper_repro"]
+
+# numba is imported by these modules alone, wherever in them.
+NUMBA_MODULES = ["solvers/kernels.py", "solvers/kernels/*.py"]
+
+# Packages which are slow to import or optional, and the modules that may import them at their
+# top because their whole job is that package. Everywhere else they are imported in functions.
+LAZY = {
+    "IPython": [],
+    "SALib": [],
+    "cvxpy": [],
+    "dask": [],
+    "distributed": [],
+    "gymnasium": [],
+    "ipywidgets": [],
+    "jupyter": [],
+    "jupyter_client": [],
+    "jupytext": [],
+    "matplotlib": ["analysis/plots/*.py", "paper_repro/figures/*.py"],
+    "mdpsolver": [],
+    "nbclient": [],
+    "nbconvert": [],
+    "nbformat": [],
+    "numba": NUMBA_MODULES,
+    "pandas": [],
+    "quantecon": [],
+    "stormpy": [],
+    "umbi": [],
+}
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import of the module called name, by the file at path."""
+
+    path: str
+    line: int
+    name: str
+    at_import_time: bool
+
+    @property
+    def package(self) -> str:
+        return self.name.partition(".")[0]
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line} imports {self.name}"
+
+
+def modules() -> list[Path]:
+    return sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
+
+
+def imports_of(path: str, source: str) -> list[Import]:
+    """Return every import in the source, those in functions and under TYPE_CHECKING too."""
+    package = path.split("/")[:-1]
+
+    def visit(node: ast.AST, at_import_time: bool) -> Iterator[Import]:
+        match node:
+            case ast.Import(names=names):
+                for alias in names:
+                    yield Import(path, node.lineno, alias.name, at_import_time)
+            case ast.ImportFrom(module=module, names=names, level=0):
+                yield Import(path, node.lineno, module or "", at_import_time)
+            case ast.ImportFrom(module=module, names=names, level=level):
+                base = package[: len(package) - level + 1]
+                for name in [module] if module else [alias.name for alias in names]:
+                    yield Import(path, node.lineno, ".".join([*base, name]), at_import_time)
+            case ast.Call(
+                func=ast.Name(id="import_module" | "__import__")
+                | ast.Attribute(attr="import_module"),
+                args=[ast.Constant(value=str(name)), *_],
+            ) if not name.startswith("."):
+                yield Import(path, node.lineno, name, at_import_time)
+        for field, value in ast.iter_fields(node):
+            inside = at_import_time and not (
+                isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+                and field == "body"
+            )
+            if isinstance(node, ast.If) and field == "body":
+                inside = inside and not is_type_checking(node.test)
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from visit(child, inside)
+
+    return list(visit(ast.parse(source, path), True))
+
+
+def is_type_checking(test: ast.expr) -> bool:
+    match test:
+        case ast.Name(id="TYPE_CHECKING") | ast.Attribute(attr="TYPE_CHECKING"):
+            return True
+    return False
+
+
+def all_imports() -> list[Import]:
+    return [
+        found
+        for path in modules()
+        for found in imports_of(path.relative_to(ROOT).as_posix(), path.read_text("utf-8"))
+    ]
+
+
+def allowed(path: str, patterns: list[str]) -> bool:
+    return any(fnmatch(path, pattern) for pattern in patterns)
+
+
+def against_layers(imports: list[Import]) -> list[str]:
+    return [
+        str(found)
+        for found in imports
+        if found.package in LAYERS
+        and LAYERS.index(found.package) > LAYERS.index(found.path.partition("/")[0])
+    ]
+
+
+def too_early(imports: list[Import]) -> list[str]:
+    return [
+        str(found)
+        for found in imports
+        if found.at_import_time and not allowed(found.path, LAZY.get(found.package, ["*"]))
+    ]
+
+
+def test_imports_point_one_way() -> None:
+    assert against_layers(all_imports()) == []
+
+
+def test_no_package_imports_what_is_not_installed_with_it() -> None:
+    outside = {"tests", "notebooks"}
+    assert [str(found) for found in all_imports() if found.package in outside] == []
+
+
+def test_numba_is_imported_by_the_kernels_alone() -> None:
+    numba = [found for found in all_imports() if found.package in {"numba", "llvmlite"}]
+    assert [str(found) for found in numba if not allowed(found.path, NUMBA_MODULES)] == []
+
+
+def test_heavy_packages_are_imported_when_used() -> None:
+    assert too_early(all_imports()) == []
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_importing_a_package_loads_no_heavy_package(layer: str) -> None:
+    code = f"import sys, {layer}; print(*sorted(set(sys.modules) & {set(LAZY)!r}))"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []
+
+
+def test_no_module_is_called_utils() -> None:
+    assert [path for path in modules() if "utils" in (path.stem, path.parent.name)] == []
+
+
+def test_every_package_says_that_it_is_typed() -> None:
+    assert [layer for layer in LAYERS if not (ROOT / layer / "py.typed").is_file()] == []
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "at_import_time"),
+    [
+        ("import solvers.policy", "solvers.policy", True),
+        ("from solvers import policy", "solvers", True),
+        ("from . import rewards", "mdp.io.rewards", True),
+        ("from ..build import rows", "mdp.build", True),
+        ("def f():\n    import pandas as pd", "pandas", False),
+        ("def f():\n    from matplotlib import pyplot", "matplotlib", False),
+        ("class C:\n    import cvxpy", "cvxpy", True),
+        ("try:\n    import numba\nexcept ImportError:\n    pass", "numba", True),
+        ("if TYPE_CHECKING:\n    import pandas", "pandas", False),
+        ("if TYPE_CHECKING:\n    pass\nelse:\n    import pandas", "pandas", True),
+        ("x = importlib.import_module('cvxpy')", "cvxpy", True),
+        ("f = lambda: __import__('cvxpy')", "cvxpy", False),
+    ],
+)
+def test_imports_are_found(source: str, name: str, at_import_time: bool) -> None:
+    (found,) = imports_of("mdp/io/model.py", source)
+    assert (found.name, found.at_import_time) == (name, at_import_time)
+
+
+def test_what_is_forbidden_is_found() -> None:
+    upward = imports_of("mdp/model.py", "def f():\n    from solvers import policy_iteration")
+    assert against_layers(upward) == ["mdp/model.py:2 imports solvers"]
+    assert too_early(upward) == []
+    early = imports_of("analysis/compare.py", "import mdp\nimport matplotlib.pyplot as plt")
+    assert against_layers(early) == []
+    assert too_early(early) == ["analysis/compare.py:2 imports matplotlib.pyplot"]
+    assert too_early(imports_of("analysis/plots/policy.py", "import matplotlib")) == []
