@@ -1,0 +1,15 @@
+"""What a problem is: finite Markov decision processes, exact and explicit.
+
+>>> from mdp import Scenario
+>>> Scenario.load("yuan2025").compile()
+MDP(yuan2025: 241 states, 4 actions, 961 pairs, 8065 transitions, discount 1)
+"""
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.parameters import Parameter
+from mdp.policy import Policy
+from mdp.scenario import Scenario
+from mdp.space import Column, StateSpace
+
+__all__ = ["MDP", "Column", "ModelError", "Parameter", "Policy", "Scenario", "StateSpace"]

@@ -1,0 +1,268 @@
+"""Models from arrays, from rows and from lists of outcomes, floats or exact rationals alike.
+
+Numbers that are all Fractions, integers or "p/q" strings stay exact; where a float is among them,
+the row is kept in floats, each being the dyadic rational that it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from mdp.errors import ModelError
+from mdp.model import MDP, as_discount, as_start
+from mdp.space import StateSpace
+from mdp.table import (
+    Integers,
+    Numbers,
+    OutcomeTable,
+    common,
+    exact,
+    float_array,
+    integers,
+    ones,
+)
+
+
+def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **names: Any) -> MDP:
+    """See `MDP.from_arrays`."""
+    stacked, actions, states = _stacked(P)
+    pair = np.arange(actions * states)
+    state, action = pair // actions, pair % actions
+    rewards = _sparse_or_array(R)
+    if rewards.shape == (states,):
+        reward = np.repeat(rewards, actions)
+    elif rewards.shape == (states, actions):
+        reward = rewards.reshape(-1)
+    elif rewards.shape == (actions, states, states):
+        reward = rewards.transpose(1, 0, 2).reshape(actions * states, states)
+    else:
+        raise ModelError(
+            f"rewards have shape {rewards.shape}",
+            where="R",
+            fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
+        )
+    names.setdefault("actions", [str(number) for number in range(actions)])
+    return _from_rows(state, action, stacked, reward, discount, start, names)
+
+
+def from_pairs(
+    pair_state: ArrayLike,
+    pair_action: ArrayLike,
+    transition: object,
+    reward: object,
+    discount: object,
+    *,
+    start: object = 0,
+    **names: Any,
+) -> MDP:
+    """See `MDP.from_pairs`."""
+    state, action = _indices(pair_state, "pair_state"), _indices(pair_action, "pair_action")
+    rows = _sparse_or_array(transition)
+    rewards = _sparse_or_array(reward)
+    if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
+        raise ModelError(
+            f"{len(state)} states and {len(action)} actions for transitions of shape {rows.shape}",
+            where="pairs",
+            fix="give one state, one action and one row of (L, S) for each pair",
+        )
+    if rewards.shape != (len(state),) and rewards.shape != rows.shape:
+        raise ModelError(
+            f"rewards have shape {rewards.shape}, not ({len(state)},)",
+            where="reward",
+            fix="give one reward for each pair",
+        )
+    order = np.lexsort((action, state))
+    if np.any(order[1:] < order[:-1]):
+        state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
+    return _from_rows(state, action, rows, rewards, discount, start, names)
+
+
+def from_outcomes(
+    rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
+    discount: object,
+    *,
+    start: object = 0,
+    **names: Any,
+) -> MDP:
+    """See `MDP.from_outcomes`."""
+    listed = sorted(rows, key=lambda row: (row[0], row[1]))
+    state = _indices([row[0] for row in listed], "states")
+    action = _indices([row[1] for row in listed], "actions")
+    merged: list[dict[tuple[int, Any], Any]] = []
+    for _, _, outcomes in listed:
+        row: dict[tuple[int, Any], Any] = {}
+        for probability, then, reward in outcomes:
+            key = (int(then), _number(reward))
+            row[key] = row.get(key, 0) + _number(probability)
+        merged.append({key: row[key] for key in sorted(row) if row[key] != 0})
+    flat = [key for row in merged for key in row]
+    offsets = np.concatenate([[0], np.cumsum([len(row) for row in merged])]).astype(np.int64)
+    following = np.array([key[0] for key in flat], dtype=np.int64)
+    weight, denominator = _grouped([value for row in merged for value in row.values()], offsets)
+    gain, gain_denominator = _grouped([key[1] for key in flat], offsets)
+    table = OutcomeTable(
+        offsets=offsets,
+        next=following,
+        weight=weight,
+        denominator=denominator,
+        gain=gain,
+        gain_denominator=gain_denominator,
+    )
+    size = int(max([*state, *following], default=-1)) + 1
+    return _assemble(state, action, table, size, discount, start, names)
+
+
+def _from_rows(
+    state: Integers,
+    action: Integers,
+    rows: Any,
+    reward: Any,
+    discount: object,
+    start: object,
+    names: dict[str, Any],
+) -> MDP:
+    """Build from sorted pairs, their (L, S) rows and rewards (L,) or (L, S)."""
+    size = rows.shape[1]
+    if sp.issparse(rows):
+        rows = sp.csr_array(rows, dtype=np.float64, copy=True)
+        rows.sum_duplicates()
+        rows.eliminate_zeros()
+        offsets, following = rows.indptr.astype(np.int64), rows.indices
+        weight: Numbers = rows.data
+        denominator = ones(len(state))
+        pair = np.repeat(np.arange(len(state)), np.diff(offsets))
+    else:
+        kept = np.array(rows != 0, dtype=bool)
+        pair, following = np.nonzero(kept)
+        offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
+        weight, denominator = _grouped(rows[pair, following], offsets)
+    if reward.ndim == 1:
+        gain, gain_denominator = _grouped(reward, np.arange(len(state) + 1))
+    else:
+        if sp.issparse(reward):
+            reward = sp.csr_array(reward)
+        gain, gain_denominator = _grouped(np.asarray(reward[pair, following]), offsets)
+    table = OutcomeTable(
+        offsets=offsets,
+        next=following if size < 2**31 else following.astype(np.int64),
+        weight=weight,
+        denominator=denominator,
+        gain=gain,
+        gain_denominator=gain_denominator,
+    )
+    return _assemble(state, action, table, size, discount, start, names)
+
+
+def _assemble(
+    state: Integers,
+    action: Integers,
+    table: OutcomeTable,
+    size: int,
+    discount: object,
+    start: object,
+    names: dict[str, Any],
+) -> MDP:
+    words = names.pop("states", ())
+    actions = tuple(str(name) for name in names.pop("actions", ()))
+    if not actions:
+        actions = tuple(str(number) for number in range(int(action.max(initial=-1)) + 1))
+    if words and len(words) > size:
+        size = len(words)
+    space = names.pop("space", None) or StateSpace.plain(size, words)
+    return MDP(
+        table,
+        state,
+        action,
+        space=space,
+        actions=actions,
+        discount_exact=as_discount(discount),
+        start=as_start(start),
+        **names,
+    )
+
+
+def _stacked(P: object) -> tuple[Any, int, int]:
+    """Return P as (L, S) rows in pair order, with the numbers of actions and states."""
+    if isinstance(P, Sequence) and any(sp.issparse(matrix) for matrix in P):
+        if not all(sp.issparse(matrix) for matrix in P):
+            raise ModelError("P mixes sparse and dense matrices", where="P", fix="use one kind")
+        actions, shapes = len(P), {matrix.shape for matrix in P}
+        states = P[0].shape[0]
+        if shapes != {(states, states)}:
+            raise ModelError(
+                f"transition matrices have shapes {sorted(shapes)}",
+                where="P",
+                fix="give A square matrices of the same size",
+            )
+        rows = sp.vstack([sp.csr_array(matrix) for matrix in P], format="csr")
+        order = np.arange(actions * states).reshape(actions, states).T.reshape(-1)
+        return rows[order], actions, states
+    array = _sparse_or_array(P)
+    if array.ndim != 3 or array.shape[1] != array.shape[2] or not array.size:
+        raise ModelError(
+            f"transitions have shape {array.shape}",
+            where="P",
+            fix="give (A, S, S), or a list of A sparse (S, S) matrices",
+        )
+    actions, states = array.shape[:2]
+    return array.transpose(1, 0, 2).reshape(actions * states, states), actions, states
+
+
+def _sparse_or_array(values: object) -> Any:
+    """Return a sparse matrix as it is, anything else as floats, or as exact objects."""
+    if sp.issparse(values):
+        return values
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise ModelError("rows of different lengths", fix="make the array rectangular") from error
+    if array.dtype.kind in "iub":
+        return array.astype(object) if array.dtype == np.uint64 else array.astype(np.int64)
+    if array.dtype.kind in "OUS":
+        flat = np.empty(array.size, dtype=object)
+        flat[:] = [_number(value) for value in array.flat]
+        return flat.reshape(array.shape)
+    if array.dtype.kind == "f":
+        return float_array(array)
+    raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
+
+
+def _number(value: object) -> Fraction | float:
+    """Return an exact number, or the float itself where a float was given."""
+    if isinstance(value, np.floating):
+        value = float(value)
+    return value if isinstance(value, float) else exact(value)
+
+
+def _indices(values: ArrayLike, what: str) -> Integers:
+    array = np.asarray(values)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise ModelError(
+            f"{what} is not a list of whole numbers", where=what, fix="give integers of shape (L,)"
+        )
+    return array.astype(np.int64)
+
+
+def _grouped(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
+    """Return numbers as an array with one denominator for each group of them."""
+    array = np.asarray(values) if not isinstance(values, list) else None
+    groups = len(offsets) - 1
+    if array is not None and array.dtype != object:
+        return np.ascontiguousarray(array), ones(groups)
+    flat = list(values)
+    if any(isinstance(value, float) for value in flat):
+        return np.array([float(value) for value in flat], dtype=np.float64), ones(groups)
+    tops: list[int] = []
+    bottoms: list[int] = []
+    for first, last in pairwise(offsets.tolist()):
+        top, bottom = common([exact(value) for value in flat[first:last]])
+        tops += top
+        bottoms.append(bottom)
+    return integers(tops), integers(bottoms)

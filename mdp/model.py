@@ -1,0 +1,392 @@
+"""A finite Markov decision process: one sparse row per available state-action pair.
+
+    V(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V(s')
+
+Pairs are sorted by state, then action; an action that a state does not offer has no row, so there
+are no infinite penalties and no padding. The exact table of outcomes is the source; the sparse
+matrix and the expected rewards are derived from it, each number rounded once.
+
+The layout follows the state-action-pair formulation of Puterman, Markov Decision Processes
+(1994), section 2.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from mdp.errors import ModelError, suggest
+from mdp.space import StateSpace
+from mdp.table import Floats, Integers, OutcomeTable, exact
+from mdp.validate import check_model
+
+if TYPE_CHECKING:
+    from mdp.parameters import Parameter
+
+
+@dataclass(frozen=True, eq=False)
+class MDP:
+    """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
+
+    Build one with `MDP.from_arrays`, `MDP.from_pairs`, `MDP.from_outcomes`,
+    `MDP.from_gymnasium` or `Scenario.compile`; this constructor takes the parts themselves.
+
+    Attributes
+    ----------
+    table : OutcomeTable
+        Exact outcomes of every pair.
+    pair_state, pair_action : (L,) int64
+        State and action of each pair, sorted by state, then action, without duplicates.
+    space : StateSpace
+        What the state numbers mean.
+    actions : tuple of str
+        Action names, A of them.
+    discount_exact : Fraction
+        The discount γ in [0, 1].
+    start : tuple of (state, probability)
+        Initial distribution; state 0 unless said otherwise.
+    components, component_names : (L, C) float, tuple of str
+        Expected reward by component; the row sums are `reward`.
+    events : tuple of str
+        Names of the bits of `table.event`.
+
+    Raises
+    ------
+    ModelError
+        For any row that is not a distribution, used or not; duplicate pairs; numbers that are
+        NaN, infinite or out of range; a state without action; a discount outside [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> stay, go = np.eye(2), np.array([[0.0, 1.0], [0.0, 1.0]])
+    >>> mdp = MDP.from_arrays([stay, go], np.array([[1.0, 0.0], [0.0, 0.0]]), discount=0.5)
+    >>> mdp.n_states, mdp.n_pairs, mdp.discount
+    (2, 4, 0.5)
+    """
+
+    table: OutcomeTable
+    pair_state: Integers
+    pair_action: Integers
+    _: KW_ONLY
+    space: StateSpace
+    actions: tuple[str, ...]
+    discount_exact: Fraction = Fraction(1)
+    start: tuple[tuple[int, Fraction], ...] = ((0, Fraction(1)),)
+    component_names: tuple[str, ...] = ("reward",)
+    components: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    events: tuple[str, ...] = ()
+    name: str = ""
+    parameters: tuple[Parameter, ...] = ()
+
+    transition: sp.csr_array = field(init=False, repr=False)
+    reward: Floats = field(init=False, repr=False)
+    pair_offsets: Integers = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_model(self)
+        fill = object.__setattr__
+        counts = np.bincount(self.pair_state, minlength=self.n_states)
+        fill(self, "pair_offsets", np.concatenate([[0], np.cumsum(counts)]))
+        fill(self, "transition", _transition(self.table, self.n_states))
+        fill(self, "reward", self.table.expected_gain())
+        if not np.all(np.isfinite(self.reward)):
+            raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
+        if self.components.size == 0:
+            fill(self, "components", self.reward[:, None])
+        _check_components(self)
+        for array in self._arrays():
+            array.setflags(write=False)
+
+    def _arrays(self) -> Iterable[NDArray[Any]]:
+        table, matrix = self.table, self.transition
+        yield from (matrix.data, matrix.indices, matrix.indptr, self.reward, self.components)
+        yield from (self.pair_state, self.pair_action, self.pair_offsets)
+        yield from (table.offsets, table.next, table.weight, table.denominator)
+        yield from (table.gain, table.gain_denominator)
+        if table.event is not None:
+            yield table.event
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        for array in self._arrays():
+            array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        return (
+            f"MDP({self.name or 'unnamed'}: {self.n_states} states, {self.n_actions} actions, "
+            f"{self.n_pairs} pairs, {self.n_transitions} transitions, "
+            f"discount {self.discount_exact})"
+        )
+
+    # ---- sizes -------------------------------------------------------------------------------
+
+    @property
+    def n_states(self) -> int:
+        """Number of states, S."""
+        return self.space.size
+
+    @property
+    def n_actions(self) -> int:
+        """Number of actions, A."""
+        return len(self.actions)
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of available state-action pairs, L."""
+        return len(self.pair_state)
+
+    @property
+    def n_transitions(self) -> int:
+        """Number of positive entries of the (L, S) transition matrix."""
+        return int(self.transition.nnz)
+
+    # ---- views -------------------------------------------------------------------------------
+
+    @property
+    def discount(self) -> float:
+        """The discount as a float."""
+        return float(self.discount_exact)
+
+    @cached_property
+    def start_distribution(self) -> Floats:
+        """(S,) the initial distribution."""
+        weights = np.zeros(self.n_states)
+        for state, probability in self.start:
+            weights[state] = float(probability)
+        weights.setflags(write=False)
+        return weights
+
+    @cached_property
+    def forced(self) -> NDArray[np.bool_]:
+        """(S,) True where a state has a single action."""
+        return np.asarray(np.diff(self.pair_offsets) == 1)
+
+    @cached_property
+    def terminal(self) -> NDArray[np.bool_]:
+        """(S,) True where every action stays put for ever and earns nothing."""
+        lengths = np.diff(self.transition.indptr)
+        first = self.transition.indices[self.transition.indptr[:-1]]
+        stays = (lengths == 1) & (first == self.pair_state)
+        worth = np.zeros(self.n_pairs, dtype=bool)
+        if len(self.table.gain) == self.n_pairs:
+            worth[:] = self.table.gain != 0
+        else:
+            worth[self.table.pair[self.table.gain != 0]] = True
+        return np.asarray(np.logical_and.reduceat(stays & ~worth, self.pair_offsets[:-1]))
+
+    def pairs_of(self, state: int) -> range:
+        """Return the pairs of one state."""
+        return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
+
+    def pair(self, state: int, action: int | str) -> int:
+        """Return the number of a pair; raises ModelError where the state lacks the action."""
+        number = self.action(action) if isinstance(action, str) else action
+        for pair in self.pairs_of(state):
+            if self.pair_action[pair] == number:
+                return pair
+        offered = [self.actions[self.pair_action[pair]] for pair in self.pairs_of(state)]
+        shown = self.actions[number] if 0 <= number < self.n_actions else str(number)
+        raise ModelError(
+            f"action {shown} is not available",
+            where=f"state ({self.space.label(state)})",
+            fix=f"choose one of {', '.join(offered)}",
+        )
+
+    def action(self, name: str) -> int:
+        """Return the number of the action called `name`."""
+        if name not in self.actions:
+            raise ModelError(
+                f"unknown action {name!r}", where="actions", fix=suggest(name, self.actions)
+            )
+        return self.actions.index(name)
+
+    def where(self, pair: int) -> str:
+        """Return the printed state and action of a pair, for messages."""
+        state = self.space.label(int(self.pair_state[pair]))
+        return f"state ({state}), action {self.actions[self.pair_action[pair]]}"
+
+    def backup(self, value: Floats) -> Floats:
+        """Return (L,) action values r + γ P V for (S,) state values."""
+        return np.asarray(self.reward + self.discount * (self.transition @ value))
+
+    # ---- change ------------------------------------------------------------------------------
+
+    def with_(
+        self, *, discount: object | None = None, start: object | None = None, **parts: Any
+    ) -> Self:
+        """Return a copy with other parts, validated again.
+
+        Parameters
+        ----------
+        discount : number or "p/q", optional
+        start : state, or {state: probability}, optional
+        **parts
+            Any other attribute of the constructor, such as `name` or `actions`.
+        """
+        if discount is not None:
+            parts["discount_exact"] = as_discount(discount)
+        if start is not None:
+            parts["start"] = as_start(start)
+        if "table" in parts and "components" not in parts:
+            parts |= {"components": np.empty((0, 0)), "component_names": ("reward",)}
+        return replace(self, **parts)
+
+    # ---- construction ------------------------------------------------------------------------
+
+    @classmethod
+    def from_arrays(
+        cls, P: object, R: object, discount: object = 1, *, start: object = 0, **names: Any
+    ) -> MDP:
+        """Build from transition and reward arrays; every action is available in every state.
+
+        Parameters
+        ----------
+        P : (A, S, S) array, or A sparse (S, S) matrices
+            Transition probabilities: floats, or Fractions, ints and "p/q" for an exact model.
+        R : (S,), (S, A) or (A, S, S) array
+            Rewards of states, of pairs, or of transitions.
+        discount : number or "p/q"
+        start : state, or {state: probability}
+        **names
+            `actions` (A words), `states` (S words), `name`.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], [1, 0], discount="9/10")
+        >>> mdp.table.row(0)
+        [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
+        """
+        from mdp.build import from_arrays
+
+        return from_arrays(P, R, discount, start=start, **names)
+
+    @classmethod
+    def from_pairs(
+        cls,
+        pair_state: ArrayLike,
+        pair_action: ArrayLike,
+        transition: object,
+        reward: object,
+        discount: object = 1,
+        *,
+        start: object = 0,
+        **names: Any,
+    ) -> MDP:
+        """Build from one row per available state-action pair, in any order.
+
+        Parameters
+        ----------
+        pair_state, pair_action : (L,) ints
+        transition : (L, S) array or sparse matrix
+        reward : (L,) array
+        discount, start, **names
+            As in `from_arrays`.
+        """
+        from mdp.build import from_pairs
+
+        return from_pairs(
+            pair_state, pair_action, transition, reward, discount, start=start, **names
+        )
+
+    @classmethod
+    def from_outcomes(
+        cls,
+        rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
+        discount: object = 1,
+        *,
+        start: object = 0,
+        **names: Any,
+    ) -> MDP:
+        """Build from (state, action, [(probability, next state, reward), …]) rows, kept exact.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])])
+        >>> mdp.reward.tolist()
+        [0.5, 0.0]
+        """
+        from mdp.build import from_outcomes
+
+        return from_outcomes(rows, discount, start=start, **names)
+
+    @classmethod
+    def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:
+        """Build from a Gymnasium environment that exposes its model as `P` (toy-text)."""
+        from mdp.interop.gymnasium import from_gymnasium
+
+        return from_gymnasium(env, discount, **names)
+
+
+def as_discount(discount: object) -> Fraction:
+    """Return a discount as an exact number in [0, 1]."""
+    value = exact(discount)
+    if not 0 <= value <= 1:
+        raise ModelError(
+            f"discount is {float(value):g}, outside [0, 1]",
+            where="discount",
+            fix="choose a discount from 0 to 1",
+        )
+    return value
+
+
+def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
+    """Return an initial distribution from a state or from {state: probability}."""
+    if isinstance(start, int | np.integer) and not isinstance(start, bool):
+        return ((int(start), Fraction(1)),)
+    if isinstance(start, dict):
+        weights = {int(state): exact(weight) for state, weight in start.items()}
+        return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
+    raise ModelError(f"{start!r} is not a start", fix="give a state, or {state: probability}")
+
+
+def _transition(table: OutcomeTable, states: int) -> sp.csr_array:
+    """Return the (L, S) matrix: outcomes with the same next state added up, rounded once."""
+    fresh = np.empty(len(table.next), dtype=bool)
+    fresh[1:] = table.next[1:] != table.next[:-1]
+    fresh[table.offsets[:-1]] = True
+    if fresh.all():
+        data, indices, indptr = table.probabilities(), table.next, table.offsets
+    else:
+        first = np.flatnonzero(fresh)
+        merged = OutcomeTable(
+            offsets=np.searchsorted(first, table.offsets).astype(np.int64),
+            next=table.next[first],
+            weight=np.asarray(np.add.reduceat(table.weight, first)),
+            denominator=table.denominator,
+            gain=table.gain[:0],
+            gain_denominator=table.gain_denominator,
+        )
+        data, indices, indptr = merged.probabilities(), merged.next, merged.offsets
+    if len(data) < 2**31 - 1:
+        indptr = indptr.astype(indices.dtype)
+    matrix = sp.csr_array((data, indices, indptr), shape=(table.pairs, states), copy=False)
+    matrix.has_canonical_format = True
+    return matrix
+
+
+def _check_components(mdp: MDP) -> None:
+    shape = (mdp.n_pairs, len(mdp.component_names))
+    if mdp.components.shape != shape:
+        raise ModelError(
+            f"components have shape {mdp.components.shape}, not {shape}",
+            where="reward components",
+            fix="give one column for each component name",
+        )
+    total = mdp.components.sum(axis=1)
+    scale = np.abs(mdp.components).sum(axis=1) + np.abs(mdp.reward)
+    wrong = ~(np.abs(total - mdp.reward) <= 1e-12 * scale)
+    if wrong.any():
+        pair = int(np.flatnonzero(wrong)[0])
+        raise ModelError(
+            f"components sum to {total[pair]:g}, the reward is {mdp.reward[pair]:g}",
+            where=mdp.where(pair),
+            fix="make the components add up to the expected reward",
+        )

@@ -1,0 +1,243 @@
+"""Policies as files: JSON and CSV by column labels, NumPy arrays as greedy Q-tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mdp.errors import ModelError, suggest
+from mdp.files import read_text, write_atomically
+from mdp.model import MDP
+from mdp.policy import Policy, check_action
+from mdp.space import StateSpace
+from mdp.table import exact
+
+T = TypeVar("T")
+
+
+def read(path: str | Path, mdp: MDP) -> Policy:
+    """See `Policy.read`."""
+    where, suffix = str(path), Path(path).suffix.lower()
+    if suffix == ".json":
+        return _from_json(read_text(path), mdp, where)
+    if suffix == ".csv":
+        return _from_csv(read_text(path), mdp, where)
+    if suffix in (".npy", ".npz"):
+        return _from_numpy(path, mdp)
+    raise ModelError(
+        f"unknown kind of policy {where!r}",
+        where="policy",
+        fix="give optimal, random, always:ACTION, or a .json, .csv, .npy or .npz file",
+    )
+
+
+def write(policy: Policy, path: str | Path) -> None:
+    """See `Policy.write`."""
+    suffix = Path(path).suffix.lower()
+    if suffix == ".csv":
+        write_atomically(path, _as_csv(policy))
+    elif suffix == ".json":
+        write_atomically(path, _as_json(policy))
+    else:
+        raise ModelError(
+            f"cannot write a policy as {suffix or 'a file without ending'}",
+            where=str(path),
+            fix="name it .csv or .json",
+        )
+
+
+def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> Policy:
+    """Return a policy from {status: action} or {status: {action: probability}}."""
+    name = "status" if "status" in mdp.space.names else mdp.space.names[0]
+    rows: dict[int, dict[int, float]] = {}
+    space = StateSpace(columns=(mdp.space.column(name),))
+    for label, choice in entries.items():
+        key = _at(where, partial(space.columns[0].parse, str(label)))
+        place = f"{where}, {name} {label}"
+        if key in rows:
+            raise ModelError(f"{name} {label} appears twice", where=where, fix="keep one of them")
+        mixed = choice if isinstance(choice, Mapping) else {choice: 1}
+        rows[key] = {
+            check_action(str(action), mdp.actions, place): _probability(value, place)
+            for action, value in mixed.items()
+        }
+    return _checked(mdp, space, rows, where)
+
+
+def _from_json(text: str, mdp: MDP, where: str) -> Policy:
+    def once(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        entries: dict[str, Any] = {}
+        for key, value in items:
+            if key in entries:
+                raise ModelError(f"{key} appears twice", where=where, fix="keep one of them")
+            entries[key] = value
+        return entries
+
+    try:
+        content = json.loads(text, object_pairs_hook=once, parse_float=str, parse_int=str)
+    except ModelError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ModelError(
+            f"broken JSON: {str(error)[:200]}", where=where, fix="mend the syntax"
+        ) from error
+    if not isinstance(content, dict):
+        raise ModelError(
+            "the file is not a JSON object", where=where, fix='write {"0000": "none", …}'
+        )
+    return from_mapping(mdp, content, where=where)
+
+
+def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
+    try:
+        lines = list(csv.reader(io.StringIO(text), strict=True))
+    except csv.Error as error:
+        raise ModelError(f"broken CSV: {error}", where=where, fix="mend that line") from error
+    header = [name.strip() for name in lines[0]] if lines else []
+    columns = [name for name in header if name not in ("action", "probability")]
+    known = [*mdp.space.names, "action", "probability"]
+    for name in header:
+        if name not in known:
+            raise ModelError(f"unknown column {name!r}", where=where, fix=suggest(name, known))
+    if "action" not in header or not columns or len(set(header)) != len(header):
+        raise ModelError(
+            f"the header is {','.join(header) or 'missing'}",
+            where=where,
+            fix=f"write {','.join([*mdp.space.names, 'action'])}, or status,action",
+        )
+    space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
+    rows: dict[int, dict[int, float]] = {}
+    for number, line in enumerate(lines[1:], start=2):
+        place = f"{where}, line {number}"
+        if not line:
+            continue
+        if len(line) != len(header):
+            raise ModelError(
+                f"{len(line)} values under {len(header)} headings", where=place, fix="mend the line"
+            )
+        entry = dict(zip(header, line, strict=True))
+        values = _at(place, partial(_values, space, entry))
+        action = check_action(entry["action"].strip(), mdp.actions, place)
+        chances = rows.setdefault(space.index(**values), {})
+        if action in chances or (chances and "probability" not in header):
+            raise ModelError(
+                f"{space.label(space.index(**values))} appears twice",
+                where=place,
+                fix="keep one of them, or add a column probability",
+            )
+        chances[action] = _probability(entry.get("probability", "1").strip(), place)
+    return _checked(mdp, space, rows, where)
+
+
+def _from_numpy(path: str | Path, mdp: MDP) -> Policy:
+    where = str(path)
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            array = loaded
+        else:
+            with loaded:
+                names = loaded.files
+                if len(names) != 1 and "q" not in names:
+                    raise ModelError(
+                        f"the archive holds {', '.join(names) or 'nothing'}",
+                        where=where,
+                        fix="save one array, or call it q",
+                    )
+                array = loaded["q" if "q" in names else names[0]]
+    except ModelError:
+        raise
+    except OSError as error:
+        raise ModelError(
+            f"cannot read the file: {error.strerror or 'not a NumPy file'}",
+            where=where,
+            fix="check the path",
+        ) from error
+    except Exception as error:  # np.load raises many kinds on damaged archives
+        raise ModelError(
+            f"not a readable NumPy array: {str(error)[:120]}",
+            where=where,
+            fix="save the Q-table again with numpy.save",
+        ) from error
+    if array.dtype.kind not in "fiu":
+        raise ModelError(f"an array of type {array.dtype}", where=where, fix="save real numbers")
+    return _at(where, lambda: Policy.from_q(mdp, array))
+
+
+def _checked(
+    mdp: MDP, space: StateSpace, rows: Mapping[int, Mapping[int, float]], where: str
+) -> Policy:
+    """Return the policy, after looking for combinations that are missing where there is choice."""
+    table = np.full((space.size, mdp.n_actions), np.nan)
+    for key, chances in rows.items():
+        table[key] = 0.0
+        for action, chance in chances.items():
+            table[key, action] = chance
+    policy = _at(where, lambda: Policy(space=space, actions=mdp.actions, table=table))
+    missing = np.isnan(table[policy._keys(mdp)]).any(axis=1) & ~mdp.forced
+    if missing.any():
+        keys = sorted(set(policy._keys(mdp)[missing].tolist()))
+        shown = "; ".join(space.labels(keys[:4])) + (" …" if len(keys) > 4 else "")
+        raise ModelError(
+            f"{len(keys)} of {space.size} rows are missing: {shown}",
+            where=where,
+            fix="add an action for each",
+        )
+    _at(where, lambda: policy.weights(mdp))
+    return policy
+
+
+def _values(space: StateSpace, entry: Mapping[str, str]) -> dict[str, int]:
+    return {column.name: column.parse(entry[column.name]) for column in space.columns}
+
+
+def _probability(value: object, where: str) -> float:
+    return _at(where, lambda: float(exact(value)))
+
+
+def _at(where: str, make: Callable[[], T]) -> T:
+    """Return make(), with the place put in front of a ModelError's own."""
+    try:
+        return make()
+    except ModelError as error:
+        place = where if not error.where else f"{where}, {error.where}"
+        raise ModelError(error.what, where=place, fix=error.fix) from error
+    except OverflowError as error:
+        raise ModelError("a number too large for a float", where=where, fix="check it") from error
+
+
+def _as_csv(policy: Policy) -> str:
+    mixed = not policy.deterministic
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*policy.columns, "action", *(["probability"] if mixed else [])])
+    for key in range(policy.space.regular):
+        labels = list(policy.space.as_dict(key).values())
+        for action in np.flatnonzero(policy.table[key] > 0):
+            chance = [repr(float(policy.table[key, action]))] if mixed else []
+            writer.writerow([*labels, policy.actions[action], *chance])
+    return out.getvalue()
+
+
+def _as_json(policy: Policy) -> str:
+    if len(policy.columns) != 1:
+        raise ModelError(
+            f"the policy reads {', '.join(policy.columns) or 'no column'}",
+            where="JSON",
+            fix="write it as .csv",
+        )
+    entries: dict[str, object] = {}
+    for key in range(policy.space.regular):
+        row = policy.table[key]
+        chosen = [(policy.actions[a], float(row[a])) for a in np.flatnonzero(row > 0)]
+        if chosen:
+            label = policy.space.columns[0].label(key)
+            entries[label] = chosen[0][0] if len(chosen) == 1 else dict(chosen)
+    return json.dumps(entries, indent=2) + "\n"

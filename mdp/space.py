@@ -1,0 +1,171 @@
+"""The state space as named integer columns, with labels made on demand.
+
+A state is a number. A `StateSpace` says what the number means: the product of its columns in
+row-major order (the last column moves fastest), followed by a few named states outside the
+product, such as an absorbing end. Nothing is stored per state, so a million states cost nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp.errors import ModelError, suggest
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """One named coordinate of a state: values 0 … size-1, printed as numbers, bits or words.
+
+    Examples
+    --------
+    >>> Column(name="status", size=16, bits=4).label(4)
+    '0100'
+    """
+
+    name: str
+    size: int
+    bits: int = 0
+    words: tuple[str, ...] = ()
+
+    def label(self, value: int) -> str:
+        """Return the printed form of one value."""
+        if self.words:
+            return self.words[value]
+        return format(value, f"0{self.bits}b") if self.bits else str(value)
+
+    def parse(self, label: str) -> int:
+        """Return the value that prints as `label`; raises ModelError where there is none."""
+        text = label.strip()
+        if self.words:
+            if text in self.words:
+                return self.words.index(text)
+            fix = suggest(text, self.words)
+        elif self.bits:
+            if len(text) == self.bits and set(text) <= {"0", "1"}:
+                return int(text, 2)
+            fix = f"write {self.bits} digits, each 0 or 1, such as {self.label(0)}"
+        else:
+            if text.isascii() and text.isdigit() and len(text) < 19 and int(text) < self.size:
+                return int(text)
+            fix = f"write a whole number from 0 to {self.size - 1}"
+        raise ModelError(f"unknown {self.name} {label!r}", where=f"column {self.name}", fix=fix)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateSpace:
+    """Named columns whose product, plus `extra` named states, is the set of states.
+
+    Examples
+    --------
+    >>> space = StateSpace(
+    ...     columns=(Column(name="trial", size=5), Column(name="status", size=16, bits=4)),
+    ...     extra=("end",),
+    ... )
+    >>> space.size
+    81
+    >>> space.label(20)
+    'trial 1, status 0100'
+    >>> space.index(trial=1, status=4)
+    20
+    >>> space.label(80)
+    'end'
+    """
+
+    columns: tuple[Column, ...]
+    extra: tuple[str, ...] = ()
+
+    @property
+    def regular(self) -> int:
+        """Number of states in the product, without the extra ones."""
+        return prod(column.size for column in self.columns)
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return self.regular + len(self.extra)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Column names."""
+        return tuple(column.name for column in self.columns)
+
+    def column(self, name: str) -> Column:
+        """Return the column called `name`; raises ModelError where there is none."""
+        for column in self.columns:
+            if column.name == name:
+                return column
+        raise ModelError(
+            f"unknown state column {name!r}", where="state space", fix=suggest(name, self.names)
+        )
+
+    def values(self, name: str, states: Integers | None = None) -> Integers:
+        """Return the (S,) values of one column, or those of `states`; -1 for extra states."""
+        column = self.column(name)
+        stride = prod(c.size for c in self.columns[self.columns.index(column) + 1 :])
+        index = np.arange(self.size) if states is None else np.asarray(states, dtype=np.int64)
+        return np.where(index < self.regular, index // stride % column.size, -1)
+
+    def index(self, **values: int) -> int:
+        """Return the number of the state with these column values (0 where one is left out)."""
+        for name in values:
+            self.column(name)
+        number = 0
+        for column in self.columns:
+            value = values.get(column.name, 0)
+            if not 0 <= value < column.size:
+                raise ModelError(
+                    f"{column.name} {value} is outside 0 … {column.size - 1}",
+                    where="state space",
+                    fix="choose a value in that range",
+                )
+            number = number * column.size + value
+        return number
+
+    def label(self, state: int) -> str:
+        """Return the printed form of one state."""
+        if not 0 <= state < self.size:
+            raise ModelError(
+                f"state {state} is outside 0 … {self.size - 1}",
+                where="state space",
+                fix="choose a state in that range",
+            )
+        if state >= self.regular:
+            return self.extra[state - self.regular]
+        parts = []
+        for column in reversed(self.columns):
+            state, value = divmod(state, column.size)
+            parts.append(f"{column.name} {column.label(value)}")
+        return ", ".join(reversed(parts))
+
+    def labels(self, states: Iterable[int]) -> list[str]:
+        """Return the printed forms of some states."""
+        return [self.label(int(state)) for state in states]
+
+    def as_dict(self, state: int) -> Mapping[str, str]:
+        """Return one state's column labels by name; an extra state is {"state": its name}."""
+        if state >= self.regular:
+            return {"state": self.label(state)}
+        parts: dict[str, str] = {}
+        for column in reversed(self.columns):
+            state, value = divmod(state, column.size)
+            parts[column.name] = column.label(value)
+        return dict(reversed(parts.items()))
+
+    @classmethod
+    def plain(cls, size: int, labels: Iterable[str] = ()) -> StateSpace:
+        """Return a space of one column `state`, numbered or with a word for each state."""
+        words = tuple(str(label) for label in labels)
+        if words and len(words) != size:
+            raise ModelError(
+                f"{len(words)} state labels for {size} states",
+                where="state space",
+                fix="give one label for each state, or none",
+            )
+        return cls(columns=(Column(name="state", size=size, words=words),))

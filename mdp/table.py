@@ -1,0 +1,244 @@
+"""Exact outcomes: what can happen after each state-action pair, as integers over a denominator.
+
+Pair l has outcomes i in offsets[l] … offsets[l+1]-1. Outcome i has probability
+weight[i] / denominator[l], leads to state next[i] and earns gain[i] / gain_denominator[l].
+Weights are 64-bit integers where they fit, Python integers (dtype object) where they do not, or
+floats, each taken as the exact dyadic rational that it is. The float model is derived from this
+table, every number rounded once; there is no second source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from math import lcm
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mdp.errors import ModelError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Numbers = NDArray[Any]
+
+EXACT_IN_FLOAT = 2**53
+EXACT_IN_INT64 = 2**62
+FLOAT_ROW_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OutcomeTable:
+    """The joint law of next state and reward after each of L pairs, N outcomes in all.
+
+    Attributes
+    ----------
+    offsets : (L+1,) int64
+        Outcomes of pair l are offsets[l] … offsets[l+1]-1, sorted by next state.
+    next : (N,) int32 or int64
+        Next states.
+    weight, denominator : (N,), (L,)
+        Probability of outcome i of pair l is weight[i] / denominator[l].
+    gain, gain_denominator : (N,) or (L,), (L,)
+        Reward of an outcome; of shape (L,) where the pair alone decides it.
+    event : (N,) uint8, optional
+        Bit b is set on outcomes where the model's event number b happens.
+    """
+
+    offsets: Integers
+    next: Numbers
+    weight: Numbers
+    denominator: Numbers
+    gain: Numbers
+    gain_denominator: Numbers
+    event: NDArray[np.uint8] | None = None
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs, L."""
+        return len(self.offsets) - 1
+
+    @property
+    def pair(self) -> Integers:
+        """(N,) the pair that each outcome belongs to."""
+        return np.repeat(np.arange(self.pairs), np.diff(self.offsets))
+
+    @property
+    def joint(self) -> bool:
+        """True where the reward differs between outcomes of a pair."""
+        return len(self.gain) == len(self.next) and self.pairs != len(self.next)
+
+    def probabilities(self) -> Floats:
+        """Return the (N,) outcome probabilities, each rounded once."""
+        return self._rounded(self.weight, self.denominator, per_outcome=True)
+
+    def gains(self) -> Floats:
+        """Return the (N,) outcome rewards, each rounded once."""
+        if len(self.gain) == self.pairs:
+            per_pair = divide(self.gain, self.gain_denominator)
+            return np.repeat(per_pair, np.diff(self.offsets))
+        return self._rounded(self.gain, self.gain_denominator, per_outcome=True)
+
+    def expected_gain(self) -> Floats:
+        """Return the (L,) expected rewards, each rounded once where the table is rational."""
+        if len(self.gain) == self.pairs:
+            return divide(self.gain, self.gain_denominator)
+        if self.weight.dtype == np.float64 or self.gain.dtype == np.float64:
+            product = self.probabilities() * self.gains()
+            return np.asarray(np.add.reduceat(product, self.offsets[:-1]), dtype=np.float64)
+        top, bottom = self.expected_gain_exact()
+        return divide(top, bottom)
+
+    def expected_gain_exact(self) -> tuple[Numbers, Numbers]:
+        """Return integers (L,), (L,): the exact expected reward of pair l is their ratio."""
+        weight, denominator = self.integer_weights()
+        gain, gain_denominator = self.integer_gains()
+        if len(gain) == self.pairs:
+            return gain, gain_denominator
+        longest = int(np.diff(self.offsets).max(initial=1))
+        product = multiply(weight, gain, terms=longest)
+        return (
+            np.asarray(np.add.reduceat(product, self.offsets[:-1])),
+            multiply(denominator, gain_denominator),
+        )
+
+    def integer_weights(self) -> tuple[Numbers, Numbers]:
+        """Return (N,), (L,) integers: floats become integers over a power of two for each row."""
+        if self.weight.dtype != np.float64:
+            return self.weight, self.denominator
+        return _dyadic(self.weight, self.offsets)
+
+    def integer_gains(self) -> tuple[Numbers, Numbers]:
+        """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
+        if self.gain.dtype != np.float64:
+            return self.gain, self.gain_denominator
+        each = np.arange(self.pairs + 1) if len(self.gain) == self.pairs else self.offsets
+        return _dyadic(self.gain, each)
+
+    def row(self, pair: int) -> list[tuple[Fraction, int, Fraction]]:
+        """Return the exact outcomes of one pair: probability, next state, reward."""
+        span = range(int(self.offsets[pair]), int(self.offsets[pair + 1]))
+        per_pair = len(self.gain) == self.pairs
+        return [
+            (
+                exact(self.weight[i]) / exact(self.denominator[pair]),
+                int(self.next[i]),
+                exact(self.gain[pair if per_pair else i]) / exact(self.gain_denominator[pair]),
+            )
+            for i in span
+        ]
+
+    def _rounded(self, top: Numbers, bottom: Numbers, *, per_outcome: bool) -> Floats:
+        if top.dtype == np.float64:
+            return np.asarray(top, dtype=np.float64)
+        return divide(top, np.repeat(bottom, np.diff(self.offsets)) if per_outcome else bottom)
+
+
+def exact(number: object) -> Fraction:
+    """Return the exact rational that a number, "p/q" or decimal string stands for.
+
+    Examples
+    --------
+    >>> exact("0.1"), exact("1/3"), exact(0.5)
+    (Fraction(1, 10), Fraction(1, 3), Fraction(1, 2))
+    """
+    if isinstance(number, np.generic):
+        number = number.item()
+    if isinstance(number, bool) or not isinstance(number, int | float | str | Fraction):
+        raise ModelError(f"{number!r} is not a number", fix='write a number, or "p/q"')
+    if isinstance(number, str) and len(number) > 4000:
+        raise ModelError("a number of over 4,000 characters", fix="round it")
+    try:
+        if isinstance(number, str) and "e" in number.lower():
+            exponent = int(number.lower().partition("e")[2])
+            if abs(exponent) > 4000:
+                raise ModelError(f"{number!r} has an exponent beyond 4,000", fix="scale the model")
+        return Fraction(number)
+    except (ValueError, OverflowError, ZeroDivisionError) as error:
+        raise ModelError(
+            f"{number!r} is not a finite rational number", fix='write 0.1 or "1/10"'
+        ) from error
+
+
+def common(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
+    """Return integers over one common denominator."""
+    bottom = lcm(*(number.denominator for number in numbers)) if numbers else 1
+    return [number.numerator * (bottom // number.denominator) for number in numbers], bottom
+
+
+def integers(values: Iterable[int]) -> Numbers:
+    """Return an array of 64-bit integers where they fit, of Python integers where not."""
+    listed = list(values)
+    if all(-EXACT_IN_INT64 < value < EXACT_IN_INT64 for value in listed):
+        return np.array(listed, dtype=np.int64)
+    array = np.empty(len(listed), dtype=object)
+    array[:] = listed
+    return array
+
+
+def ones(length: int) -> Numbers:
+    """Return (length,) ones that take no memory: the denominators of integers and floats."""
+    return np.broadcast_to(np.int64(1), (length,))
+
+
+def magnitude(array: Numbers) -> int:
+    """Return the largest absolute value as a Python integer."""
+    return max(abs(int(array.max())), abs(int(array.min()))) if array.size else 0
+
+
+def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
+    """Return the exact product of integer arrays, wide enough to add up `terms` of them."""
+    narrow = left.dtype != object and right.dtype != object
+    if narrow and magnitude(left) * magnitude(right) * terms < EXACT_IN_INT64:
+        return np.asarray(left * right)
+    return np.asarray(left.astype(object) * right.astype(object))
+
+
+def divide(top: Numbers, bottom: Numbers) -> Floats:
+    """Return top / bottom as floats, each correctly rounded once."""
+    if top.dtype == np.float64:
+        return np.asarray(top, dtype=np.float64)
+    small = top.dtype != object and bottom.dtype != object
+    if small and max(magnitude(top), magnitude(bottom)) <= EXACT_IN_FLOAT:
+        return np.asarray(top.astype(np.float64) / bottom, dtype=np.float64)
+    try:
+        quotients = [int(a) / int(b) for a, b in zip(top.flat, bottom.flat, strict=True)]
+    except OverflowError as error:
+        raise ModelError(
+            "a rational too large for a float", fix="scale the rewards down"
+        ) from error
+    return np.array(quotients, dtype=np.float64).reshape(top.shape)
+
+
+def float_array(values: ArrayLike) -> Floats:
+    """Return a float array, or raise ModelError where the values are not numbers."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ModelError("an array holds something that is not a number") from error
+
+
+def _dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
+    """Return floats as Python integers over one power of two for each row."""
+    mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
+    whole = np.ldexp(mantissa, 53).astype(np.int64)
+    zeros = np.where(whole == 0, 1, whole)
+    twos = np.log2((zeros & -zeros).astype(np.float64)).astype(np.int64)
+    power = np.where(whole == 0, 0, exponent.astype(np.int64) - 53 + twos)
+    whole = whole >> twos
+    lengths = np.diff(offsets)
+    lowest = np.zeros(len(lengths), dtype=np.int64)
+    filled = lengths > 0
+    lowest[filled] = np.minimum.reduceat(power, offsets[:-1][filled])
+    lowest = np.minimum(lowest, 0)
+    shift = power - np.repeat(lowest, lengths)
+    size = np.frexp(np.abs(whole).astype(np.float64))[1] + shift
+    if values.size and int(size.max()) <= 62 and int(-lowest.min()) <= 62:
+        return whole << shift, np.left_shift(np.int64(1), -lowest)
+    top = np.empty(len(whole), dtype=object)
+    top[:] = [int(a) << int(s) for a, s in zip(whole, shift, strict=True)]
+    bottom = np.empty(len(lowest), dtype=object)
+    bottom[:] = [1 << int(-p) for p in lowest]
+    return top, bottom

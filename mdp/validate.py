@@ -1,0 +1,218 @@
+"""What must hold of a model before anything is computed from it; every row is checked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp.errors import ModelError
+from mdp.table import (
+    EXACT_IN_INT64,
+    FLOAT_ROW_TOLERANCE,
+    Integers,
+    OutcomeTable,
+    exact,
+    magnitude,
+)
+
+if TYPE_CHECKING:
+    from mdp.model import MDP
+
+
+def check_model(mdp: MDP) -> None:
+    """Raise ModelError, naming the place and the remedy, unless `mdp` is a finite MDP."""
+    _check_pairs(mdp)
+    _check_shapes(mdp.table, mdp.n_pairs)
+    _check_numbers(mdp)
+    _check_rows(mdp)
+    _check_start(mdp)
+    if not 0 <= mdp.discount_exact <= 1:
+        raise ModelError(
+            f"discount is {mdp.discount:g}, outside [0, 1]",
+            where="discount",
+            fix="choose a discount from 0 to 1",
+        )
+
+
+def _check_pairs(mdp: MDP) -> None:
+    state, action = mdp.pair_state, mdp.pair_action
+    if state.shape != action.shape or state.ndim != 1:
+        raise ModelError(
+            f"pair_state has shape {state.shape}, pair_action {action.shape}",
+            where="pairs",
+            fix="give one state and one action for each pair",
+        )
+    if not len(state):
+        raise ModelError("a model without state-action pairs", where="pairs", fix="add a state")
+    _in_range(state, mdp.n_states, "state", "pairs")
+    _in_range(action, mdp.n_actions, "action", "pairs")
+    if len(set(mdp.actions)) != len(mdp.actions):
+        raise ModelError(
+            "two actions have the same name", where="actions", fix="give each its own name"
+        )
+    if len(state) > 1:
+        key = (state[1:] - state[:-1], action[1:] - action[:-1])
+        same = (key[0] == 0) & (key[1] == 0)
+        if same.any():
+            pair = int(np.flatnonzero(same)[0])
+            raise ModelError(
+                "a state-action pair appears twice",
+                where=mdp.where(pair),
+                fix="merge the two rows, or drop one",
+            )
+        if ((key[0] < 0) | ((key[0] == 0) & (key[1] < 0))).any():
+            raise ModelError(
+                "pairs are not sorted by state, then action",
+                where="pairs",
+                fix="use MDP.from_pairs, which sorts them",
+            )
+    missing = np.bincount(state, minlength=mdp.n_states) == 0
+    if missing.any():
+        raise ModelError(
+            "a state without action",
+            where=f"state ({mdp.space.label(int(np.flatnonzero(missing)[0]))})",
+            fix="add an action; a state where the process ends stays put with probability 1",
+        )
+
+
+def _check_shapes(table: OutcomeTable, pairs: int) -> None:
+    outcomes = len(table.next)
+    wanted = {
+        "offsets": (table.offsets, {pairs + 1}),
+        "weight": (table.weight, {outcomes}),
+        "denominator": (table.denominator, {pairs}),
+        "gain": (table.gain, {outcomes, pairs}),
+        "gain_denominator": (table.gain_denominator, {pairs}),
+    }
+    if table.event is not None:
+        wanted["event"] = (table.event, {outcomes})
+    for name, (array, lengths) in wanted.items():
+        if array.ndim != 1 or len(array) not in lengths:
+            raise ModelError(
+                f"{name} has shape {array.shape}, not ({min(lengths)},)",
+                where="outcome table",
+                fix="give one entry for each row or outcome",
+            )
+    steps = np.diff(table.offsets)
+    if table.offsets[0] != 0 or table.offsets[-1] != outcomes or (steps < 0).any():
+        raise ModelError(
+            "offsets do not run from 0 to the number of outcomes",
+            where="outcome table",
+            fix="let offsets[l] be the first outcome of pair l",
+        )
+
+
+def _check_numbers(mdp: MDP) -> None:
+    table = mdp.table
+    _in_range(table.next, mdp.n_states, "next state", "transitions")
+    for name in ("weight", "gain", "denominator", "gain_denominator"):
+        array = getattr(table, name)
+        if array.dtype == np.float64:
+            bad = ~np.isfinite(array)
+            if bad.any():
+                index = int(np.flatnonzero(bad)[0])
+                what = "probability" if name == "weight" else "reward"
+                raise ModelError(
+                    f"a {what} is {array[index]}",
+                    where=mdp.where(_pair_of(table, index, len(array))),
+                    fix="give a finite number",
+                )
+        elif array.dtype not in (np.int64, object):
+            raise ModelError(
+                f"{name} has type {array.dtype}",
+                where="outcome table",
+                fix="use 64-bit or Python integers, or floats",
+            )
+    for name in ("denominator", "gain_denominator"):
+        if (getattr(table, name) <= 0).any():
+            raise ModelError(f"a {name} is not positive", where="outcome table", fix="make it > 0")
+
+
+def _check_rows(mdp: MDP) -> None:
+    table = mdp.table
+    empty = np.diff(table.offsets) == 0
+    if empty.any():
+        raise ModelError(
+            "transition probabilities sum to 0, not 1",
+            where=mdp.where(int(np.flatnonzero(empty)[0])),
+            fix="add the outcomes of this pair",
+        )
+    negative = table.weight <= 0
+    if negative.any():
+        index = int(np.flatnonzero(negative)[0])
+        pair = _pair_of(table, index, len(table.next))
+        raise ModelError(
+            f"a probability is {_shown(table, index, pair)}",
+            where=mdp.where(pair),
+            fix="probabilities are positive; leave out those that are 0",
+        )
+    sums = _row_sums(table)
+    if table.weight.dtype == np.float64:
+        wrong = ~(np.abs(sums - table.denominator) <= FLOAT_ROW_TOLERANCE * table.denominator)
+    else:
+        wrong = sums != table.denominator
+    if wrong.any():
+        pair = int(np.flatnonzero(wrong)[0])
+        total = exact(sums[pair]) / exact(table.denominator[pair])
+        raise ModelError(
+            f"transition probabilities sum to {float(total):.12g}, not 1",
+            where=mdp.where(pair),
+            fix="add the missing outcome, or correct a probability in this row",
+        )
+    inside = np.ones(len(table.next), dtype=bool)
+    inside[table.offsets[:-1]] = False
+    if (inside[1:] & (table.next[1:] < table.next[:-1])).any():
+        raise ModelError(
+            "outcomes of a pair are not sorted by next state",
+            where="outcome table",
+            fix="use MDP.from_pairs or MDP.from_outcomes, which sort them",
+        )
+
+
+def _row_sums(table: OutcomeTable) -> NDArray[Any]:
+    weight = table.weight
+    if weight.dtype == np.int64:
+        longest = int(np.diff(table.offsets).max())
+        if magnitude(weight) * longest >= EXACT_IN_INT64:
+            weight = weight.astype(object)
+    return np.asarray(np.add.reduceat(weight, table.offsets[:-1]))
+
+
+def _check_start(mdp: MDP) -> None:
+    states = [state for state, _ in mdp.start]
+    weights = [weight for _, weight in mdp.start]
+    if any(not 0 <= state < mdp.n_states for state in states) or len(set(states)) != len(states):
+        raise ModelError(
+            f"the start names a state outside 0 … {mdp.n_states - 1}, or one twice",
+            where="start",
+            fix="choose states of the model, each once",
+        )
+    total = sum(weights)
+    if any(weight < 0 for weight in weights) or abs(float(total) - 1) > FLOAT_ROW_TOLERANCE:
+        raise ModelError(
+            f"start probabilities sum to {float(total):.12g}, not 1, or one is negative",
+            where="start",
+            fix="give a distribution over states",
+        )
+
+
+def _in_range(values: Integers, size: int, what: str, where: str) -> None:
+    bad = (values < 0) | (values >= size)
+    if bad.any():
+        raise ModelError(
+            f"{what} {values[np.flatnonzero(bad)[0]]} is outside 0 … {size - 1}",
+            where=where,
+            fix=f"number them from 0 to {size - 1}",
+        )
+
+
+def _pair_of(table: OutcomeTable, index: int, length: int) -> int:
+    if length == table.pairs != len(table.next):
+        return index
+    return int(np.searchsorted(table.offsets, index, side="right")) - 1
+
+
+def _shown(table: OutcomeTable, index: int, pair: int) -> str:
+    return f"{float(exact(table.weight[index]) / exact(table.denominator[pair])):.12g}"
