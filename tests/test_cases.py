@@ -1,0 +1,109 @@
+"""Each published answer, against a solver in exact rationals that shares no code with the project.
+
+The cases are what other tests hold the project to, so they are checked here on their own first.
+"""
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from functools import cache
+
+import pytest
+from cases import BY_NAME, CASES, Case
+from cases.case import Number, Pair
+from cases.reference import evaluate_exact, every_policy_ends, solve_exact
+
+each_case = pytest.mark.parametrize("case", CASES, ids=str)
+
+
+@cache
+def solved(name: str) -> tuple[list[Fraction], list[set[int]]]:
+    case = BY_NAME[name]
+    return solve_exact(case.n_states, case.pairs, case.discount)
+
+
+def differences(
+    case: Case, published: Mapping[int, Number], exact: Sequence[Fraction]
+) -> dict[int, tuple[float, float]]:
+    """The states where a published number is not the exact one, to as many digits as it has."""
+    return {
+        s: (float(number), float(exact[s]))
+        for s, number in published.items()
+        if not (
+            number == exact[s]
+            if isinstance(number, Fraction)
+            else abs(number - exact[s]) <= case.tolerance
+        )
+    }
+
+
+def test_names_are_unique() -> None:
+    assert len(BY_NAME) == len(CASES)
+
+
+@each_case
+def test_model_is_complete(case: Case) -> None:
+    assert case.source
+    assert 0 <= case.discount <= 1
+    assert {s for s, *_ in case.pairs} == set(range(case.n_states))
+    assert len({(s, a) for s, a, *_ in case.pairs}) == len(case.pairs)
+    for _, _, _, row in case.pairs:
+        assert sum(row.values()) == 1
+        assert min(row.values()) > 0
+        assert set(row) <= set(range(case.n_states))
+
+
+@each_case
+def test_published_values(case: Case) -> None:
+    assert case.values
+    assert differences(case, case.values, solved(case.name)[0]) == {}
+
+
+@each_case
+def test_published_policy(case: Case) -> None:
+    _, optimal = solved(case.name)
+    assert {s: a for s, a in case.policy.items() if a not in optimal[s]} == {}
+    assert {s: best for s, best in case.optimal.items() if best != optimal[s]} == {}
+
+
+@each_case
+def test_proper(case: Case) -> None:
+    if case.discount < 1:
+        assert case.proper
+    else:
+        assert case.proper == every_policy_ends(case.n_states, case.pairs)
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case.wrong_policy], ids=str)
+def test_wrong_policy_is_worse(case: Case) -> None:
+    values = evaluate_exact(case.n_states, case.pairs, case.discount, case.wrong_policy)
+    best = solved(case.name)[0]
+    assert all(v <= b for v, b in zip(values, best, strict=True))
+    assert values[case.start] < best[case.start]
+    assert differences(case, case.wrong_values, values) == {}
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case.uniform_values], ids=str)
+def test_uniform_policy(case: Case) -> None:
+    mixed: list[Pair] = []
+    for s in range(case.n_states):
+        here = [(r, row) for t, _, r, row in case.pairs if t == s]
+        share = Fraction(1, len(here))
+        average: dict[int, Fraction] = {}
+        for _, row in here:
+            for t, p in row.items():
+                average[t] = average.get(t, Fraction(0)) + share * p
+        mixed.append((s, 0, share * sum((r for r, _ in here), Fraction(0)), average))
+    only = dict.fromkeys(range(case.n_states), 0)
+    exact = evaluate_exact(case.n_states, mixed, case.discount, only)
+    assert differences(case, case.uniform_values, exact) == {}
+
+
+def test_reference_refuses() -> None:
+    loop = [(0, 0, Fraction(-1), {0: Fraction(1)}), (1, 0, Fraction(0), {1: Fraction(1)})]
+    assert not every_policy_ends(2, loop)
+    with pytest.raises(ValueError, match="never ends"):
+        solve_exact(2, loop, Fraction(1))
+    with pytest.raises(ValueError, match="given twice"):
+        solve_exact(2, [*loop, loop[0]], Fraction(1, 2))
+    with pytest.raises(ValueError, match="not a distribution"):
+        solve_exact(1, [(0, 0, Fraction(0), {0: Fraction(9, 10)})], Fraction(1, 2))
