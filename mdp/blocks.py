@@ -65,15 +65,23 @@ class Template:
         numbers, self.scale = common([scenario[f"reward.{name}"] for name in names])
         self.names = names
         self.worth = dict(zip(names, numbers, strict=True))
-        self.assist = integers([self.worth[f"assist.{a}"] for a in scenario.actions])
+        # A gain adds up weights, each at most once: this is the type that holds every such sum.
+        largest = sum(abs(number) for number in numbers)
+        self.kind = np.dtype(np.int64 if largest < EXACT_IN_INT64 else object)
+        self.assist = self._gains([self.worth[f"assist.{a}"] for a in scenario.actions])
         statuses = [self.worth[scenario.weights[status]] for status in scenario.statuses]
-        self.cost = integers(
-            sum(worth for worth, present in zip(statuses, row, strict=True) if present)
-            for row in kernels.bits.tolist()
+        self.cost = self._gains(
+            [
+                sum(worth for worth, present in zip(statuses, row, strict=True) if present)
+                for row in kernels.bits.tolist()
+            ]
         )
         self.following = self.readings["status_cost"] == "next"
         # A cost of the present status is the row's own; one of the next status is the outcome's.
         self.row_cost = (0 if self.following else 1) * self.cost[:, None, None]
+
+    def _gains(self, values: list[int]) -> Numbers:
+        return np.array(values, dtype=self.kind)
 
     def pairs(self) -> tuple[Integers, Integers]:
         """Return state and action of each row of a block, states counted from its start."""
@@ -147,7 +155,7 @@ class Template:
             weights.append(step[:, :, 1:])
             gains.append([failing + cost * self.following for cost in self.cost[1:].tolist()])
 
-        gain = integers([value for part in gains for value in part])
+        gain = self._gains([value for part in gains for value in part])
         gain = gain + self.row_cost + np.zeros((1, self.assistive, 1), dtype=np.int64)
         gain[:, :, 0] += self.assist
         event = np.zeros(gain.shape[2], dtype=np.uint8)
@@ -195,7 +203,7 @@ class Template:
     def _skipping(self, *, last: bool, final: bool) -> Rows:
         """Return the rows in which *skip* is the only action and takes its own timestep."""
         vectors = np.arange(self.vectors)
-        bottom = np.broadcast_to(integers([self.kernels.skip_denominator])[0], (self.vectors, 1))
+        bottom = np.broadcast_to(integers([self.kernels.skip_denominator]), (self.vectors, 1))
         bonus = self._bonus(last=last, skipped=True)
         fixed = self.worth["timestep"] + self.worth["subtask-skip"] + bonus
         law = self.kernels.skip
@@ -225,7 +233,7 @@ class Template:
             nexts,
             law[:, None, :],
             np.asarray(bottom),
-            integers([fixed]) + cost + self.row_cost,
+            self._gains([fixed]) + cost + self.row_cost,
             np.ones(len(nexts), dtype=np.uint8),
             components[:, None, :],
         )

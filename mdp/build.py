@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from itertools import pairwise
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
+    as_float,
     common,
     exact,
     float_array,
@@ -92,19 +94,24 @@ def from_outcomes(
     **names: Any,
 ) -> MDP:
     """See `MDP.from_outcomes`."""
-    listed = sorted(rows, key=lambda row: (row[0], row[1]))
-    state = _indices([row[0] for row in listed], "states")
-    action = _indices([row[1] for row in listed], "actions")
-    merged: list[dict[tuple[int, Any], Any]] = []
-    for _, _, outcomes in listed:
-        row: dict[tuple[int, Any], Any] = {}
-        for probability, then, reward in outcomes:
-            key = (int(then), _number(reward))
-            row[key] = row.get(key, 0) + _number(probability)
-        merged.append({key: row[key] for key in sorted(row) if row[key] != 0})
+    try:
+        listed = [(index(row[0]), index(row[1]), _merged(row[2])) for row in rows]
+        listed.sort(key=lambda row: row[:2])
+        state = np.array([row[0] for row in listed], dtype=np.int64)
+        action = np.array([row[1] for row in listed], dtype=np.int64)
+        merged = [row[2] for row in listed]
+        following = np.array([key[0] for row in merged for key in row], dtype=np.int64)
+    except (TypeError, ValueError, LookupError, OverflowError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(
+            f"a row or an outcome is not of the right form: {error}",
+            where="rows",
+            fix="give (state, action, [(probability, next state, reward), …]) with whole numbers "
+            "for states and actions",
+        ) from error
     flat = [key for row in merged for key in row]
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in merged])]).astype(np.int64)
-    following = np.array([key[0] for key in flat], dtype=np.int64)
     weight, denominator = _grouped([value for row in merged for value in row.values()], offsets)
     gain, gain_denominator = _grouped([key[1] for key in flat], offsets)
     table = OutcomeTable(
@@ -119,6 +126,15 @@ def from_outcomes(
     return _assemble(state, action, table, size, discount, start, names)
 
 
+def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> dict[tuple[int, Any], Any]:
+    """Return the positive probabilities of one pair by next state and reward, sorted."""
+    row: dict[tuple[int, Any], Any] = {}
+    for probability, then, reward in outcomes:
+        key = (index(then), _number(reward))
+        row[key] = row.get(key, 0) + _number(probability)
+    return {key: row[key] for key in sorted(row) if row[key] != 0}
+
+
 def _from_rows(
     state: Integers,
     action: Integers,
@@ -131,7 +147,7 @@ def _from_rows(
     """Build from sorted pairs, their (L, S) rows and rewards (L,) or (L, S)."""
     size = rows.shape[1]
     if sp.issparse(rows):
-        rows = sp.csr_array(rows, dtype=np.float64, copy=True)
+        rows = rows.astype(np.float64)
         rows.sum_duplicates()
         rows.eliminate_zeros()
         offsets, following = rows.indptr.astype(np.int64), rows.indices
@@ -144,10 +160,9 @@ def _from_rows(
         offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
         weight, denominator = _grouped(rows[pair, following], offsets)
     if reward.ndim == 1:
-        gain, gain_denominator = _grouped(reward, np.arange(len(state) + 1))
+        # A copy: the model freezes its arrays, and the caller's stay the caller's.
+        gain, gain_denominator = _grouped(np.array(reward), np.arange(len(state) + 1))
     else:
-        if sp.issparse(reward):
-            reward = sp.csr_array(reward)
         gain, gain_denominator = _grouped(np.asarray(reward[pair, following]), offsets)
     table = OutcomeTable(
         offsets=offsets,
@@ -203,7 +218,7 @@ def _stacked(P: object) -> tuple[Any, int, int]:
             )
         rows = sp.vstack([sp.csr_array(matrix) for matrix in P], format="csr")
         order = np.arange(actions * states).reshape(actions, states).T.reshape(-1)
-        return rows[order], actions, states
+        return _sparse_or_array(rows[order]), actions, states
     array = _sparse_or_array(P)
     if array.ndim != 3 or array.shape[1] != array.shape[2] or not array.size:
         raise ModelError(
@@ -216,9 +231,11 @@ def _stacked(P: object) -> tuple[Any, int, int]:
 
 
 def _sparse_or_array(values: object) -> Any:
-    """Return a sparse matrix as it is, anything else as floats, or as exact objects."""
-    if sp.issparse(values):
-        return values
+    """Return a sparse matrix as a CSR array, anything else as floats, or as exact objects."""
+    if isinstance(values, sp.sparray | sp.spmatrix):
+        if values.dtype.kind not in "fiub":
+            raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
+        return sp.csr_array(values)
     try:
         array = np.asarray(values)
     except ValueError as error:
@@ -258,7 +275,7 @@ def _grouped(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
         return np.ascontiguousarray(array), ones(groups)
     flat = list(values)
     if any(isinstance(value, float) for value in flat):
-        return np.array([float(value) for value in flat], dtype=np.float64), ones(groups)
+        return np.array([as_float(value) for value in flat], dtype=np.float64), ones(groups)
     tops: list[int] = []
     bottoms: list[int] = []
     for first, last in pairwise(offsets.tolist()):

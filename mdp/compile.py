@@ -45,7 +45,7 @@ def compile_scenario(scenario: Scenario) -> MDP:
     lengths = np.concatenate([*(rows.lengths for rows in blocks), [1]])
     pairs = len(lengths)
     state, action = template.pairs()
-    gain_denominator = np.broadcast_to(integers([template.scale])[0], (pairs,))
+    gain_denominator = np.broadcast_to(integers([template.scale]), (pairs,))
     table = OutcomeTable(
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
         next=following,

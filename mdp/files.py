@@ -21,6 +21,10 @@ def read_text(path: str | Path) -> str:
         raise ModelError(
             "the file is not UTF-8 text", where=str(path), fix="save it as UTF-8 text"
         ) from error
+    except ValueError as error:  # a null character in the name
+        raise ModelError(
+            f"cannot read the file: {error}", where=repr(str(path)), fix="check the path"
+        ) from error
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mdp.errors import ModelError, suggest
 from mdp.space import StateSpace
-from mdp.table import Floats, Integers, OutcomeTable, exact
+from mdp.table import Floats, Integers, OutcomeTable, exact, shown
 from mdp.validate import check_model
 
 if TYPE_CHECKING:
@@ -122,9 +122,14 @@ class MDP:
     def __repr__(self) -> str:
         return (
             f"MDP({self.name or 'unnamed'}: {self.n_states} states, {self.n_actions} actions, "
-            f"{self.n_pairs} pairs, {self.n_transitions} transitions, "
-            f"discount {self.discount_exact})"
+            f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate})"
         )
+
+    @property
+    def _rate(self) -> str:
+        """The discount in print: exact where that is short."""
+        short = self.discount_exact.denominator < 10**9
+        return str(self.discount_exact) if short else f"{self.discount:.12g}"
 
     # ---- sizes -------------------------------------------------------------------------------
 
@@ -330,7 +335,7 @@ def as_discount(discount: object) -> Fraction:
     value = exact(discount)
     if not 0 <= value <= 1:
         raise ModelError(
-            f"discount is {float(value):g}, outside [0, 1]",
+            f"discount is {shown(value)}, outside [0, 1]",
             where="discount",
             fix="choose a discount from 0 to 1",
         )
@@ -380,8 +385,9 @@ def _check_components(mdp: MDP) -> None:
             where="reward components",
             fix="give one column for each component name",
         )
-    total = mdp.components.sum(axis=1)
-    scale = np.abs(mdp.components).sum(axis=1) + np.abs(mdp.reward)
+    with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
+        total = mdp.components.sum(axis=1)
+        scale = np.abs(mdp.components).sum(axis=1) + np.abs(mdp.reward)
     wrong = ~(np.abs(total - mdp.reward) <= 1e-12 * scale)
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])

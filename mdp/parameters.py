@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from mdp.errors import ModelError
+from mdp.table import shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +40,10 @@ class Parameter:
         below = self.low is not None and self.value < self.low
         above = self.high is not None and self.value > self.high
         if below or above:
-            low = "-∞" if self.low is None else f"{float(self.low):g}"
-            high = "∞" if self.high is None else f"{float(self.high):g}"
+            low = "-∞" if self.low is None else shown(self.low)
+            high = "∞" if self.high is None else shown(self.high)
             raise ModelError(
-                f"{self.name} is {float(self.value):g}, outside [{low}, {high}]",
+                f"{self.name} is {shown(self.value)}, outside [{low}, {high}]",
                 where=f"parameter {self.name}",
                 fix="choose a value in that range",
             )

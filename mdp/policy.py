@@ -159,7 +159,7 @@ class Policy:
         if isinstance(policy, str | Path):
             return cls.read(policy, mdp)
         array = np.asarray(policy)
-        if array.dtype.kind in "iu" and array.shape == (mdp.n_states,):
+        if array.dtype.kind in "iu" and array.shape in ((mdp.n_states,), (_free(mdp),)):
             return cls.from_choices(mdp, array)
         if array.dtype.kind == "f" and array.shape == (mdp.n_states, mdp.n_actions):
             return cls(space=mdp.space, actions=mdp.actions, table=array)
@@ -190,8 +190,10 @@ class Policy:
 
     @classmethod
     def from_choices(cls, mdp: MDP, choices: ArrayLike) -> Policy:
-        """Return the policy of (S,) action numbers."""
+        """Return the policy of (S,) action numbers; a forced end may be left out."""
         numbers = np.asarray(choices, dtype=np.int64)
+        if numbers.shape == (_free(mdp),):
+            numbers = np.append(numbers, np.zeros(mdp.n_states - _free(mdp), dtype=np.int64))
         if numbers.shape != (mdp.n_states,) or ((numbers < 0) | (numbers >= mdp.n_actions)).any():
             raise ModelError(
                 f"action numbers of shape {numbers.shape}, or outside 0 … {mdp.n_actions - 1}",
@@ -207,7 +209,8 @@ class Policy:
         Parameters
         ----------
         table : (S, A) over all states, or (2^n, A) over the status vectors
-            Action values; only the actions that a state offers are compared.
+            Action values; only the actions that a state offers are compared. Extra states
+            (the end) may be left out where they offer no choice.
         """
         values = float_array(table)
         space, actions, offered = _q_layout(mdp, values)
@@ -265,6 +268,8 @@ def _q_layout(mdp: MDP, values: Floats) -> tuple[StateSpace, tuple[str, ...], Nu
     offered[mdp.pair_state, mdp.pair_action] = True
     if values.shape == offered.shape:
         return mdp.space, mdp.actions, offered
+    if values.shape == (_free(mdp), mdp.n_actions):
+        return StateSpace(columns=mdp.space.columns), mdp.actions, offered[: len(values)]
     free = np.flatnonzero(offered[~mdp.forced].any(axis=0))
     actions = tuple(mdp.actions[number] for number in free)
     expected = [f"({mdp.n_states}, {mdp.n_actions}) over all states"]
@@ -276,6 +281,12 @@ def _q_layout(mdp: MDP, values: Floats) -> tuple[StateSpace, tuple[str, ...], Nu
     raise ModelError(
         f"a Q-table of shape {values.shape}", where="Q-table", fix=f"give {' or '.join(expected)}"
     )
+
+
+def _free(mdp: MDP) -> int:
+    """Return the number of states, the extra ones at the end left out where they are forced."""
+    regular = mdp.space.regular
+    return regular if bool(mdp.forced[regular:].all()) else mdp.n_states
 
 
 def check_action(name: str, actions: Sequence[str], where: str) -> int:

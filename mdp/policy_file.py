@@ -17,7 +17,7 @@ from mdp.files import read_text, write_atomically
 from mdp.model import MDP
 from mdp.policy import Policy, check_action
 from mdp.space import StateSpace
-from mdp.table import exact
+from mdp.table import Numbers, exact
 
 T = TypeVar("T")
 
@@ -63,7 +63,7 @@ def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> Policy:
         place = f"{where}, {name} {label}"
         if key in rows:
             raise ModelError(f"{name} {label} appears twice", where=where, fix="keep one of them")
-        mixed = choice if isinstance(choice, Mapping) else {choice: 1}
+        mixed = choice if isinstance(choice, Mapping) else {str(choice): 1}
         rows[key] = {
             check_action(str(action), mdp.actions, place): _probability(value, place)
             for action, value in mixed.items()
@@ -137,21 +137,29 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
 
 
 def _from_numpy(path: str | Path, mdp: MDP) -> Policy:
+    array = read_array(path)
+    return _at(str(path), lambda: Policy.from_q(mdp, array))
+
+
+def read_array(path: str | Path) -> Numbers:
+    """Return the array of a `.npy` file, or the one called q (or the only one) of an `.npz`."""
     where = str(path)
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            array = loaded
-        else:
-            with loaded:
-                names = loaded.files
-                if len(names) != 1 and "q" not in names:
-                    raise ModelError(
-                        f"the archive holds {', '.join(names) or 'nothing'}",
-                        where=where,
-                        fix="save one array, or call it q",
-                    )
-                array = loaded["q" if "q" in names else names[0]]
+        # np.load leaves a damaged archive open; this closes it whatever happens.
+        with open(path, "rb") as stream:
+            loaded = np.load(stream, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                array = loaded
+            else:
+                with loaded:
+                    names = loaded.files
+                    if len(names) != 1 and "q" not in names:
+                        raise ModelError(
+                            f"the archive holds {', '.join(names) or 'nothing'}",
+                            where=where,
+                            fix="save one array, or call it q",
+                        )
+                    array = loaded["q" if "q" in names else names[0]]
     except ModelError:
         raise
     except OSError as error:
@@ -168,7 +176,7 @@ def _from_numpy(path: str | Path, mdp: MDP) -> Policy:
         ) from error
     if array.dtype.kind not in "fiu":
         raise ModelError(f"an array of type {array.dtype}", where=where, fix="save real numbers")
-    return _at(where, lambda: Policy.from_q(mdp, array))
+    return np.asarray(array)
 
 
 def _checked(

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mdp.errors import ModelError, suggest
+from mdp.files import read_text
 from mdp.model import as_discount
 from mdp.parameters import Parameter
 from mdp.scenario import (
@@ -48,7 +49,7 @@ def shipped() -> list[str]:
 def load(name: str | Path) -> Scenario:
     """See `Scenario.load`."""
     text = str(name)
-    if not text.endswith(".toml"):
+    if not text.lower().endswith(".toml"):
         if text not in shipped():
             raise ModelError(
                 f"unknown scenario {text!r}",
@@ -57,23 +58,15 @@ def load(name: str | Path) -> Scenario:
             )
         source = files("mdp") / "scenarios" / f"{text}.toml"
         return parse(source.read_text(encoding="utf-8"), where=text)
-    try:
-        content = Path(name).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ModelError(
-            f"cannot read the file: {error.strerror}", where=text, fix="check the path"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ModelError("the file is not UTF-8 text", where=text, fix="save it as text") from error
-    return parse(content, where=text)
+    return parse(read_text(name), where=text)
 
 
 def parse(text: str, *, where: str = "scenario") -> Scenario:
     """Return the scenario that a TOML text states; `where` names it in errors."""
     try:
         content = tomllib.loads(text, parse_float=exact)
-    except ModelError:
-        raise
+    except ModelError as error:
+        raise ModelError(error.what, where=where, fix=error.fix) from error
     except (ValueError, RecursionError) as error:
         raise ModelError(
             f"broken TOML: {str(error)[:200]}", where=where, fix="mend the syntax at that place"

@@ -150,7 +150,7 @@ class StateSpace:
 
     def as_dict(self, state: int) -> Mapping[str, str]:
         """Return one state's column labels by name; an extra state is {"state": its name}."""
-        if state >= self.regular:
+        if not 0 <= state < self.regular:
             return {"state": self.label(state)}
         parts: dict[str, str] = {}
         for column in reversed(self.columns):

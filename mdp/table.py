@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import lcm
+from math import lcm, log10
 from typing import Any
 
 import numpy as np
@@ -144,9 +144,11 @@ def exact(number: object) -> Fraction:
     >>> exact("0.1"), exact("1/3"), exact(0.5)
     (Fraction(1, 10), Fraction(1, 3), Fraction(1, 2))
     """
+    if isinstance(number, Fraction):
+        return number
     if isinstance(number, np.generic):
         number = number.item()
-    if isinstance(number, bool) or not isinstance(number, int | float | str | Fraction):
+    if isinstance(number, bool) or not isinstance(number, int | float | str):
         raise ModelError(f"{number!r} is not a number", fix='write a number, or "p/q"')
     if isinstance(number, str) and len(number) > 4000:
         raise ModelError("a number of over 4,000 characters", fix="round it")
@@ -156,9 +158,36 @@ def exact(number: object) -> Fraction:
             if abs(exponent) > 4000:
                 raise ModelError(f"{number!r} has an exponent beyond 4,000", fix="scale the model")
         return Fraction(number)
+    except ModelError:
+        raise
     except (ValueError, OverflowError, ZeroDivisionError) as error:
         raise ModelError(
             f"{number!r} is not a finite rational number", fix='write 0.1 or "1/10"'
+        ) from error
+
+
+def shown(number: Fraction, digits: int = 6) -> str:
+    """Return a rational in decimals for a message, however large it is.
+
+    Examples
+    --------
+    >>> shown(Fraction(2, 3)), shown(Fraction(-(10**400)))
+    ('0.666667', '-1e400')
+    """
+    try:
+        return f"{float(number):.{digits}g}"
+    except OverflowError:
+        tenfold = log10(abs(number.numerator)) - log10(number.denominator)
+        return f"{'-' if number < 0 else ''}1e{round(tenfold)}"
+
+
+def as_float(number: Fraction | float) -> float:
+    """Return a number as a float; raises ModelError where it is too large for one."""
+    try:
+        return float(number)
+    except OverflowError as error:
+        raise ModelError(
+            "a rational too large for a float", fix="scale the rewards down"
         ) from error
 
 

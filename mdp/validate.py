@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from mdp.table import (
     OutcomeTable,
     exact,
     magnitude,
+    shown,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ def check_model(mdp: MDP) -> None:
     _check_start(mdp)
     if not 0 <= mdp.discount_exact <= 1:
         raise ModelError(
-            f"discount is {mdp.discount:g}, outside [0, 1]",
+            f"discount is {shown(mdp.discount_exact)}, outside [0, 1]",
             where="discount",
             fix="choose a discount from 0 to 1",
         )
@@ -68,11 +70,15 @@ def _check_pairs(mdp: MDP) -> None:
                 where="pairs",
                 fix="use MDP.from_pairs, which sorts them",
             )
-    missing = np.bincount(state, minlength=mdp.n_states) == 0
-    if missing.any():
+    # Sorted as they are, the states that have a pair show the first that has none; nothing is
+    # counted by state, whose number may be a typing error beyond all memory.
+    present = state[np.flatnonzero(np.diff(state, prepend=-1))]
+    if len(present) < mdp.n_states:
+        gaps = np.flatnonzero(present != np.arange(len(present)))
+        missing = int(gaps[0]) if len(gaps) else len(present)
         raise ModelError(
             "a state without action",
-            where=f"state ({mdp.space.label(int(np.flatnonzero(missing)[0]))})",
+            where=f"state ({mdp.space.label(missing)})",
             fix="add an action; a state where the process ends stays put with probability 1",
         )
 
@@ -157,7 +163,7 @@ def _check_rows(mdp: MDP) -> None:
         pair = int(np.flatnonzero(wrong)[0])
         total = exact(sums[pair]) / exact(table.denominator[pair])
         raise ModelError(
-            f"transition probabilities sum to {float(total):.12g}, not 1",
+            f"transition probabilities sum to {shown(total, 12)}, not 1",
             where=mdp.where(pair),
             fix="add the missing outcome, or correct a probability in this row",
         )
@@ -189,10 +195,10 @@ def _check_start(mdp: MDP) -> None:
             where="start",
             fix="choose states of the model, each once",
         )
-    total = sum(weights)
-    if any(weight < 0 for weight in weights) or abs(float(total) - 1) > FLOAT_ROW_TOLERANCE:
+    total = sum(weights, Fraction(0))
+    if any(weight < 0 for weight in weights) or abs(total - 1) > FLOAT_ROW_TOLERANCE:
         raise ModelError(
-            f"start probabilities sum to {float(total):.12g}, not 1, or one is negative",
+            f"start probabilities sum to {shown(total, 12)}, not 1, or one is negative",
             where="start",
             fix="give a distribution over states",
         )
@@ -215,4 +221,4 @@ def _pair_of(table: OutcomeTable, index: int, length: int) -> int:
 
 
 def _shown(table: OutcomeTable, index: int, pair: int) -> str:
-    return f"{float(exact(table.weight[index]) / exact(table.denominator[pair])):.12g}"
+    return shown(exact(table.weight[index]) / exact(table.denominator[pair]), 12)

@@ -1,0 +1,295 @@
+"""The graph of a model: who reaches whom, in what order, and a proof that every policy ends.
+
+A state is terminal where every action stays put and earns nothing. Every policy ends, that is
+reaches a terminal state with probability 1 from everywhere, exactly where no set X of other states
+can be stayed in for ever. The greatest such X is what remains when a state is peeled off as soon as
+each of its pairs has a successor outside. The round in which a state was peeled is its rank:
+
+    terminal states have rank 0; EVERY pair of another state reaches a smaller rank in one step
+
+with positive probability. That can be checked pair by pair, and it proves termination, because
+from anywhere the end comes within max(rank) steps with a probability bounded away from 0
+(proper policies: Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991; end
+components: de Alfaro, Formal Verification of Probabilistic Systems, 1997, section 3.3).
+All work is linear in the number of transitions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.table import Integers, Numbers
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+Mask = NDArray[np.bool_]
+SHOWN = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Termination:
+    """A proof that every policy ends, or a policy that need not.
+
+    Attributes
+    ----------
+    proven : bool
+    rank : (S,) int64
+        The proof, see `check_rank`; -1 in states that can be stayed in for ever.
+    policy : (S,) int64, optional
+        Action numbers of a policy that stays among `trapped` for ever once there.
+    trapped : (K,) int64
+        The states that it never leaves; empty where termination is proven.
+    """
+
+    proven: bool
+    rank: Integers
+    policy: Integers | None
+    trapped: Integers
+
+
+def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None = None) -> Mask:
+    """Return (S,) True for states that can be reached, the first ones included.
+
+    Parameters
+    ----------
+    states : (K,) ints, optional
+        Where to begin; the model's start states unless given.
+    pairs : (K,) ints or (L,) bools, optional
+        The only pairs to go along, such as those of a policy; all pairs unless given.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1, 0], [0, 1, 0], [0, 0, 1]]], [1, 0, 1])
+    >>> reachable(mdp).tolist()
+    [True, True, False]
+    """
+    offsets, successors = _successors(mdp, pairs)
+    seen = np.zeros(mdp.n_states, dtype=bool)
+    first = [state for state, weight in mdp.start if weight] if states is None else states
+    frontier: Integers = np.unique(np.asarray(first, dtype=np.int64))
+    while len(frontier):
+        seen[frontier] = True
+        found = successors[spans(offsets[frontier], offsets[frontier + 1])]
+        frontier = np.unique(found[~seen[found]])
+    return seen
+
+
+def components(mdp: MDP) -> tuple[int, Integers]:
+    """Return the number of strongly connected components, and each state's (S,)."""
+    from scipy.sparse.csgraph import connected_components
+
+    offsets, successors = _successors(mdp)
+    shape = (mdp.n_states, mdp.n_states)
+    graph = sp.csr_array((np.ones(len(successors), dtype=np.int8), successors, offsets), shape)
+    count, labels = connected_components(graph, directed=True, connection="strong")
+    return int(count), labels.astype(np.int64)
+
+
+def is_acyclic(mdp: MDP) -> bool:
+    """Return whether no state can come back to itself, terminal states apart."""
+    return _numbered_in_order(mdp) or topological_levels(mdp) is not None
+
+
+def topological_levels(mdp: MDP) -> Integers | None:
+    """Return (S,) the greatest number of steps to a terminal state, or None where there is a cycle.
+
+    Terminal states have level 0; every other transition leads to a strictly smaller level.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1, 0], [0, 0, 1], [0, 0, 1]]], [1, 1, 0])
+    >>> topological_levels(mdp).tolist()
+    [2, 1, 0]
+    """
+    if _numbered_in_order(mdp):
+        return _levels_in_order(mdp)
+    offsets, successors = _successors(mdp)
+    waiting = np.diff(offsets)
+    waiting[mdp.terminal] = 0
+    before, predecessors = _reverse(offsets, successors, mdp.n_states)
+    level = np.where(mdp.terminal, 0, -1)
+    frontier, reached = np.flatnonzero(mdp.terminal), 0
+    while len(frontier):
+        into = predecessors[spans(before[frontier], before[frontier + 1])]
+        into, count = np.unique(into[level[into] < 0], return_counts=True)
+        waiting[into] -= count
+        frontier, reached = into[waiting[into] == 0], reached + 1
+        level[frontier] = reached
+    return None if (level < 0).any() else level
+
+
+def termination(mdp: MDP) -> Termination:
+    """Return a proof that every policy ends, or a policy that never does from some states.
+
+    Examples
+    --------
+    >>> wait, leave = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
+    >>> termination(MDP.from_arrays([leave], [1, 0])).rank.tolist()
+    [1, 0]
+    >>> found = termination(MDP.from_arrays([leave, wait], [1, 0]))
+    >>> found.proven, found.trapped.tolist(), found.policy.tolist()
+    (False, [0], [1, 0])
+    """
+    if _numbered_in_order(mdp):
+        rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
+        return Termination(proven=True, rank=rank, policy=None, trapped=rank[:0])
+    matrix = mdp.transition
+    before, predecessors = _reverse(matrix.indptr, matrix.indices, mdp.n_states)
+    staying = np.ones(mdp.n_pairs, dtype=bool)
+    left = np.diff(mdp.pair_offsets)
+    rank = np.where(mdp.terminal, 0, -1)
+    frontier, reached = np.flatnonzero(mdp.terminal), 0
+    while len(frontier):
+        into = np.unique(predecessors[spans(before[frontier], before[frontier + 1])])
+        into = into[staying[into]]
+        staying[into] = False
+        states, count = np.unique(mdp.pair_state[into], return_counts=True)
+        left[states] -= count
+        frontier, reached = states[(left[states] == 0) & (rank[states] < 0)], reached + 1
+        rank[frontier] = reached
+    trapped = np.flatnonzero(rank < 0)
+    if not len(trapped):
+        return Termination(proven=True, rank=rank, policy=None, trapped=trapped)
+    chosen = mdp.pair_offsets[:-1].copy()
+    first = np.where(staying, np.arange(mdp.n_pairs), mdp.n_pairs)
+    chosen[trapped] = np.minimum.reduceat(first, mdp.pair_offsets[:-1])[trapped]
+    return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
+
+
+def check_rank(mdp: MDP, rank: Integers) -> bool:
+    """Return whether `rank` (S,) proves that every policy ends; one pass over the pairs.
+
+    Terminal states have rank 0, all others a positive one, and every pair of these has a successor
+    of smaller rank.
+    """
+    matrix = mdp.transition
+    if rank.shape != (mdp.n_states,) or (rank[mdp.terminal] != 0).any():
+        return False
+    least = np.minimum.reduceat(rank[matrix.indices], matrix.indptr[:-1])
+    other = ~mdp.terminal[mdp.pair_state]
+    return bool((rank[~mdp.terminal] > 0).all() and (least < rank[mdp.pair_state])[other].all())
+
+
+def require_termination(mdp: MDP) -> None:
+    """Raise ModelError, naming a policy that never ends, unless γ < 1 or every policy ends."""
+    if mdp.discount_exact < 1:
+        return
+    found = termination(mdp)
+    if found.policy is None:
+        return
+    named = [
+        f"({mdp.space.label(state)}) with action {mdp.actions[found.policy[state]]}"
+        for state in found.trapped[:SHOWN].tolist()
+    ]
+    more = len(found.trapped) - len(named)
+    raise ModelError(
+        "discount 1 needs every policy to end, and one does not",
+        where="it stays for ever in " + ", ".join(named) + (f" and {more} more" if more else ""),
+        fix="choose a discount below 1, or add a way out: a terminal state stays put and earns 0",
+    )
+
+
+def to_networkx(mdp: MDP, policy: ArrayLike | None = None) -> nx.DiGraph:
+    """Return the graph for people to look at, with state labels as nodes.
+
+    Parameters
+    ----------
+    policy : (S,) action numbers, optional
+        Keep only these actions' transitions.
+
+    Returns
+    -------
+    networkx.DiGraph
+        An edge's `actions` maps action names to probabilities.
+    """
+    import networkx as nx
+
+    if policy is None:
+        pairs = np.arange(mdp.n_pairs)
+    else:
+        pairs = np.array([mdp.pair(s, int(a)) for s, a in enumerate(np.asarray(policy))])
+    graph = nx.DiGraph(name=mdp.name)
+    for state in range(mdp.n_states):
+        graph.add_node(mdp.space.label(state), number=state, terminal=bool(mdp.terminal[state]))
+    matrix = mdp.transition
+    for pair in pairs.tolist():
+        source = mdp.space.label(int(mdp.pair_state[pair]))
+        action = mdp.actions[mdp.pair_action[pair]]
+        for entry in range(matrix.indptr[pair], matrix.indptr[pair + 1]):
+            target = mdp.space.label(int(matrix.indices[entry]))
+            if not graph.has_edge(source, target):
+                graph.add_edge(source, target, actions={})
+            graph.edges[source, target]["actions"][action] = float(matrix.data[entry])
+    return graph
+
+
+def spans(first: Numbers, last: Numbers) -> Integers:
+    """Return the numbers first[0] … last[0]-1, first[1] … last[1]-1, and so on, in one array.
+
+    Examples
+    --------
+    >>> spans(np.array([3, 8]), np.array([5, 9])).tolist()
+    [3, 4, 8]
+    """
+    lengths = last - first
+    ends = np.cumsum(lengths, dtype=np.int64)
+    total = int(ends[-1]) if len(ends) else 0
+    steps: Integers = np.arange(total) + np.repeat(first - (ends - lengths), lengths)
+    return steps
+
+
+def _successors(mdp: MDP, pairs: ArrayLike | None = None) -> tuple[Numbers, Numbers]:
+    """Return each state's successors as offsets (S+1,) and states, pair after pair."""
+    matrix = mdp.transition
+    if pairs is None:
+        return matrix.indptr[mdp.pair_offsets], matrix.indices
+    chosen: Numbers = np.asarray(pairs)
+    mask = chosen.dtype == bool
+    chosen = np.flatnonzero(chosen) if mask else np.unique(chosen.astype(np.int64))
+    counts = np.bincount(mdp.pair_state[chosen], minlength=mdp.n_states)
+    part = matrix[chosen]
+    return part.indptr[np.concatenate([[0], np.cumsum(counts)])], part.indices
+
+
+def _reverse(offsets: Numbers, successors: Numbers, states: int) -> tuple[Any, Any]:
+    """Return each state's predecessors as offsets (S+1,) and row numbers."""
+    ones = np.ones(len(successors), dtype=np.int8)
+    shape = (len(offsets) - 1, states)
+    reverse = sp.csr_array((ones, successors, offsets), shape).tocsc()
+    return reverse.indptr, reverse.indices
+
+
+def _numbered_in_order(mdp: MDP) -> bool:
+    """Return whether every transition leads to a higher number, terminal states apart."""
+    return bool((_least_successor(mdp) > np.arange(mdp.n_states)).all())
+
+
+def _least_successor(mdp: MDP) -> Numbers:
+    """Return (S,) the lowest successor of each state; S where the state is terminal."""
+    offsets, successors = _successors(mdp)
+    return np.where(mdp.terminal, mdp.n_states, np.minimum.reduceat(successors, offsets[:-1]))
+
+
+def _levels_in_order(mdp: MDP) -> Integers:
+    """Return the levels of states numbered in order, a run of unconnected states at a time."""
+    offsets, successors = _successors(mdp)
+    least = _least_successor(mdp).tolist()
+    level = np.zeros(mdp.n_states, dtype=np.int64)
+    last = mdp.n_states
+    while last:
+        first = last - 1
+        while first and least[first - 1] >= last:
+            first -= 1
+        begin, end = offsets[first], offsets[last]
+        above = np.maximum.reduceat(level[successors[begin:end]], offsets[first:last] - begin)
+        level[first:last] = np.where(mdp.terminal[first:last], 0, above + 1)
+        last = first
+    return level

@@ -1,0 +1,240 @@
+"""Models from Gymnasium environments that expose their dynamics as a table `P` (toy-text).
+
+`P[state][action]` lists (probability, next state, reward, terminated). An episode is over after an
+outcome with terminated = True, whatever `P` lists for the state that it names:
+
+    Q(s, a) = Σ p (r + γ (1 - terminated) V(s')).
+
+States keep their numbers. A state that can only be entered by terminated outcomes becomes an
+absorbing end without reward (the holes and the goal of FrozenLake, the goal of CliffWalking, where
+`P` goes on to list moves that no episode makes). Where an episode may also pass through such a
+state alive, or start in it (Taxi with the passenger at the destination), its rows stay as they are
+and the terminated outcomes lead to one more state, "end", appended behind the others. Either way
+the optimal values of all states that `P` numbers, ends excepted, are those of the equation above;
+a Q-table of the environment's own shape is read by `Policy.from_q`.
+
+Wrappers are looked through: what they add (time limits, changed rewards) is no part of `P`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mdp.errors import ModelError, suggest
+from mdp.model import MDP
+from mdp.space import StateSpace
+
+END = "end"
+
+Outcome = tuple[Any, int, Any, bool]
+Rows = dict[tuple[int, int], list[Outcome]]
+
+
+def from_gymnasium(env: object, discount: object = 1, **names: Any) -> MDP:
+    """Build an exact model from an environment's table `P`.
+
+    Parameters
+    ----------
+    env : gymnasium.Env or str
+        An environment, wrapped or not; anything with an attribute `P`; or a registered id.
+    discount : number or "p/q"
+    **names
+        `start` where the environment has no `initial_state_distrib`; `actions`, `states`, `name`.
+
+    Raises
+    ------
+    ModelError
+        Where the environment is unknown or exposes no `P`, or `P` is not a table of
+        distributions over its own states.
+
+    Examples
+    --------
+    >>> class Coin:
+    ...     P = {0: {0: [(0.5, 0, 1, False), (0.5, 1, 1, True)]}, 1: {0: [(1, 0, 7, False)]}}
+    ...     initial_state_distrib = (1, 0)
+    >>> mdp = from_gymnasium(Coin(), discount="9/10")
+    >>> mdp.table.row(1)
+    [(Fraction(1, 1), 1, Fraction(0, 1))]
+    """
+    if isinstance(env, str):
+        made = _make(env)
+        names.setdefault("name", env)
+        try:
+            return from_gymnasium(made, discount, **names)
+        finally:
+            made.close()
+    bare = getattr(env, "unwrapped", env)
+    names.setdefault("name", _name(env))
+    where = names["name"]
+    rows, states, actions = _rows(bare, where)
+    start = names.pop("start", None)
+    if start is None:
+        start = _start(bare, states, where)
+    begins = start if isinstance(start, Mapping) else {start: 1}
+    ends, targets = _ends(rows, {int(state) for state, weight in begins.items() if weight})
+    goal, appended = states, bool(targets - ends)
+    listed = [
+        (
+            state,
+            action,
+            [(p, n if not over or n in ends else goal, r) for p, n, r, over in outcomes],
+        )
+        for (state, action), outcomes in rows.items()
+        if state not in ends
+    ]
+    listed += [(end, 0, [(1, end, 0)]) for end in sorted(ends)]
+    if appended:
+        listed.append((goal, 0, [(1, goal, 0)]))
+    names.setdefault("actions", [str(number) for number in range(actions)])
+    words = names.pop("states", ())
+    plain = StateSpace.plain(states, words)
+    names["space"] = StateSpace(columns=plain.columns, extra=(END,) if appended else ())
+    return MDP.from_outcomes(listed, discount, start=start, **names)
+
+
+def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
+    """Return the states that are ends, and all that terminated outcomes name.
+
+    The ends are the largest set of such states that no start and no outcome of a state outside
+    the set enters alive; states that stay put without reward are ends however they are entered.
+    """
+    targets = {n for outcomes in rows.values() for _, n, _, over in outcomes if over}
+    idle = set(targets)
+    for (state, _), outcomes in rows.items():
+        if any(n != state or r != 0 for _, n, r, _ in outcomes):
+            idle.discard(state)
+    ends = targets - (begins - idle)
+    while True:
+        alive = {
+            n
+            for (state, _), outcomes in rows.items()
+            if state not in ends
+            for _, n, _, over in outcomes
+            if not over
+        }
+        entered = (ends & alive) - idle
+        if not entered:
+            return ends, targets
+        ends -= entered
+
+
+def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
+    """Return the outcomes of every pair, and the numbers of states and actions."""
+    table = getattr(env, "P", None)
+    if table is None:
+        raise ModelError(
+            "the environment does not expose its model as P",
+            where=where,
+            fix="use a toy-text environment such as FrozenLake-v1, or build the model with "
+            "MDP.from_outcomes",
+        )
+    rows: Rows = {}
+    for state, row in _items(table, where, "P"):
+        for action, outcomes in _items(row, where, f"P[{state}]"):
+            place = f"{where}, P[{state}][{action}]"
+            rows[state, action] = [_outcome(outcome, place) for outcome in _listed(outcomes, place)]
+    most = (
+        max((state for state, _ in rows), default=-1) + 1,
+        max((action for _, action in rows), default=-1) + 1,
+    )
+    sizes = []
+    for space, least in zip(("observation_space", "action_space"), most, strict=True):
+        size = getattr(getattr(env, space, None), "n", least)
+        if size < least:
+            raise ModelError(
+                f"P numbers {least} of them, {space} has {size}",
+                where=where,
+                fix="make P and the spaces agree",
+            )
+        sizes.append(int(size))
+    for (state, action), outcomes in rows.items():
+        for _, following, _, _ in outcomes:
+            if not 0 <= following < sizes[0]:
+                raise ModelError(
+                    f"next state {following} is outside 0 … {sizes[0] - 1}",
+                    where=f"{where}, P[{state}][{action}]",
+                    fix="number the states from 0",
+                )
+    return rows, sizes[0], sizes[1]
+
+
+def _items(table: Any, where: str, what: str) -> Iterable[tuple[int, Any]]:
+    pairs = list(table.items() if isinstance(table, Mapping) else enumerate(_listed(table, where)))
+    for key, _ in pairs:
+        if isinstance(key, bool) or not isinstance(key, int | np.integer) or key < 0:
+            raise ModelError(
+                f"{what} has the key {key!r}", where=where, fix="number states and actions from 0"
+            )
+    return [(int(key), value) for key, value in pairs]
+
+
+def _listed(values: Any, where: str) -> Sequence[Any]:
+    if isinstance(values, Sequence) and not isinstance(values, str):
+        return values
+    raise ModelError(
+        f"{type(values).__name__} found where a list is expected",
+        where=where,
+        fix="let P[state][action] list (probability, next state, reward, terminated)",
+    )
+
+
+def _outcome(outcome: Any, place: str) -> Outcome:
+    values = _listed(outcome, place)
+    whole = len(values) == 4 and isinstance(values[1], int | np.integer)
+    if not whole or not isinstance(values[3], bool | np.bool_):
+        raise ModelError(
+            f"an outcome is {outcome!r}",
+            where=place,
+            fix="give (probability, next state, reward, terminated)",
+        )
+    return values[0], int(values[1]), values[2], bool(values[3])
+
+
+def _start(env: Any, states: int, where: str) -> dict[int, Any]:
+    given = getattr(env, "initial_state_distrib", None)
+    if given is None:
+        raise ModelError(
+            "the environment has no initial_state_distrib",
+            where=where,
+            fix="pass start=, a state or {state: probability}",
+        )
+    weights = list(given)
+    if len(weights) != states:
+        raise ModelError(
+            f"initial_state_distrib has {len(weights)} entries for {states} states",
+            where=where,
+            fix="give one probability for each state",
+        )
+    return {state: weight for state, weight in enumerate(weights) if weight != 0}
+
+
+def _name(env: Any) -> str:
+    spec = getattr(env, "spec", None)
+    return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)
+
+
+def _make(name: str) -> Any:
+    try:
+        import gymnasium
+    except ImportError as error:
+        raise ModelError(
+            "Gymnasium is not installed",
+            where=f"gymnasium:{name}",
+            fix='install it: pip install "exact-mdp[gymnasium]"',
+        ) from error
+    try:
+        with warnings.catch_warnings():
+            # An outdated version is refused right after the warning of it, in the same words.
+            warnings.simplefilter("ignore")
+            return gymnasium.make(name)
+    except (gymnasium.error.Error, ImportError) as error:
+        toy = [key for key, spec in gymnasium.registry.items() if "toy_text" in str(spec)]
+        raise ModelError(
+            f"Gymnasium cannot make {name!r}: {str(error)[:200]}",
+            where=f"gymnasium:{name}",
+            fix=suggest(name, toy),
+        ) from error

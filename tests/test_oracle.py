@@ -1,0 +1,299 @@
+"""The reference model against itself, against sampling and against numbers worked out by hand."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+from math import sqrt
+from random import Random
+from typing import Any
+
+import pytest
+from oracle import ACTIONS, COMPONENTS, END, READINGS, Oracle, Policy, State, default_parameters
+
+ALL_READINGS: list[dict[str, str]] = [
+    dict(zip(READINGS, options, strict=True)) for options in product(*READINGS.values())
+]
+SAMPLE = Random(1).sample(ALL_READINGS, 24)
+CLEAR = (0, 0, 0, 0)
+
+
+def always(action: str) -> Policy:
+    return lambda state: {action: Fraction(1)}
+
+
+def uniform(state: State) -> dict[str, Fraction]:
+    return dict.fromkeys(ACTIONS, Fraction(1, 4))
+
+
+def careful(state: State) -> dict[str, Fraction]:
+    """A mixed policy that looks at every part of the state."""
+    assert not isinstance(state, str)
+    k, t, c, s = state
+    if s[2] or s[3]:
+        other = ("none", "non-directive", "directive")[(k + t + c) % 3]
+        return {"supportive": Fraction(3, 4), other: Fraction(1, 4)}
+    return {"directive" if s[0] and s[1] else "non-directive": Fraction(1)}
+
+
+def check_consistent(oracle: Oracle, policy: Policy) -> None:
+    """Probabilities sum to one everywhere, and the figures of a policy agree with each other."""
+    flagged = oracle.readings["task_bonus"] == "no-subtask-skipped"
+    for state in oracle.reachable():
+        for action in oracle.actions(state):
+            outcomes = oracle.outcomes(state, action)
+            assert all(probability > 0 for probability, *_ in outcomes)
+            assert sum(probability for probability, *_ in outcomes) == 1
+            assert all(set(rewards) <= set(COMPONENTS) for _, _, rewards, _ in outcomes)
+        if not isinstance(state, str):
+            assert state[2] == 1 or flagged
+            assert 0 <= state[1] <= oracle.trials
+            assert state[1] < oracle.trials or oracle.readings["skip_timestep"] == "own"
+    found = oracle.evaluate(policy)
+    spread = found["distribution"]
+    assert sum(spread.values()) == 1
+    assert min(spread.values()) > 0
+    mean = sum(x * p for x, p in spread.items())
+    assert mean == found["mean"] == sum(found["components"].values())
+    assert sum((x - mean) ** 2 * p for x, p in spread.items()) == found["variance"]
+    assert found["mean"] <= oracle.value(oracle.start)
+    # w_timestep = -1 and a skip costs 10; at most one skip per subtask
+    assert found["steps"] == -found["components"]["timestep"]
+    skips = found["components"]["subtask-skip"] / -10
+    assert found["skip_probability"] <= skips <= len(oracle.last) * found["skip_probability"]
+
+
+def every_reading(quick: int) -> list[Any]:
+    """All readings, all but the first few of the sample marked slow."""
+    return [
+        pytest.param(readings, marks=() if readings in SAMPLE[:quick] else pytest.mark.slow)
+        for readings in ALL_READINGS
+    ]
+
+
+def test_there_are_as_many_readings_as_the_text_leaves_open() -> None:
+    assert len(ALL_READINGS) == 2 * 2 * 2 * 2 * 2 * 2 * 3 * 3
+    for name, options in READINGS.items():
+        assert {readings[name] for readings in SAMPLE} == set(options)
+
+
+@pytest.mark.parametrize("readings", every_reading(24))
+def test_figures_agree_under_every_reading(readings: dict[str, str]) -> None:
+    check_consistent(Oracle(readings, tasks=[2], max_trial=2), careful)
+
+
+@pytest.mark.parametrize("readings", [{}, pytest.param(SAMPLE[0], marks=pytest.mark.slow)])
+def test_figures_agree_with_five_trials(readings: dict[str, str]) -> None:
+    check_consistent(Oracle(readings, tasks=[2]), careful)
+
+
+def check_sampling(oracle: Oracle, policy: Policy, episodes: int) -> None:
+    """Sampled returns lie within four standard errors, in mean and in variance."""
+    found = oracle.evaluate(policy, distribution=False)
+    returns = oracle.simulate(policy, episodes, Random(7))
+    mean, variance = float(found["mean"]), float(found["variance"])
+    off = [x - mean for x in returns]
+    assert abs(sum(off) / episodes) < 4 * sqrt(variance / episodes)
+    sampled = sum(x**2 for x in off) / episodes
+    fourth = sum(x**4 for x in off) / episodes
+    assert abs(sampled - variance) < 4 * sqrt((fourth - sampled**2) / episodes)
+
+
+@pytest.mark.parametrize("discount", [Fraction(1), Fraction(19, 20)])
+@pytest.mark.parametrize("policy", [uniform, careful])
+def test_sampling_agrees_by_default(policy: Policy, discount: Fraction) -> None:
+    check_sampling(Oracle(tasks=[2], discount=discount), policy, 20_000)
+
+
+@pytest.mark.parametrize("readings", every_reading(6))
+def test_sampling_agrees_under_every_reading(readings: dict[str, str]) -> None:
+    oracle = Oracle(readings, tasks=[2, 1], max_trial=2, discount=Fraction(19, 20))
+    check_sampling(oracle, careful, 4_000)
+
+
+@pytest.mark.parametrize("discount", [Fraction(1), Fraction(19, 20)])
+def test_an_optimal_policy_earns_the_optimal_value(discount: Fraction) -> None:
+    oracle = Oracle(SAMPLE[3], tasks=[1, 1], max_trial=3, discount=discount)
+    best, choices = oracle.optimal()
+    assert best[END] == 0
+    assert choices[END] == frozenset()
+    found = oracle.evaluate(lambda state: {min(choices[state]): Fraction(1)})
+    assert found["mean"] == sum(found["components"].values()) == best[oracle.start]
+    assert (found["distribution"] is None) == (discount < 1)
+    for state in best:
+        for action in oracle.actions(state):
+            worth = sum(
+                p * (sum(rewards.values()) + discount * best[nxt])
+                for p, nxt, rewards, _ in oracle.outcomes(state, action)
+            )
+            assert worth <= best[state]
+            assert (worth == best[state]) == (action in choices[state])
+
+
+# One subtask, one trial, from status 0000. The base chances are .3, .3, .05 and .2.
+#   none:          0000 next with .7 * .7 * .95 * .8 = .3724; status cost .3 + .3 + 5 * .05 + .2
+#                  = 1.05, so -1 - 1.05 - 1 + .3724 * 50 - .6276 * 10 + 20 = 29.294
+#   supportive:    no onset of A, D: .7 * .7 = .49; cost .6:
+#                  -1 - .6 - 1 + .49 * (50 - 1) - .51 * 10 + 20 = 36.31
+#   non-directive: no onset of F, C: .95 * .8 = .76; cost .25 + .2:
+#                  -1 - .45 - 1 + .76 * (50 - 3) - .24 * 10 + 20 = 50.87
+#   directive:     as before, with 5 for 3: 49.35
+ONE_TRIAL = {"none": 29.294, "supportive": 36.31, "non-directive": 50.87, "directive": 49.35}
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_one_trial_by_hand(action: str) -> None:
+    oracle = Oracle(tasks=[1], max_trial=1)
+    assert oracle.evaluate(always(action))["mean"] == Fraction(str(ONE_TRIAL[action]))
+    assert oracle.value(oracle.start) == Fraction("50.87")
+    assert oracle.optimal_actions(oracle.start) == {"non-directive"}
+
+
+def test_one_trial_distribution_by_hand() -> None:
+    # completed: -1 - 1 + 50 - 5 + 20 = 63; skipped: -1 - 1 - 10 + 20 = 8, less 5 for A, 1 for D
+    spread = Oracle(tasks=[1], max_trial=1).evaluate(always("directive"))["distribution"]
+    expected = {63: "0.76", 3: "0.04", 7: "0.19", 2: "0.01"}
+    assert spread == {x: Fraction(p) for x, p in expected.items()}
+
+
+@pytest.mark.parametrize(
+    "readings, mean",
+    [
+        # the trial costs 1 only when it failed: + .3724
+        ({"trial_cost": "failed-trials"}, "29.6664"),
+        # the status before is 0000 and costs nothing: + 1.05
+        ({"status_cost": "current"}, "30.344"),
+        # 20 less in .6276 of the episodes
+        ({"task_bonus": "last-subtask-completed"}, "16.742"),
+        ({"task_bonus": "no-subtask-skipped"}, "16.742"),
+        # one more timestep on a skip (.6276) and the cost of z: F and C each
+        # .3 * (.3 * .5 + .7 * .2) = .087, A 5 * .05 * .5 = .125, D .2 * .5 = .1: together .399
+        ({"skip_timestep": "own"}, "28.2674"),
+        ({"skip_timestep": "own", "skip_onset": "reset"}, "28.6664"),
+        # the first step costs nothing for status, the skip step what it did before: 1.05
+        ({"skip_timestep": "own", "status_cost": "current"}, "28.6664"),
+    ],
+)
+def test_readings_on_one_trial_by_hand(readings: dict[str, str], mean: str) -> None:
+    found = Oracle(readings, tasks=[1], max_trial=1).evaluate(always("none"))
+    assert found["mean"] == Fraction(mean)
+    assert found["skip_probability"] == Fraction("0.6276")
+    assert found["steps"] == Fraction("1.6276" if "skip_timestep" in readings else "1")
+
+
+@pytest.mark.parametrize(
+    "orientation, skip", [("row-to-column", "0.238575"), ("column-to-row", "0.238385")]
+)
+def test_second_trial_by_hand(orientation: str, skip: str) -> None:
+    # Directive, two trials. 0010 (.04) and 0011 (.01) never clear: anger stays. From 0001 (.19)
+    # D clears with .01 and anger stays away with 1 - .05 - .20 (row D, column A), or with
+    # 1 - .05 - .10 (row A, column D): .19 * (1 - .01 * .75) or .19 * (1 - .01 * .85), and .05
+    readings = {"influence_orientation": orientation, "max_trial_rule": "after"}
+    found = Oracle(readings, tasks=[1], max_trial=1).evaluate(always("directive"))
+    assert found["skip_probability"] == Fraction(skip)
+    assert found["steps"] == Fraction("1.24")
+
+
+def test_discounting_by_hand() -> None:
+    # As above, at 1/2, every trial completing with 0 later: only the timestep is not free here.
+    free = {f"reward.{name}": Fraction(0) for name in COMPONENTS if name != "timestep"}
+    oracle = Oracle(tasks=[1], max_trial=2, discount=Fraction(1, 2), parameters=free)
+    found = oracle.evaluate(always("directive"))
+    assert found["mean"] == -1 - Fraction("0.24") / 2
+    assert found["variance"] == Fraction("0.24") * Fraction("0.76") / 4
+    assert found["steps"] == Fraction("1.24")
+
+
+@pytest.mark.parametrize(
+    "tasks, bonus, mean",
+    [
+        # Two trials' worth of 0000 under reset: each subtask is completed with .76, independently.
+        ([2], "always", "20"),
+        ([2], "last-subtask-completed", "15.2"),
+        ([2], "no-subtask-skipped", "11.552"),  # 20 * .76 * .76
+        ([1, 1], "always", "40"),
+        ([1, 1], "last-subtask-completed", "30.4"),
+        ([1, 1], "no-subtask-skipped", "30.4"),  # the flag is 1 again in the second task
+        ([2, 1], "no-subtask-skipped", "26.752"),
+    ],
+)
+@pytest.mark.parametrize("timestep", ["same", "own"])
+def test_task_bonus_by_hand(tasks: list[int], bonus: str, mean: str, timestep: str) -> None:
+    readings = {"task_bonus": bonus, "skip_onset": "reset", "skip_timestep": timestep}
+    found = Oracle(readings, tasks, max_trial=1).evaluate(always("directive"))
+    assert found["components"]["task-complete"] == Fraction(mean)
+
+
+def percent(*values: int) -> list[Fraction]:
+    return [Fraction(value, 100) for value in values]
+
+
+def test_chances_by_hand() -> None:
+    rows, columns = Oracle(), Oracle({"influence_orientation": "column-to-row"})
+    assert rows.chances(CLEAR, "none") == percent(30, 30, 5, 20)
+    assert rows.chances((0, 0, 1, 0), "none") == percent(37, 38, 100, 30)  # the row of anger
+    assert columns.chances((0, 0, 1, 0), "none") == percent(36, 38, 100, 40)  # its column
+    assert rows.chances((1, 1, 0, 0), "none") == percent(99, 99, 19, 24)
+    assert rows.chances((1, 1, 1, 1), "supportive") == percent(99, 99, 5, 5)
+    assert rows.chances((1, 0, 0, 0), "supportive") == percent(99, 35, 0, 0)
+    assert rows.chances((1, 1, 0, 0), "non-directive") == percent(40, 60, 19, 24)
+    assert rows.chances((1, 0, 0, 1), "directive") == percent(5, 0, 31, 99)
+
+
+def test_influence_on_present_by_hand() -> None:
+    half = {"persistence.forgetfulness": Fraction(1, 2)}
+    additive = {"influence_on_present": "additive"}
+    both = {**additive, "influence_orientation": "column-to-row"}
+    assert Oracle(parameters=half).chances((1, 1, 0, 0), "none")[0] == Fraction("0.5")
+    assert Oracle(additive, parameters=half).chances((1, 1, 0, 0), "none")[0] == Fraction("0.57")
+    assert Oracle(both, parameters=half).chances((1, 1, 0, 0), "none")[0] == Fraction("0.55")
+    assert Oracle(additive).chances((1, 1, 0, 0), "none")[:2] == [1, 1]  # clipped
+    assert Oracle(additive).chances((1, 1, 0, 0), "directive")[:2] == percent(5, 5)
+
+
+def test_skip_chances_by_hand() -> None:
+    assert Oracle().skip_chances((1, 1, 1, 1)) == percent(50, 50, 50, 50)
+    assert Oracle().skip_chances((1, 0, 0, 1)) == percent(20, 0, 0, 50)
+    assert Oracle({"skip_onset": "reset"}).skip_chances((1, 1, 1, 1)) == [0, 0, 0, 0]
+    # base: C .3 + .05 + .10 and A .05 + .06 + .20, from F and D in rows; from columns
+    # C .3 + .07 + .02 and A .05 + .07 + .10
+    rows = Oracle({"skip_onset": "base"})
+    columns = Oracle({"skip_onset": "base", "influence_orientation": "column-to-row"})
+    assert rows.skip_chances((1, 0, 0, 1)) == percent(20, 45, 31, 50)
+    assert columns.skip_chances((1, 0, 0, 1)) == percent(20, 39, 22, 50)
+
+
+def test_skip_and_last_trial_by_hand() -> None:
+    oracle = Oracle({"skip_timestep": "own"}, tasks=[2])
+    assert oracle.actions((0, 5, 1, (0, 1, 0, 0))) == ("skip",)
+    expected: list[Any] = [
+        (Fraction(4, 5), (1, 0, 1, CLEAR), {"timestep": -1, "subtask-skip": -10}, True),
+        (
+            Fraction(1, 5),
+            (1, 0, 1, (0, 1, 0, 0)),
+            {"timestep": -1, "subtask-skip": -10, "confuse": -1},
+            True,
+        ),
+    ]
+    assert oracle.outcomes((0, 5, 1, (0, 1, 0, 0)), "skip") == expected
+    with pytest.raises(ValueError):
+        oracle.outcomes((0, 5, 1, (0, 1, 0, 0)), "none")
+    with pytest.raises(ValueError):
+        oracle.outcomes((0, 0, 1, CLEAR), "skip")
+
+
+def test_names_and_bad_input() -> None:
+    names = default_parameters()
+    assert len(names) == 4 + 4 + 12 + 12 + 6 + 13
+    assert names["influence.disengagement.anger"] == Fraction(1, 5)
+    assert names["reward.assist.directive"] == -5
+    assert all(isinstance(value, Fraction) for value in names.values())
+    for bad in (
+        {"readings": {"x": "y"}},
+        {"readings": {"skip_onset": "y"}},
+        {"parameters": {"x": 1}},
+    ):
+        with pytest.raises(ValueError):
+            Oracle(**bad)
+    with pytest.raises(ValueError):
+        Oracle().evaluate(lambda state: {"none": Fraction(1, 2)})
