@@ -1,0 +1,223 @@
+"""What an audit of a policy found: verdicts, agreement, reasons, and the message.
+
+The verdicts compare the regret at the start with the limits given, exactly where it is certified.
+Where it is bounded, what the bounds do not decide does not pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.disagreements import Disagreement
+from analysis.q_error import QError, q_error
+from analysis.regret import Regret
+from analysis.representation import Representation, representation
+from mdp.model import MDP
+from mdp.policy import Policy
+from mdp.table import Floats
+from solvers.policy_chain import PolicyChain
+from solvers.solution import Bounded, Certified, Claim
+
+SHOWN = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """One thing that was checked.
+
+    Attributes
+    ----------
+    name : str
+        What was checked, such as "regret is at most 1/10".
+    passed : bool
+    text : str
+        What was found.
+    """
+
+    name: str
+    passed: bool
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Audit:
+    """What a policy loses against the optimum, where and why.
+
+    Attributes
+    ----------
+    mdp : MDP
+    policy : Policy
+        The policy, or the greedy policy of the Q-table.
+    chain : PolicyChain
+        The model under it.
+    regret : Regret
+        Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
+    visits : (S,)
+        Its expected discounted visits from the start; undiscounted at discount 1.
+    disagreements : tuple of Disagreement
+        States with a choice where it does not act optimally, the costliest first.
+    said : (L,), optional
+        Action values of the Q-table.
+    max_regret, max_relative_regret : Fraction, optional
+        The limits; without either, the regret has to be zero up to rounding.
+    """
+
+    mdp: MDP
+    policy: Policy
+    chain: PolicyChain
+    regret: Regret
+    visits: Floats
+    disagreements: tuple[Disagreement, ...]
+    said: Floats | None = None
+    max_regret: Fraction | None = None
+    max_relative_regret: Fraction | None = None
+
+    @property
+    def claim(self) -> Claim:
+        """Certified, or bounded."""
+        return self.regret.claim
+
+    @property
+    def relative_regret(self) -> float:
+        """Regret at the start over the absolute optimal value; infinite where that is 0."""
+        lost, best = self.regret.at_start.value, self.regret.optimal.value
+        if lost == 0:
+            return 0.0
+        return float(Fraction(lost) / abs(Fraction(best))) if best else float("inf")
+
+    # ---- verdicts ----------------------------------------------------------------------------
+
+    @property
+    def passed(self) -> bool:
+        """Whether every limit holds; what bounds cannot decide does not pass."""
+        return all(verdict.passed for verdict in self.verdicts)
+
+    @cached_property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """What was checked: each limit given, or that the regret is zero."""
+        found, text = [], f"it is {_number(self.regret.at_start)}"
+        if self.max_regret is None and self.max_relative_regret is None:
+            name = "the regret is zero up to rounding"
+            found.append(Verdict(name=name, passed=self.regret.zero, text=text))
+        if self.max_regret is not None:
+            name = f"the regret is at most {_shown(self.max_regret)}"
+            found.append(_verdict(name, self.regret.decided(self.max_regret), text))
+        if self.max_relative_regret is not None:
+            name = f"the relative regret is at most {_shown(self.max_relative_regret)}"
+            text = f"it is {self.relative_regret:.6g} ({self.claim})"
+            found.append(_verdict(name, self._relative(self.max_relative_regret), text))
+        return tuple(found)
+
+    def _relative(self, limit: Fraction) -> bool | None:
+        best = self.regret.optimal
+        if isinstance(best, Certified):
+            return self.regret.decided(limit * abs(best.value))
+        low, high = sorted(abs(Fraction(end)) for end in best.interval)
+        if best.interval[0] < 0 < best.interval[1]:
+            low = Fraction(0)
+        if self.regret.decided(limit * low):
+            return True
+        return False if self.regret.decided(limit * high) is False else None
+
+    # ---- agreement ---------------------------------------------------------------------------
+
+    @cached_property
+    def _choosing(self) -> NDArray[np.bool_]:
+        return np.asarray(~self.mdp.forced & ~self.mdp.terminal)
+
+    @property
+    def agreement(self) -> float:
+        """Share of the states with a choice in which all that the policy does is optimal.
+
+        Terminal states do not count. 1 where there is no choice at all.
+        """
+        states = int(self._choosing.sum())
+        return 1 - len(self.disagreements) / states if states else 1.0
+
+    @property
+    def agreement_by_visits(self) -> float:
+        """The same share of the policy's visits to states with a choice."""
+        total = float(self.visits[self._choosing].sum())
+        wrong = sum(each.expected_visits for each in self.disagreements)
+        return max(0.0, 1 - wrong / total) if total > 0 else 1.0
+
+    # ---- reasons -----------------------------------------------------------------------------
+
+    @cached_property
+    def q_error(self) -> QError | None:
+        """How wrong the Q-table is; None for a policy."""
+        if self.said is None:
+            return None
+        optimal = self.regret.optimal_value[self.mdp.pair_state] - self.regret.gap
+        used = self.visits[self.mdp.pair_state] * self.chain.weights
+        return q_error(self.mdp, self.said, optimal, used)
+
+    @cached_property
+    def representation(self) -> Representation | None:
+        """What the policy's columns cannot express; None where it reads the whole state."""
+        if set(self.policy.columns) == set(self.mdp.space.names):
+            return None
+        return representation(self.mdp, self.policy, self.regret)
+
+    def message(self, *, explain: bool = True) -> str:
+        """Return in words what was found, the costly states by name.
+
+        Parameters
+        ----------
+        explain : bool
+            Say also what the policy's columns cannot express, which takes a search.
+        """
+        lost = self.regret
+        lines = [
+            f"{'passed' if each.passed else 'failed'}: {each.name}; {each.text}"
+            for each in self.verdicts
+        ]
+        lines.append(
+            f"optimal value {float(lost.optimal.value):.10g}, learned"
+            f" {float(lost.learned.value):.10g}; not optimal in {len(self.disagreements)} of"
+            f" {int(self._choosing.sum())} states with a choice"
+        )
+        for each in self.disagreements[:SHOWN]:
+            lines.append(
+                f"  ({each.label}): {each.learned}, not {' or '.join(each.optimal)};"
+                f" gap {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
+            )
+        if len(self.disagreements) > SHOWN:
+            rest = sum(each.cost for each in self.disagreements[SHOWN:])
+            lines.append(f"  and {len(self.disagreements) - SHOWN} more, {rest:.6g} in all")
+        if explain and self.representation is not None:
+            lines.append(_why(self.representation))
+        return "\n".join(lines)
+
+
+def _verdict(name: str, decision: bool | None, text: str) -> Verdict:
+    if decision is None:
+        text += ", which the bounds do not decide"
+    return Verdict(name=name, passed=decision is True, text=text)
+
+
+def _number(value: Certified | Bounded) -> str:
+    """Return a number with its claim; an exact one may have thousands of digits, and is rounded."""
+    if isinstance(value, Certified):
+        return f"{float(value.value):.10g} ({value.claim})"
+    return str(value)
+
+
+def _shown(limit: Fraction) -> str:
+    return f"{float(limit):.10g}"
+
+
+def _why(found: Representation) -> str:
+    best = found.best
+    read = ", ".join(best.columns) or "nothing"
+    proof = "proven" if best.proven else f"no other is worth over {best.upper_bound:.10g}"
+    return (
+        f"the best policy that reads {read} alone is worth {best.value.value:.10g} ({proof});"
+        f" of the regret, {float(found.loss.value):.6g} is due to what the policy reads and"
+        f" {float(found.learning_error.value):.6g} to what was learned"
+    )

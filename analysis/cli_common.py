@@ -1,0 +1,104 @@
+"""What the commands share: the options that name a model, and reading model and policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from mdp.model import MDP
+    from mdp.policy import Policy
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+POLICY_HELP = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
+.csv with the header status,action; .npy or .npz with a Q-table."""
+
+
+def model_options(function: Function) -> Function:
+    """Add `--set`, `--discount` and `--json` to a command."""
+    for option in (
+        click.option("--json", "as_json", is_flag=True, help="Print one JSON object."),
+        click.option(
+            "--discount", metavar="G", help="Discount instead of the model's own: 0.95 or 19/20."
+        ),
+        click.option(
+            "--set",
+            "sets",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION. "
+            "May be repeated.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def policy_of(mdp: MDP, form: str) -> Policy:
+    """Return the policy that a command names; the optimum is solved for."""
+    from mdp.policy import Policy
+
+    if form == "optimal":
+        from solvers import solve
+
+        return Policy.from_choices(mdp, solve(mdp).policy)
+    return Policy.of(mdp, form)
+
+
+def float_of(text: str | None, option: str) -> float | None:
+    """Return the number that an option states, as a float; None where it is left out."""
+    if text is None:
+        return None
+    from mdp.errors import ModelError
+    from mdp.table import exact
+
+    try:
+        return float(exact(text))
+    except ModelError as error:
+        raise ModelError(error.what, where=option, fix=error.fix) from error
+    except OverflowError as error:
+        raise ModelError("too large for a float", where=option, fix="choose less") from error
+
+
+def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
+    """Raise ModelError, before any work, where a file could not be written.
+
+    Parameters
+    ----------
+    *files : (path or None, allowed endings)
+    """
+    from mdp.errors import ModelError
+
+    taken = []
+    for name, endings in files:
+        if name is None:
+            continue
+        path = Path(name)
+        if path.suffix.lower() not in endings:
+            raise ModelError(
+                f"cannot write {path.suffix or 'a file without ending'} here",
+                where=name,
+                fix=f"name it {' or '.join(endings)}",
+            )
+        if not path.parent.is_dir():
+            raise ModelError("there is no such folder", where=str(path.parent), fix="make it first")
+        if path.resolve() in taken:
+            raise ModelError("two results go to one file", where=name, fix="name another file")
+        taken.append(path.resolve())
+
+
+def whole_of(text: str, option: str, least: int = 0, most: int = 10**18) -> int:
+    """Return the whole number that an option states."""
+    from mdp.errors import ModelError
+
+    if text.isascii() and text.isdigit() and len(text) < 20 and least <= int(text) <= most:
+        return int(text)
+    raise ModelError(
+        f"{text!r} is not a whole number from {least} to {most:,}",
+        where=option,
+        fix="choose one in that range",
+    )

@@ -1,0 +1,208 @@
+"""Commands about one policy: its value and spread, its returns, a simulation of it."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Any
+
+import click
+
+from analysis.cli_common import POLICY_HELP, model_options, policy_of, whole_of
+from analysis.cli_output import Grid, at_most, decimal, number, show
+
+MOST_EPISODES = 10**9
+LISTED_RETURNS = 1000  # longer distributions are left to --json
+
+
+@click.command(
+    short_help="Mean, spread, steps, reward components and quantiles of a policy.",
+    epilog=POLICY_HELP,
+)
+@click.argument("model")
+@click.argument("policy")
+@click.option(
+    "--quantiles/--no-quantiles",
+    default=True,
+    help="Whether to work out the quantiles, which can take long in large models.",
+)
+@model_options
+def evaluate(
+    model: str,
+    policy: str,
+    quantiles: bool,
+    sets: tuple[str, ...],
+    discount: str | None,
+    as_json: bool,
+) -> None:
+    """Compute the mean return of POLICY in MODEL, and how it comes about."""
+    import solvers
+    from mdp.load import load
+
+    loaded = load(model, sets=sets, discount=discount)
+    found = solvers.evaluate(loaded.mdp, policy_of(loaded.mdp, policy))
+    shares = found.quantiles if quantiles else None
+    missing = "left out" if not quantiles else found.quantiles_missing
+    result: dict[str, Any] = {
+        "model": loaded.name,
+        "policy": policy,
+        "discount": loaded.mdp.discount,
+        "claim": found.claim,
+        "mean": found.mean,
+        "error_bound": found.error_bound,
+        "sd": found.sd,
+        "steps": found.steps,
+        "ends": found.ends,
+        "skip_probability": found.skip_probability,
+        "event_probability": found.event_probability,
+        "components": found.components,
+        "quantiles": shares,
+        "quantiles_missing": missing or None,
+        "error_bounds": {name: bounded.error for name, bounded in found.numbers.items()},
+    }
+    errors = result["error_bounds"]
+    facts = {
+        "model": loaded.name,
+        "policy": policy,
+        "discount": number(loaded.mdp.discount),
+        "claim": f"{found.claim}, the mean within {at_most(found.error_bound)}",
+        "mean": number(found.mean, found.error_bound),
+        "sd": number(found.sd, errors["sd"]),
+        "steps": number(found.steps, errors["steps"]) if found.ends else "it may never end",
+    }
+    for name, chance in found.event_probability.items():
+        facts[f"probability of a {name}"] = number(chance, errors[f"event.{name}"])
+    if missing:
+        facts["quantiles"] = f"none: {missing}"
+    rows = [
+        (name, number(value, errors[f"component.{name}"]))
+        for name, value in found.components.items()
+    ]
+    grids = [_numbers("expected total of each reward component", ("component", "total"), rows)]
+    if shares is not None:
+        rows = [(f"{share:.0%}", number(value)) for share, value in shares.items()]
+        grids.append(_numbers("quantiles of the return", ("share", "return"), rows))
+    show(result, as_json=as_json, facts=facts, grids=grids)
+
+
+@click.command(
+    short_help="The exact distribution of a policy's return, at discount 1.", epilog=POLICY_HELP
+)
+@click.argument("model")
+@click.argument("policy")
+@click.option("--exact", is_flag=True, help="Give the probabilities as rationals, too.")
+@model_options
+def returns(
+    model: str, policy: str, exact: bool, sets: tuple[str, ...], discount: str | None, as_json: bool
+) -> None:
+    """Compute the probability of every return that POLICY can have in MODEL, at discount 1."""
+    import solvers
+    from mdp.load import load
+    from solvers.returns import return_distribution
+
+    loaded = load(model, sets=sets, discount=discount)
+    chosen = policy_of(loaded.mdp, policy)
+    found = return_distribution(loaded.mdp, chosen, exact=exact)
+    moments = solvers.evaluate(loaded.mdp, chosen)
+    values, chances = [decimal(value) for value in found.values], found.probabilities.tolist()
+    error = float(found.error.max())
+    result: dict[str, Any] = {
+        "model": loaded.name,
+        "policy": policy,
+        "discount": loaded.mdp.discount,
+        "claim": found.claim,
+        "mean": moments.mean,
+        "sd": moments.sd,
+        "error_bounds": {"mean": moments.error_bound, "sd": moments.numbers["sd"].error},
+        "error_bound": error,
+        "remaining": found.remaining,
+        "distribution": dict(zip(values, chances, strict=True)),
+    }
+    if found.exact is not None:
+        result["exact_distribution"] = dict(zip(values, found.exact, strict=True))
+    facts = {
+        "model": loaded.name,
+        "policy": policy,
+        "mean": number(moments.mean, moments.error_bound),
+        "sd": number(moments.sd, moments.numbers["sd"].error),
+        "returns": f"{len(values):,}",
+        "claim": f"{found.claim}, each probability within {at_most(error)}",
+    }
+    if found.remaining:
+        facts["not listed"] = f"returns of probability {at_most(found.remaining)} at most"
+    rows = [
+        (name, number(chance), number(found.cdf(value)))
+        for name, chance, value in islice(
+            zip(values, chances, found.values, strict=True), LISTED_RETURNS
+        )
+    ]
+    more = len(values) - len(rows)
+    title = "distribution" + (f" (the first {len(rows):,}; --json prints all)" if more else "")
+    headings = ("return", "probability", "at most that")
+    grid = Grid(title=title, headings=headings, rows=rows, numeric=frozenset({0, 1, 2}))
+    show(result, as_json=as_json, facts=facts, grids=[grid])
+
+
+@click.command(
+    short_help="An estimate of a policy's mean return by simulation.", epilog=POLICY_HELP
+)
+@click.argument("model")
+@click.argument("policy")
+@click.option("--episodes", required=True, metavar="N", help="Number of episodes.")
+@click.option(
+    "--seed", default="0", metavar="S", help="Seed of the random numbers; 0 unless given."
+)
+@model_options
+def simulate(
+    model: str,
+    policy: str,
+    episodes: str,
+    seed: str,
+    sets: tuple[str, ...],
+    discount: str | None,
+    as_json: bool,
+) -> None:
+    """Estimate the mean return of POLICY in MODEL from N episodes."""
+    from mdp.load import load
+    from solvers.simulation import simulate as sample
+
+    count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
+    loaded = load(model, sets=sets, discount=discount)
+    found = sample(loaded.mdp, policy_of(loaded.mdp, policy), count, first)
+    low, high = found.estimate.interval
+    result: dict[str, Any] = {
+        "model": loaded.name,
+        "policy": policy,
+        "discount": loaded.mdp.discount,
+        "claim": found.claim,
+        "mean": found.mean,
+        "standard_error": found.standard_error,
+        "interval": [low, high],
+        "sd": found.sd,
+        "steps": float(found.steps.mean()),
+        "event_probability": found.events,
+        "episodes": found.episodes,
+        "seed": first,
+        "truncated": found.truncated,
+        "truncation_error": found.truncation_error,
+    }
+    error = found.standard_error
+    facts = {
+        "model": loaded.name,
+        "policy": policy,
+        "discount": number(loaded.mdp.discount),
+        "episodes": f"{found.episodes:,}, seed {first}",
+        "mean": f"{number(found.mean, error / 10)} ({found.claim}, standard error {error:.2g})",
+        "95 % interval": f"{number(low, error / 10)} to {number(high, error / 10)}",
+        "sd": number(found.sd, error / 10),
+        "steps": number(result["steps"], 1e-4),
+    }
+    for name, share in found.events.items():
+        facts[f"share with a {name}"] = number(share, 1e-4)
+    if found.truncated:
+        cut = at_most(found.truncation_error)
+        facts["cut off"] = f"{found.truncated:,} episodes, each return within {cut}"
+    show(result, as_json=as_json, facts=facts, grids=())
+
+
+def _numbers(title: str, headings: tuple[str, str], rows: list[tuple[str, str]]) -> Grid:
+    return Grid(title=title, headings=headings, rows=rows, numeric=frozenset({1}))

@@ -1,0 +1,156 @@
+"""The command that finds an optimum, and what it shows and saves of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from analysis.cli_common import check_outputs, float_of, model_options
+from analysis.cli_output import Grid, at_most, number, ratio, show
+
+if TYPE_CHECKING:
+    from analysis.optimum import Optimum
+    from mdp.load import Loaded
+    from mdp.space import StateSpace
+
+LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
+SHOWN_DIGITS = 1000  # longer exact values are left to --json
+
+
+@click.command(short_help="Optimal value and policy, with a bound or a proof.")
+@click.argument("model")
+@model_options
+@click.option(
+    "--method",
+    default="auto",
+    metavar="NAME",
+    help="value-iteration, modified-policy-iteration, policy-iteration, backward-induction, "
+    "linear-program or auto (the default).",
+)
+@click.option("--tol", metavar="X", help="Greatest absolute error of a value.")
+@click.option("--certify", is_flag=True, help="Compute and prove the exact optimum.")
+@click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
+@click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
+@click.option(
+    "--certificate",
+    metavar="FILE",
+    help="Write a proof for `verify`: .json; of the exact values with --certify, else of bounds.",
+)
+def solve(
+    model: str,
+    sets: tuple[str, ...],
+    discount: str | None,
+    as_json: bool,
+    method: str,
+    tol: str | None,
+    certify: bool,
+    policy_out: str | None,
+    out: str | None,
+    certificate: str | None,
+) -> None:
+    """Find an optimal policy of MODEL and its value, with an error bound that is sound.
+
+    With --certify the optimum is also computed in rational arithmetic, and proved.
+    """
+    from analysis.cli_save import save
+    from analysis.optimum import optimum
+    from mdp.load import load
+
+    endings = ((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
+    check_outputs(*endings)
+    loaded = load(model, sets=sets, discount=discount)
+    found = optimum(loaded.mdp, method, float_of(tol, "--tol"), certify=certify)
+    written = save(loaded, found, policy_out, out, certificate)
+    result = _result(loaded, found)
+    result["written"] = written
+    show(result, as_json=as_json, facts=_facts(result), grids=_grids(result, loaded))
+
+
+def _result(loaded: Loaded, found: Optimum) -> dict[str, Any]:
+    mdp, proof, solution = loaded.mdp, found.certificate, found.solution
+    result: dict[str, Any] = {
+        "model": loaded.name,
+        "method": found.method,
+        "discount": mdp.discount,
+        "claim": found.claim,
+        "start_value": found.start_value,
+        "error_bound": found.error_bound,
+        "exact_start_value": proof.start_value if proof else None,
+        "unique": proof.unique if proof else None,
+        "policy": None,
+        "policy_by_state": None,
+        "stationary": None,
+        "regret_bound": solution.regret_bound if solution and not proof else 0.0,
+        "iterations": solution.iterations if solution else None,
+        "seconds": solution.seconds if solution else None,
+        "status": str(solution.status) if solution else None,
+        "solver": solution.solver if solution else None,
+    }
+    names = mdp.space.names
+    if "status" in names:
+        from analysis.stationary import status_policy
+
+        result["stationary"] = status_policy(mdp, found.optimal) is not None
+    if {"subtask", "trial", "status"} <= set(names):
+        column = mdp.space.column("status")
+        first = [mdp.space.index(status=value) for value in range(column.size)]
+        result["policy"] = {
+            column.label(value): mdp.actions[found.policy[state]]
+            for value, state in enumerate(first)
+        }
+    elif mdp.n_states <= LISTED_STATES:
+        labels = _labels(mdp.space)
+        chosen = [mdp.actions[action] for action in found.policy]
+        result["policy_by_state"] = dict(zip(labels, chosen, strict=True))
+    return result
+
+
+def _labels(space: StateSpace) -> list[str]:
+    """Return a name for each state, no two alike."""
+    if len(space.columns) == 1:
+        column = space.columns[0]
+        labels = [*(column.label(value) for value in range(column.size)), *space.extra]
+    else:
+        labels = space.labels(range(space.size))
+    if len(set(labels)) == len(labels):
+        return labels
+    return [f"{label} (state {state})" for state, label in enumerate(labels)]
+
+
+def _facts(result: dict[str, Any]) -> dict[str, str]:
+    shown = number(result["start_value"], result["error_bound"])
+    facts = {
+        "model": result["model"],
+        "method": result["method"],
+        "discount": number(result["discount"]),
+        "start value": f"{shown} ({result['claim']}, within {at_most(result['error_bound'])})",
+    }
+    if result["seconds"] is not None:
+        facts["method"] += f", {result['iterations']:,} iterations, {result['seconds']:.2g} s"
+    if result["exact_start_value"] is not None:
+        exact = ratio(result["exact_start_value"])
+        if len(exact) > SHOWN_DIGITS:
+            exact = f"a rational of {len(exact):,} digits; --json prints it"
+        facts["exact start value"] = exact
+        facts["unique optimum"] = "yes" if result["unique"] else "no"
+    if result["stationary"] is not None:
+        facts["stationary"] = (
+            "yes, an optimal policy reads the status alone"
+            if result["stationary"]
+            else "no, the best action of a status changes with the rest of the state"
+        )
+    facts |= {"written": ", ".join(result["written"])} if result["written"] else {}
+    return facts
+
+
+def _grids(result: dict[str, Any], loaded: Loaded) -> list[Grid]:
+    if result["policy"] is not None:
+        digits = f" (digits: {', '.join(loaded.scenario.statuses)})" if loaded.scenario else ""
+        title = f"optimal action at subtask 0, trial 0, by status{digits}"
+        rows = list(result["policy"].items())
+        return [Grid(title=title, headings=("status", "action"), rows=rows)]
+    if result["policy_by_state"] is not None:
+        rows = list(result["policy_by_state"].items())
+        return [Grid(title="optimal policy", headings=("state", "action"), rows=rows)]
+    return []

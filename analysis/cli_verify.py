@@ -1,0 +1,86 @@
+"""The command that checks a proof of an optimum, made here or elsewhere."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from analysis.cli_common import model_options
+from analysis.cli_output import Grid, at_most, number, show
+
+if TYPE_CHECKING:
+    from solvers.certificate import BoundedCertificate, Certificate
+
+HOLDS, FAILS = 0, 1
+
+
+@click.command(short_help="Check a certificate of a model's optimum.")
+@click.argument("certificate")
+@click.argument("model")
+@model_options
+def verify(
+    certificate: str, model: str, sets: tuple[str, ...], discount: str | None, as_json: bool
+) -> int:
+    """Check that CERTIFICATE proves the optimum of MODEL; exit status 1 where it does not.
+
+    The checker shares no code with the solvers.
+    """
+    from mdp.load import load
+
+    loaded = load(model, sets=sets, discount=discount)
+    proof = _read(certificate)
+    violations = proof.violations(loaded.mdp)
+    result: dict[str, Any] = {
+        "certificate": certificate,
+        "model": loaded.name,
+        "passed": not violations,
+        "violations": violations,
+        "claim": None if violations else proof.claim,
+    }
+    facts = {
+        "certificate": certificate,
+        "model": loaded.name,
+        "proof": "does not hold" if violations else f"holds ({proof.claim})",
+    }
+    if not violations:
+        start = _start(proof, loaded.mdp.start)
+        result |= start
+        error = at_most(start["error_bound"])
+        facts["start value"] = (
+            f"{number(start['start_value'], start['error_bound'])} within {error}"
+        )
+    rows = [[violation] for violation in violations]
+    grids = [Grid(title="violations", headings=["what is wrong"], rows=rows)] if rows else []
+    show(result, as_json=as_json, facts=facts, grids=grids)
+    return FAILS if violations else HOLDS
+
+
+def _read(path: str) -> Certificate | BoundedCertificate:
+    """Read a certificate of either kind."""
+    from mdp.files import read_text
+    from solvers.certificate import BoundedCertificate, Certificate
+
+    try:
+        content = json.loads(read_text(path))
+        bounded = isinstance(content, dict) and content.get("kind") == "bounded"
+    except (json.JSONDecodeError, RecursionError):
+        bounded = False  # reading it as a certificate says what is wrong
+    return BoundedCertificate.load(path) if bounded else Certificate.load(path)
+
+
+def _start(proof: Certificate | BoundedCertificate, start: Any) -> dict[str, Any]:
+    """Return what a sound certificate proves of the start value."""
+    from fractions import Fraction
+    from math import ulp
+
+    from solvers.certificate import Certificate
+
+    if isinstance(proof, Certificate):
+        value = float(proof.start_value)
+        exact = {"exact_start_value": proof.start_value, "unique": proof.unique}
+        return {"start_value": value, "error_bound": ulp(value)} | exact
+    middle = proof.value
+    value = float(sum(weight * Fraction(float(middle[state])) for state, weight in start))
+    return {"start_value": value, "error_bound": proof.error_bound + ulp(value)}

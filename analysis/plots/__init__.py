@@ -1,0 +1,32 @@
+"""Figures: each function draws on one axes and returns it; none solves, shows or saves.
+
+Readable in greyscale and by colour-blind readers: actions differ in lightness, in hatching and in
+the letters written into them, curves in line style.
+"""
+
+from analysis.plots.diagrams import plot_influence, plot_status_transitions
+from analysis.plots.learning import (
+    plot_distinct,
+    plot_instability,
+    plot_learning_curves,
+    plot_regrets,
+    plot_value_bands,
+)
+from analysis.plots.policy import plot_policy_map
+from analysis.plots.returns import plot_return_distribution
+from analysis.plots.style import action_styles, save, style
+
+__all__ = [
+    "action_styles",
+    "plot_distinct",
+    "plot_influence",
+    "plot_instability",
+    "plot_learning_curves",
+    "plot_policy_map",
+    "plot_regrets",
+    "plot_return_distribution",
+    "plot_status_transitions",
+    "plot_value_bands",
+    "save",
+    "style",
+]

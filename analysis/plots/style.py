@@ -1,0 +1,99 @@
+"""One look for every figure, and saving it as vector and raster without half-written files."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mdp.files import write_atomically
+
+# Okabe and Ito's colours, ordered from light to dark so that greyscale keeps them apart.
+PALETTE = ("#FFFFFF", "#F0E442", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#0072B2", "#4D4D4D")
+HATCHES = ("", "...", "//", "", "xx", "\\\\", "++", "")
+LINES = ("-", "--", ":", "-.")
+
+SETTINGS = {
+    "figure.dpi": 100,
+    "savefig.dpi": 200,
+    "font.size": 9,
+    "font.family": "DejaVu Sans",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "hatch.linewidth": 0.4,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "exact-mdp",
+    "figure.constrained_layout.use": True,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionStyle:
+    """How one action is drawn: fill, hatching, the letters on it and their colour."""
+
+    name: str
+    short: str
+    fill: str
+    hatch: str
+    ink: str
+
+
+def action_styles(actions: Sequence[str]) -> list[ActionStyle]:
+    """Return one style for each action.
+
+    Examples
+    --------
+    >>> [style.short for style in action_styles(["none", "supportive"])]
+    ['a0', 'a1']
+    """
+    styles = []
+    for number, name in enumerate(actions):
+        fill = PALETTE[number % len(PALETTE)]
+        dark = sum(int(fill[i : i + 2], 16) for i in (1, 3, 5)) < 330
+        styles.append(
+            ActionStyle(
+                name=name,
+                short=f"a{number}",
+                fill=fill,
+                hatch=HATCHES[number % len(HATCHES)],
+                ink="white" if dark else "black",
+            )
+        )
+    return styles
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw with the project's settings inside a `with` block."""
+    with mpl.rc_context(SETTINGS):
+        yield
+
+
+def axes_or_new(ax: Axes | None) -> Axes:
+    """Return the axes, or those of a new figure."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    _, fresh = plt.subplots()
+    return fresh
+
+
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as SVG and PNG, each whole or not at all; return the paths."""
+    paths = []
+    for kind, metadata in (("svg", {"Date": None}), ("png", {})):
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=kind, metadata=metadata)
+        path = folder / f"{name}.{kind}"
+        write_atomically(path, buffer.getvalue())
+        paths.append(path)
+    return paths

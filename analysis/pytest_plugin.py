@@ -1,0 +1,95 @@
+"""A pytest fixture that holds policies against the exact optimum of a model.
+
+    def test_policy(policy_gate):
+        policy_gate("yuan2025", "policy.json", max_regret=0.1)
+
+`policy_gate(model, policy, *, max_regret=1e-9, max_relative_regret=None, set=(), discount=None)`
+takes an `MDP`, or any MODEL of the command line (a scenario's name, a `.toml`, `.npz` or `.umb`
+file, `gymnasium:ID`) with `set` and `discount` as `--set` and `--discount`, and any policy or
+Q-table that `analysis.check` takes. Files are looked for beside the test first, then in the working
+directory. The test fails, naming the costly states, where the regret is above a limit; otherwise
+the audit is returned for further assertions:
+
+    audit = policy_gate(mdp, q_table, max_relative_regret="1/100", max_regret=None)
+    assert audit.agreement == 1
+
+What was found is recorded as properties of the test in pytest's own JUnit report (`--junitxml`).
+pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves it out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+
+if TYPE_CHECKING:
+    from analysis.audit import Audit
+    from mdp.model import MDP
+
+SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")
+
+
+class PolicyGate(Protocol):
+    """The fixture's value; see the module."""
+
+    def __call__(
+        self,
+        model: MDP | str | Path,
+        policy: object,
+        *,
+        max_regret: object | None = 1e-9,
+        max_relative_regret: object | None = None,
+        set: Sequence[str] = (),
+        discount: object | None = None,
+    ) -> Audit: ...
+
+
+@pytest.fixture
+def policy_gate(
+    request: pytest.FixtureRequest, record_property: Callable[[str, Any], None]
+) -> PolicyGate:
+    """Assert that a policy loses no more than it may against the exact optimum of a model."""
+
+    def gate(
+        model: MDP | str | Path,
+        policy: object,
+        *,
+        max_regret: object | None = 1e-9,
+        max_relative_regret: object | None = None,
+        set: Sequence[str] = (),
+        discount: object | None = None,
+    ) -> Audit:
+        __tracebackhide__ = True
+        from analysis.compare import check
+        from mdp.load import load_model
+
+        mdp: MDP
+        if isinstance(model, str | Path):
+            mdp = load_model(_beside(request.path, model), sets=set, discount=discount)
+        else:
+            mdp = model if discount is None else model.with_(discount=discount)
+        audit = check(
+            mdp,
+            _beside(request.path, policy),
+            max_regret=max_regret,
+            max_relative_regret=max_relative_regret,
+        )
+        record_property("claim", str(audit.claim))
+        record_property("regret", float(audit.regret.at_start.value))
+        record_property("agreement", audit.agreement)
+        if not audit.passed:
+            pytest.fail(audit.message(), pytrace=False)
+        return audit
+
+    return gate
+
+
+def _beside(test: Path, name: Any) -> Any:
+    """Return the path of a file beside the test where there is one of that name."""
+    if isinstance(name, str | Path) and Path(name).suffix.lower() in SUFFIXES:
+        near = test.parent / name
+        return near if near.is_file() else name
+    return name

@@ -1,0 +1,88 @@
+"""The run record: what a saved result was made from, in a `.run.json` beside it."""
+
+from __future__ import annotations
+
+import json
+import platform
+import subprocess
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from mdp.files import write_atomically
+from mdp.fingerprint import fingerprint
+from mdp.model import MDP
+
+PACKAGES = ("exact-mdp", "numpy", "scipy", "python-flint", "cvxpy", "clarabel", "highspy", "numba")
+
+
+def run_record(
+    mdp: MDP, *, model: str, solver: str, seed: int | None = None, command: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return what a result rests on: model hash, solver, seed, versions and commit.
+
+    Parameters
+    ----------
+    mdp : MDP
+    model : str
+        The model as the user named it.
+    solver : str
+        The solver with its settings.
+    seed : int, optional
+        None where nothing was drawn.
+    command : sequence of str
+        The words of the command line.
+    """
+    return {
+        "command": list(command),
+        "model": model,
+        "model_hash": fingerprint(mdp),
+        "solver": solver,
+        "seed": seed,
+        "versions": {"python": platform.python_version()} | _versions(),
+        "platform": f"{sys.platform} {platform.machine()}",
+        "commit": _commit(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def write_record(result: str | Path, record: dict[str, Any]) -> Path:
+    """Write the record beside a result, F.run.json for F.npz, and return its path."""
+    path = Path(result).with_suffix(".run.json")
+    write_atomically(path, json.dumps(record, indent=2) + "\n")
+    return path
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _commit() -> str | None:
+    """Return the commit of the source, marked where it was changed; None outside a checkout."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    words = [
+        "git",
+        "-C",
+        str(root),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=40",
+        "--exclude=*",
+    ]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None

@@ -1,0 +1,290 @@
+"""How the spread of a fixed policy's return, and what the return is made of, move with parameters.
+
+    M(s) = E[r²] + 2 γ E[r V(s')] + γ² E[M(s')],      Var = Σ μ M - (Σ μ V)²
+
+M is the second moment of the return. Its derivative needs V' in every state, which one more
+forward pass replaces: Σ_l d₂(l) 2 γ E[r V'(s')] = Σ_l z(l) c(l), where d₂ are visits discounted by
+γ² and z those that begin with 2 γ E[r; s'] under d₂ (c: what a pair earns in the gradient).
+A component's total moves as the value does, with the component's rewards. Source of the second
+moment: Sobel, Journal of Applied Probability 19 (1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
+from analysis.sensitivity.gradient import earnings
+from analysis.sensitivity.units import unit_of
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.parameters import Parameter
+from mdp.parametric import Parametric, parameter_of, parametric
+from mdp.row_change import (
+    Entries,
+    Piece,
+    changes,
+    joint_entries,
+    pieces,
+    row_change,
+    square_entries,
+)
+from mdp.scenario import Scenario
+from mdp.table import Integers, Numbers
+from solvers.rounding import UNIT
+from solvers.solution import Bounded, Certified
+
+if TYPE_CHECKING:
+    from flint import fmpq
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Movement:
+    """Derivatives of a fixed policy's value, variance and components by one parameter.
+
+    The side is the right one, but the left one at the upper end of the parameter's range.
+    """
+
+    parameter: Parameter
+    mean: Certified
+    variance: Certified
+    sd: Bounded | None
+    components: dict[str, Bounded]
+
+
+def moments_gradient(
+    source: Scenario | MDP | Parametric, policy: object, *, names: Iterable[str] | None = None
+) -> dict[str, Movement]:
+    """Return how a fixed policy's mean, variance and components move with each parameter.
+
+    Parameters
+    ----------
+    policy : anything that `solvers.evaluate` takes
+    names : iterable of str, optional
+        The parameters; all of them unless given.
+
+    Raises
+    ------
+    ModelError
+        For unknown names; at discount 1 where an episode may never end.
+
+    Examples
+    --------
+    >>> from mdp.parametric import moving
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])  # geometric: 1/q, (1 - q)/q²
+    >>> found = moments_gradient(moving(mdp, {"stay": [(0, 0)]}), [0, 0], names=["stay"])
+    >>> str(found["stay"].mean), str(found["stay"].variance)
+    ('4 (certified)', '12 (certified)')
+    """
+    model = parametric(source)
+    chosen = [parameter.name for parameter in model.parameters] if names is None else list(names)
+    for name in chosen:
+        parameter_of(model, name)
+    passed = _Moments(model.at({}), policy)
+    return {name: passed.along(model, name) for name in chosen}
+
+
+def movement_frame(found: dict[str, Movement]) -> DataFrame:
+    """Return one row for each parameter; derivatives are per unit of the parameter."""
+    from pandas import DataFrame
+
+    return DataFrame(
+        [
+            {
+                "parameter": name,
+                "value": float(each.parameter.value),
+                "unit": unit_of(each.parameter),
+                "mean (reward per unit)": float(each.mean.value),
+                "variance (reward² per unit)": float(each.variance.value),
+                "sd (reward per unit)": np.nan if each.sd is None else each.sd.value,
+                **{f"{part} (reward per unit)": b.value for part, b in each.components.items()},
+                "policy": "fixed",
+            }
+            for name, each in found.items()
+        ]
+    )
+
+
+class _Moments:
+    """Everything that does not depend on the parameter."""
+
+    def __init__(self, mdp: MDP, policy: object) -> None:
+        self.mdp, self.chain = mdp, ExactChain(mdp, policy)
+        chain, zero = self.chain, rational(0)
+        self.value = chain.values(chain.reward)
+        self.joint = _by_pair(joint_entries(mdp), mdp.n_states, mdp.n_pairs)
+        _, top, bottom = square_entries(mdp)
+        square = [rational(Fraction(int(a), int(b))) for a, b in zip(top, bottom, strict=True)]
+        self.crossed = [_dot(row, self.value) for row in self.joint]
+        pairs = zip(square, self.crossed, strict=True)
+        self.second = chain.values([q + 2 * chain.rate * x for q, x in pairs], power=2)
+        start = chain.start
+        self.uses = chain.uses(chain.visits)
+        self.squared_uses = chain.uses(chain.discounted(start, power=2))
+        begin = [zero] * mdp.n_states
+        for row, used in zip(self.joint, self.squared_uses, strict=True):
+            if used:
+                for state, amount in row:
+                    begin[state] += 2 * chain.rate * used * amount
+        self.crossed_uses = chain.uses(chain.discounted(begin))
+        self.mean = _dot(list(enumerate(start)), self.value)
+        self.variance = _dot(list(enumerate(start)), self.second) - self.mean**2
+        columns = mdp.components.T.tolist()
+        self.parts = [chain.values([rational(Fraction(c)) for c in column]) for column in columns]
+        self.part_sizes = [
+            chain.values([rational(Fraction(abs(c))) for c in column]) for column in columns
+        ]
+
+    def along(self, model: Parametric, name: str) -> Movement:
+        parameter = parameter_of(model, name)
+        left, right = pieces(model, name, parameter.value)
+        piece = right or left
+        if piece is None:
+            raise ModelError("an empty range", where=f"parameter {name}", fix="widen it")
+        chain = self.chain
+        change = row_change(model, name, piece, base=self.mdp)
+        earned = earnings(chain, change, self.value)
+        mean = _total(self.uses, earned)
+        second = _total(self.crossed_uses, earned)
+        second += _total(self.squared_uses, self._second_earnings(model, name, piece))
+        transition = _by_pair_slopes(change.transition.key, change.transition.slope, self.mdp)
+        rate = rational(change.discount)
+        if rate:
+            for pair, used in enumerate(self.squared_uses):
+                if used:
+                    ahead = self.crossed[pair] + chain.rate * chain.ahead(pair, self.second)
+                    second += 2 * rate * used * ahead
+        for pair, row in transition.items():
+            second += self.squared_uses[pair] * chain.rate**2 * _dot(row, self.second)
+        variance = second - 2 * self.mean * mean
+        return Movement(
+            parameter=parameter,
+            mean=Certified(value=fraction(mean)),
+            variance=Certified(value=fraction(variance)),
+            sd=self._sd(float(fraction(variance))),
+            components=self._components(model, name, piece, transition, rate),
+        )
+
+    def _second_earnings(self, model: Parametric, name: str, piece: Piece) -> dict[int, fmpq]:
+        """Return ∂E[r²] + 2 γ Σ ∂E[r; s'] V(s') of the pairs where it is not 0."""
+        mdp, rate = self.mdp, self.chain.rate
+        samples, steps = _samples(model, name, piece, model.moment_degree(name), mdp)
+        found: dict[int, fmpq] = {}
+        square = changes(samples, steps, square_entries)
+        for pair, slope in zip(square.key.tolist(), square.slope, strict=True):
+            found[pair] = rational(slope)
+        joint = changes(samples, steps, joint_entries)
+        for pair, row in _by_pair_slopes(joint.key, joint.slope, mdp).items():
+            found[pair] = found.get(pair, rational(0)) + 2 * rate * _dot(row, self.value)
+        return found
+
+    def _sd(self, slope: float) -> Bounded | None:
+        """Return Var' / (2 sd); None where the return does not vary."""
+        if not self.variance:
+            return None
+        value = slope / (2 * float(fraction(self.variance)) ** 0.5)
+        return Bounded(value=value, error=8 * UNIT * abs(value))
+
+    def _components(
+        self,
+        model: Parametric,
+        name: str,
+        piece: Piece,
+        transition: dict[int, list[tuple[int, fmpq]]],
+        rate: fmpq,
+    ) -> dict[str, Bounded]:
+        """Return ∂ of each component's total; its rows are floats, each rounded once."""
+        samples, steps = _samples(model, name, piece, model.degree(name), self.mdp)
+        unit = rational(Fraction(UNIT)) * sum((abs(w) for w in _weights(steps)), rational(0))
+        found = {}
+        for number, part in enumerate(self.mdp.component_names):
+            value, size = self.parts[number], self.part_sizes[number]
+
+            def entries(mdp: MDP, column: int = number) -> Entries:
+                ratios = [float(c).as_integer_ratio() for c in mdp.components[:, column]]
+                return np.arange(mdp.n_pairs), *_objects(ratios)
+
+            moved = changes(samples, steps, entries)
+            largest = np.max([np.abs(mdp.components[:, number]) for mdp in samples], axis=0)
+            total = error = rational(0)
+            for pair, slope in zip(moved.key.tolist(), moved.slope, strict=True):
+                total += self.uses[pair] * rational(slope)
+                error += self.uses[pair] * rational(Fraction(float(largest[pair]))) * unit
+            for pair, row in transition.items():
+                total += self.uses[pair] * self.chain.rate * _dot(row, value)
+                bound = [(state, abs(slope)) for state, slope in row]
+                error += self.uses[pair] * rational(Fraction(UNIT)) * _dot(bound, size)
+            if rate:
+                for pair, used in enumerate(self.uses):
+                    if used:
+                        total += used * rate * self.chain.ahead(pair, value)
+                        ahead = self.chain.ahead(pair, size)
+                        error += used * abs(rate) * rational(Fraction(UNIT)) * ahead
+            shown = float(fraction(total))
+            bound_of = float(fraction(error)) * (1 + 4 * UNIT) + UNIT * abs(shown)
+            found[part] = Bounded(value=shown, error=bound_of)
+        return found
+
+
+def _samples(
+    model: Parametric, name: str, piece: Piece, degree: int, base: MDP
+) -> tuple[list[MDP], list[Fraction]]:
+    origin = parameter_of(model, name).value
+    points = piece.points(origin, degree)
+    return [base, *(model.at({name: point}) for point in points)], [p - origin for p in points]
+
+
+def _weights(steps: Sequence[Fraction]) -> list[fmpq]:
+    """Return what each sample, the first at 0, counts in the derivative at 0."""
+    found = []
+    points = [Fraction(0), *steps]
+    for k, own in enumerate(points):
+        others = [p for j, p in enumerate(points) if j != k]
+        scale = Fraction(1)
+        for other in others:
+            scale *= own - other
+        slope = Fraction(0)
+        for skipped in range(len(others)):
+            term = Fraction(1)
+            for j, other in enumerate(others):
+                if j != skipped:
+                    term *= -other
+            slope += term
+        found.append(rational(slope / scale))
+    return found
+
+
+def _objects(ratios: Sequence[tuple[int, int]]) -> tuple[Numbers, Numbers]:
+    top, bottom = np.empty(len(ratios), dtype=object), np.empty(len(ratios), dtype=object)
+    top[:], bottom[:] = [a for a, _ in ratios], [b for _, b in ratios]
+    return top, bottom
+
+
+def _by_pair(entries: Entries, states: int, pairs: int) -> list[list[tuple[int, fmpq]]]:
+    rows: list[list[tuple[int, fmpq]]] = [[] for _ in range(pairs)]
+    key, top, bottom = entries
+    for number, a, b in zip(key.tolist(), top, bottom, strict=True):
+        rows[number // states].append((number % states, rational(Fraction(int(a), int(b)))))
+    return rows
+
+
+def _by_pair_slopes(key: Integers, slope: Numbers, mdp: MDP) -> dict[int, list[tuple[int, fmpq]]]:
+    rows: dict[int, list[tuple[int, fmpq]]] = {}
+    for number, each in zip(key.tolist(), slope, strict=True):
+        pair, state = divmod(number, mdp.n_states)
+        rows.setdefault(pair, []).append((state, rational(each)))
+    return rows
+
+
+def _dot(row: Sequence[tuple[int, fmpq]], value: Sequence[fmpq]) -> fmpq:
+    return sum((amount * value[state] for state, amount in row), rational(0))
+
+
+def _total(uses: Sequence[fmpq], earned: dict[int, fmpq]) -> fmpq:
+    return sum((uses[pair] * gain for pair, gain in earned.items()), rational(0))

@@ -1,0 +1,111 @@
+"""How a problem is solved: one module per algorithm, one list of them, one verb.
+
+>>> from mdp import MDP
+>>> from solvers import PolicyIteration, solve
+>>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [[1], [0]])
+>>> solve(mdp, PolicyIteration()).value.tolist()
+[2.0, 0.0]
+>>> solve(mdp).method
+'modified-policy-iteration'
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from mdp.errors import ModelError, suggest
+from mdp.model import MDP
+from solvers.backward_induction import BackwardInduction
+from solvers.bounds import levels
+from solvers.conclusion import Solver
+from solvers.linear_program import LinearProgram
+from solvers.modified_policy_iteration import ModifiedPolicyIteration
+from solvers.policy_iteration import PolicyIteration
+from solvers.solution import (
+    Bounded,
+    Certified,
+    Claim,
+    Estimated,
+    PrecisionWarning,
+    Solution,
+    SolverError,
+    Status,
+)
+from solvers.value_iteration import ValueIteration
+
+if TYPE_CHECKING:
+    from solvers.certificate import certify
+    from solvers.evaluation import evaluate
+    from solvers.returns import return_distribution
+    from solvers.simulation import simulate
+
+__all__ = [
+    "SOLVERS",
+    "BackwardInduction",
+    "Bounded",
+    "Certified",
+    "Claim",
+    "Estimated",
+    "LinearProgram",
+    "ModifiedPolicyIteration",
+    "PolicyIteration",
+    "PrecisionWarning",
+    "Solution",
+    "Solver",
+    "SolverError",
+    "Status",
+    "ValueIteration",
+    "certify",
+    "evaluate",
+    "return_distribution",
+    "simulate",
+    "solve",
+]
+
+SOLVERS: dict[str, type[Solver]] = {
+    "value-iteration": ValueIteration,
+    "modified-policy-iteration": ModifiedPolicyIteration,
+    "policy-iteration": PolicyIteration,
+    "backward-induction": BackwardInduction,
+    "linear-program": LinearProgram,
+}
+_LATER = {
+    "certify": "solvers.certificate",
+    "evaluate": "solvers.evaluation",
+    "return_distribution": "solvers.returns",
+    "simulate": "solvers.simulation",
+}
+
+
+def solve(mdp: MDP, solver: Solver | str | None = None) -> Solution:
+    """Return optimal values and a policy, with bounds on their error.
+
+    Parameters
+    ----------
+    mdp : MDP
+    solver : Solver or str, optional
+        A solver with its settings, or a name in `SOLVERS`; unless given (or "auto"), backward
+        induction for models without cycles and modified policy iteration for others.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name; at discount 1 where not every policy ends.
+    SolverError
+        Where a solver reaches a limit: of iterations, or of double precision.
+    """
+    if solver is None or solver == "auto":
+        solver = ModifiedPolicyIteration() if levels(mdp) is None else BackwardInduction()
+    if isinstance(solver, str):
+        if solver not in SOLVERS:
+            fix = suggest(solver, [*SOLVERS, "auto"])
+            raise ModelError(f"unknown solver {solver!r}", where="solve", fix=fix)
+        solver = SOLVERS[solver]()
+    return solver.solve(mdp)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATER:
+        return getattr(import_module(_LATER[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,150 @@
+"""The exact optimal values of states on one cycle, given those of the states that it leads to.
+
+    pivot(l) · v(s) = fixed(l) + Σ weight(i) v(next(i)),   the sum over states on the cycle
+
+for the best pair l of every state. Policy iteration in floats and then in fixed point finds a
+policy, and policy iteration in rational arithmetic improves it until no pair is better (Howard,
+Dynamic Programming and Markov Processes, 1960). It ends because every step gains exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from mdp.errors import ModelError
+from mdp.table import Integers, Numbers
+from solvers.exact_linear import Equations
+
+if TYPE_CHECKING:
+    from flint import fmpz
+
+FLOAT_STATES = 5_000  # beyond this the first policy is not sought
+STEPS = 100
+PRECISE = 256
+LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cycle:
+    """The equations of K states on a cycle, N pairs and M transitions inside.
+
+    Attributes
+    ----------
+    offsets : (K+1,)
+        Pairs of each state.
+    pivot : (N,) list of int
+    fixed : (N,) list of integers
+    row, column, weight : (M,)
+        Pairs, next states and weights of the transitions inside, in the order of pairs.
+    """
+
+    offsets: Integers
+    pivot: Sequence[int]
+    fixed: Sequence[fmpz]
+    row: Integers
+    column: Integers
+    weight: Numbers
+
+    def policy(self) -> Integers:
+        """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits tell."""
+        if len(self.offsets) > FLOAT_STATES:
+            return self.offsets[:-1].copy()
+        return self._sharpened(self._rough())
+
+    def _rough(self) -> Integers:
+        from scipy.sparse.linalg import splu
+
+        size, policy = len(self.offsets) - 1, self.offsets[:-1].copy()
+        largest = max(1, *(abs(int(number)) for number in self.fixed))
+        pivot = self.pivot
+        earned = np.array([int(a) / (largest * b) for a, b in zip(self.fixed, pivot, strict=True)])
+        share = [int(w) / pivot[l] for w, l in zip(self.weight, self.row.tolist(), strict=True)]
+        chain = sp.csr_array((share, (self.row, self.column)), shape=(len(pivot), size))
+        identity = sp.eye_array(size, format="csc")
+        with np.errstate(all="ignore"):
+            for _ in range(STEPS):
+                try:
+                    value = splu((identity - chain[policy]).tocsc()).solve(earned[policy])
+                except RuntimeError:  # singular, as far as floats tell
+                    break
+                gain = earned + chain @ value - np.repeat(value, np.diff(self.offsets))
+                better = self._better(policy, gain, 1e-12 * np.abs(value).max())
+                if better is None:
+                    break
+                policy = better
+        return policy
+
+    def _sharpened(self, policy: Integers) -> Integers:
+        """Improve a policy by fixed-point values of PRECISE bits, cheaper than exact ones."""
+        longest = max(int(number).bit_length() for number in self.fixed)
+        fixed = [number >> max(0, longest - PRECISE) for number in self.fixed]
+        pivot, weight = np.array(self.pivot, dtype=object), self.weight.astype(object)
+        first = np.flatnonzero(np.diff(self.row, prepend=-1))
+        for _ in range(STEPS):
+            found = self._equations(policy).approximate([fixed[l] for l in policy], PRECISE)
+            if found is None:
+                break
+            value = np.array(found[0], dtype=object)
+            gain = np.array([int(number) << found[1] for number in fixed], dtype=object)
+            gain -= pivot * np.repeat(value, np.diff(self.offsets))
+            if len(first):
+                gain[self.row[first]] += np.add.reduceat(weight * value[self.column], first)
+            better = self._better(policy, gain // pivot, 1 << PRECISE // 2)
+            if better is None:
+                break
+            policy = better
+        return policy
+
+    def _better(self, policy: Integers, gain: Numbers, least: float) -> Integers | None:
+        """Return the policy with the best pairs where they gain more than `least`, if any do."""
+        best = np.maximum.reduceat(gain, self.offsets[:-1])
+        better = np.asarray(best > least, dtype=bool)
+        if not better.any():
+            return None
+        equal = np.asarray(gain == np.repeat(best, np.diff(self.offsets)), dtype=bool)
+        first = np.where(equal, np.arange(len(gain)), len(gain))
+        return np.where(better, np.minimum.reduceat(first, self.offsets[:-1]), policy)
+
+    def values(self, policy: Integers) -> tuple[list[fmpz], fmpz]:
+        """Return the values of a policy as integers over one positive denominator.
+
+        Raises
+        ------
+        ModelError
+            Where its equations have no unique solution.
+        """
+        try:
+            return self._equations(policy).solve([self.fixed[pair] for pair in policy.tolist()])
+        except ZeroDivisionError:
+            raise endless() from None
+
+    def _equations(self, policy: Integers) -> Equations:
+        chosen = np.isin(self.row, policy)
+        return Equations(
+            pivot=[self.pivot[pair] for pair in policy.tolist()],
+            row=np.searchsorted(policy, self.row[chosen]),
+            column=self.column[chosen],
+            weight=self.weight[chosen],
+        )
+
+    def losses(self, value: Sequence[fmpz], rest: Sequence[fmpz]) -> list[list[fmpz]]:
+        """Return pivot · v - right side for the pairs of each state: negative where better."""
+        return [
+            [self.pivot[pair] * value[i] - rest[pair] for pair in range(first, last)]
+            for i, (first, last) in enumerate(pairwise(self.offsets.tolist()))
+        ]
+
+
+def endless() -> ModelError:
+    """Return the error to raise where a policy is found not to end."""
+    return ModelError(
+        "a policy need not end, because probabilities of its rows add up to more than 1",
+        where="rows of floats on a cycle",
+        fix='give the probabilities as exact numbers such as "1/10", or a discount below 1',
+    )

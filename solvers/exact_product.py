@@ -1,0 +1,144 @@
+"""The right sides of the Bellman equations for many pairs at once, in integers.
+
+Waiting in place is taken out of the equations: with pivot(l) = scale(s) - weight of staying in s,
+
+    pivot(l) · V(s) ≥ constant(l) + Σ weight(i) V(next(i)),   next(i) ≠ s,
+
+with equality for the optimal pairs; so a state that may wait is in no cycle for that. The sums are
+products of integer matrices where these are not mostly zeros. Where a part of a model repeats a
+part before, with states shifted, its matrix is made once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mdp.bellman import BellmanRows, row_sums
+from mdp.chain import spans
+from mdp.table import Integers, Numbers
+
+if TYPE_CHECKING:
+    from flint import fmpz, fmpz_mat
+
+CHUNK = 64  # states whose pairs are multiplied together
+FILLED = 4  # one in so many entries of a matrix is not zero, at least
+
+
+@dataclass(frozen=True)
+class Product:
+    """constant + Σ weight · V for a few states' pairs, as one matrix or row by row."""
+
+    columns: Sequence[int]
+    matrix: fmpz_mat | None
+    rows: Sequence[tuple[int, Sequence[int], Sequence[int]]]
+
+    def __call__(self, value: Mapping[int, fmpz], unit: fmpz) -> list[fmpz]:
+        """Return the sums, times `unit`, for values of the `columns` that are times `unit`."""
+        if self.matrix is None:
+            return [
+                sum(
+                    (w * value[state] for w, state in zip(weight, following, strict=True)), c * unit
+                )
+                for c, weight, following in self.rows
+            ]
+        from flint import fmpz_mat
+
+        vector = [value[state] for state in self.columns]
+        product: Any = self.matrix * fmpz_mat(len(vector) + 1, 1, [*vector, unit])
+        entries: list[fmpz] = product.entries()
+        return entries
+
+
+class RightSides:
+    """The right sides of a model's equations.
+
+    Attributes
+    ----------
+    rows : BellmanRows
+        Without the transitions of a state to itself.
+    pivot : list of int, of length L
+        What V(s) is multiplied by on the left.
+    factor : list of int, of length L
+        Greatest common divisor of the pair's pivot, weights and constant.
+    waits : list of bool, of length S
+        Whether some pair may stay put.
+    """
+
+    def __init__(self, rows: BellmanRows) -> None:
+        self.rows, pivot = _without_waiting(rows)
+        self.pivot: list[int] = pivot.tolist()
+        self.factor: list[int] = _factor(self.rows, pivot).tolist()
+        waits = np.asarray(pivot != rows.scale[rows.pair_state])
+        self.waits: list[bool] = np.logical_or.reduceat(waits, rows.pair_offsets[:-1]).tolist()
+        self._lengths = np.diff(self.rows.offsets)
+        self._matrices: dict[Any, tuple[fmpz_mat, Integers]] = {}
+
+    def products(self, states: Integers) -> Iterator[Product]:
+        """Yield the products whose sums are those of all pairs of `states`, in order."""
+        for first in range(0, len(states), CHUNK):
+            yield self._product(states[first : first + CHUNK])
+
+    def _product(self, states: Integers) -> Product:
+        rows = self.rows
+        pairs = _part(rows.pair_offsets, states)
+        entries = _part(rows.offsets, pairs)
+        lengths, constant = self._lengths[pairs], rows.constant[pairs]
+        following, weight = rows.next[entries], rows.weight[entries]
+        shift = int(following.min()) if len(following) else 0
+        numbers = (following - shift, lengths, weight, constant)
+        small = weight.dtype != object and constant.dtype != object
+        key = tuple(array.tobytes() for array in numbers) if small else None
+        if key in self._matrices:
+            matrix, columns = self._matrices[key]
+            return Product((columns + shift).tolist(), matrix, ())
+        columns, place = np.unique(following, return_inverse=True)
+        if len(lengths) * (len(columns) + 1) > FILLED * (len(weight) + len(lengths)):
+            split = np.cumsum(lengths)[:-1]
+            weights = [part.tolist() for part in np.split(weight, split)]
+            states = [part.tolist() for part in np.split(following, split)]
+            listed = zip(constant.tolist(), weights, states, strict=True)
+            return Product(columns.tolist(), None, list(listed))
+        from flint import fmpz_mat
+
+        shape = (len(lengths), len(columns) + 1)
+        dense = np.zeros(shape, dtype=np.int64 if small else object)
+        dense[np.repeat(np.arange(len(lengths)), lengths), place] = weight
+        dense[:, -1] = constant
+        matrix = fmpz_mat(*shape, dense.ravel().tolist())
+        if small:
+            self._matrices[key] = matrix, columns - shift
+        return Product(columns.tolist(), matrix, ())
+
+
+def _part(offsets: Integers, groups: Integers | slice) -> Integers | slice:
+    """Return where the members of some groups are: a slice where the groups are consecutive."""
+    if isinstance(groups, slice):
+        return slice(int(offsets[groups.start]), int(offsets[groups.stop]))
+    first, last = int(groups[0]), int(groups[-1])
+    if last - first == len(groups) - 1 and (len(groups) < 3 or bool((np.diff(groups) == 1).all())):
+        return slice(int(offsets[first]), int(offsets[last + 1]))
+    return spans(offsets[groups], offsets[groups + 1])
+
+
+def _without_waiting(rows: BellmanRows) -> tuple[BellmanRows, Numbers]:
+    """Return the equations without transitions of a state to itself, and the (L,) pivots."""
+    stays = rows.next == rows.pair_state[rows.pair]
+    offsets = np.concatenate([[0], np.cumsum(~stays)])[rows.offsets]
+    staying = row_sums(np.where(stays, rows.weight, 0), rows.offsets)
+    moving = replace(rows, offsets=offsets, next=rows.next[~stays], weight=rows.weight[~stays])
+    return moving, np.asarray(rows.scale[rows.pair_state] - staying)
+
+
+def _factor(rows: BellmanRows, pivot: Numbers) -> Numbers:
+    """Return (L,) the greatest common divisors of each pair's numbers."""
+    factor = np.gcd(pivot, rows.constant)
+    filled = np.flatnonzero(np.diff(rows.offsets))
+    if len(filled):
+        inside = np.gcd.reduceat(rows.weight, rows.offsets[filled])
+        factor = factor.astype(np.result_type(factor, inside))
+        factor[filled] = np.gcd(factor[filled], inside)
+    return np.asarray(factor)

@@ -1,0 +1,282 @@
+"""Episodes of a learner, and of a policy.
+
+Random numbers are xoshiro256++ (Blackman and Vigna, ACM Transactions on Mathematical Software 47,
+2021), a double being the upper 53 bits. Nothing is reassociated or fused, so that the same seed
+gives the same bits as the same formulas do in plain Python.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mdp.table import Floats, Numbers
+from solvers.kernels.compiling import compiled, inlined
+from solvers.kernels.tables import Tables
+
+Q_LEARNING, SARSA, EXPECTED_SARSA, DOUBLE_Q = 0, 1, 2, 3
+FIRST, LAST, RANDOM = 0, 1, 2
+
+DOUBLE = 2.0**-53
+
+
+@inlined
+def uniform(rng: Numbers) -> float:
+    """Return a double in [0, 1), and move the (4,) uint64 state on."""
+    a, b, c, d = rng[0], rng[1], rng[2], rng[3]
+    total = a + d
+    drawn = ((total << np.uint64(23)) | (total >> np.uint64(41))) + a
+    c ^= a
+    d ^= b
+    rng[0] = a ^ d
+    rng[1] = b ^ c
+    rng[2] = c ^ (b << np.uint64(17))
+    rng[3] = (d << np.uint64(45)) | (d >> np.uint64(19))
+    return np.float64(np.int64(drawn >> np.uint64(11))) * DOUBLE
+
+
+@inlined
+def first_state(rng: Numbers, start: Numbers, total: Floats) -> int:
+    """Return a first state; where there is only one, nothing is drawn."""
+    if len(start) == 1:
+        return int(start[0])
+    drawn = uniform(rng)
+    for i in range(len(start) - 1):
+        if drawn < total[i]:
+            return int(start[i])
+    return int(start[-1])
+
+
+@inlined
+def at(values: Numbers, place: int) -> Any:
+    """Return values[place] of a place that is not negative, which Python would count from the end.
+
+    Not looking out for that saves a fifth of the time.
+    """
+    return values[np.uint64(place)]
+
+
+@inlined
+def outcome(rng: Numbers, offsets: Numbers, cut: Floats, pair: int) -> int:
+    """Return the number in (2N,) of an outcome of a pair."""
+    first = at(offsets, pair)
+    scaled = uniform(rng) * (at(offsets, pair + 1) - first)
+    column = int(scaled)
+    number = first + column
+    return int(2 * number + (1 if scaled - column >= at(cut, number) else 0))
+
+
+@inlined
+def largest(q: Floats, entry: Numbers, low: int, high: int) -> float:
+    """Return the largest value among the positions low … high-1."""
+    best = at(q, at(entry, low))
+    if high - low == 4:  # two by two is faster, and four actions are what the care model has
+        b, c, d = at(q, at(entry, low + 1)), at(q, at(entry, low + 2)), at(q, at(entry, low + 3))
+        best = b if b > best else best
+        later = d if d > c else c
+        return float(later if later > best else best)
+    for i in range(low + 1, high):
+        value = at(q, at(entry, i))
+        best = value if value > best else best
+    return float(best)
+
+
+@inlined
+def greedy(rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, ties: int) -> int:
+    """Return the position among low … high-1 with the largest value."""
+    best, where = at(q, at(entry, low)), low
+    if high - low == 4:
+        b, c, d = at(q, at(entry, low + 1)), at(q, at(entry, low + 2)), at(q, at(entry, low + 3))
+        where = low + 1 if b > best else low
+        best = b if b > best else best
+        later = d if d > c else c
+        where = (low + 3 if d > c else low + 2) if later > best else where
+        best = later if later > best else best
+    else:
+        for i in range(low + 1, high):
+            value = at(q, at(entry, i))
+            where = i if value > best else where
+            best = value if value > best else best
+    if ties == FIRST:
+        return where
+    equal, last = 0, where
+    for i in range(where, high):
+        if at(q, at(entry, i)) == best:
+            equal += 1
+            last = i
+    if ties == LAST or equal == 1:
+        return last
+    wanted = int(uniform(rng) * equal)
+    for i in range(where, high):
+        if at(q, at(entry, i)) == best:
+            if wanted == 0:
+                return i
+            wanted -= 1
+    return where
+
+
+@inlined
+def act(
+    rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, chance: float, ties: int
+) -> int:
+    """Return the position that an ε-greedy actor takes; one draw decides whether and which."""
+    drawn = uniform(rng)
+    if drawn < chance:
+        return int(low + min(int(drawn / chance * (high - low)), high - low - 1))
+    return int(greedy(rng, q, entry, low, high, ties))
+
+
+@inlined
+def greedy_policy(
+    q: Floats, offsets: Numbers, entry: Numbers, ties: int, n_actions: int, policy: Numbers
+) -> None:
+    """Write the greedy action of every row of a flat Q-table into `policy` (K,).
+
+    Ties go to the first action, or to the last where the actor takes that one.
+    """
+    for row in range(len(policy)):
+        best, where = q[entry[offsets[row]]], offsets[row]
+        for i in range(offsets[row] + 1, offsets[row + 1]):
+            value = q[entry[i]]
+            if value > best or (value == best and ties == LAST):
+                best, where = value, i
+        policy[row] = entry[where] - row * n_actions
+
+
+@compiled
+def learn(
+    tables: Tables,
+    rng: Numbers,
+    q: Floats,
+    acting: Floats,
+    counts: Numbers,
+    n_actions: int,
+    epsilon: Floats,
+    rate: Floats,
+    power: float,
+    discount: float,
+    episodes: int,
+    method: int,
+    ties: int,
+    bootstrap_end: bool,
+    max_steps: int,
+    snapshot: int,
+    snapshots: Numbers,
+    last: Numbers,
+    returns: Floats,
+) -> tuple[int, int]:
+    """Learn action values by acting; return the numbers of steps and of episodes cut short.
+
+    Parameters
+    ----------
+    q : (2, K·A)
+        The two tables of double Q-learning, changed in place; not used by other methods.
+    acting : (K·A,)
+        The table that is learned and acted by, changed in place; of double Q-learning the sum.
+    counts : (K·A,) or (0,) int64
+        Updates of each entry so far, changed in place; not used where `power` is 0.
+    epsilon, rate : (E,)
+        Exploration and learning rate of each epoch.
+    power : float
+        The n-th update of an entry uses rate · n^-power.
+    snapshot : int
+        Take the greedy policy after this episode of an epoch, into `snapshots` (E, K).
+    last : (H, K)
+        Greedy policies after each of the last H episodes, oldest first.
+    returns : (E,)
+        Mean undiscounted return of each epoch's episodes.
+    """
+    low, high, entry, terminal = tables.low, tables.high, tables.entry, tables.terminal
+    offsets, cut, following, gains = tables.offsets, tables.cut, tables.next, tables.gain
+    double = method == DOUBLE_Q
+    steps, cut_short, left = 0, 0, len(epsilon) * episodes
+    for epoch in range(len(epsilon)):
+        chance, alpha, total = epsilon[epoch], rate[epoch], 0.0
+        for episode in range(episodes):
+            state = first_state(rng, tables.start, tables.start_total)
+            planned, step = -1, 0
+            while not at(terminal, state):
+                if step == max_steps:
+                    cut_short += 1
+                    break
+                step += 1
+                taken = planned
+                if taken < 0:
+                    taken = act(rng, acting, entry, at(low, state), at(high, state), chance, ties)
+                drawn = outcome(rng, offsets, cut, taken)
+                gain, state, changed = at(gains, drawn), at(following, drawn), at(entry, taken)
+                total += gain
+                table = 1 if double and uniform(rng) < 0.5 else 0
+                planned, ahead = -1, 0.0
+                if bootstrap_end or not at(terminal, state):
+                    lo, hi = at(low, state), at(high, state)
+                    if method == Q_LEARNING:
+                        ahead = largest(acting, entry, lo, hi)
+                    elif method == SARSA:
+                        planned = act(rng, acting, entry, lo, hi, chance, ties)
+                        ahead = acting[entry[planned]]
+                    elif method == EXPECTED_SARSA:
+                        mean = 0.0
+                        for i in range(lo, hi):
+                            mean += acting[entry[i]] / (hi - lo)
+                        ahead = (1.0 - chance) * largest(acting, entry, lo, hi) + chance * mean
+                    else:
+                        chosen = greedy(rng, q[table], entry, lo, hi, ties)
+                        ahead = q[1 - table, entry[chosen]]
+                size = alpha
+                if power != 0.0:
+                    counts[changed] += 1
+                    size = alpha * float(counts[changed]) ** -power
+                target = gain + discount * ahead
+                if double:
+                    q[table, changed] += size * (target - q[table, changed])
+                    acting[changed] = q[0, changed] + q[1, changed]
+                else:
+                    acting[changed] += size * (target - at(acting, changed))
+            steps += step
+            left -= 1
+            rows, compared = tables.row_offsets, tables.row_entry
+            if episode + 1 == snapshot:
+                greedy_policy(acting, rows, compared, ties, n_actions, snapshots[epoch])
+            if left < len(last):
+                place = last[len(last) - 1 - left]
+                greedy_policy(acting, rows, compared, ties, n_actions, place)
+        returns[epoch] = total / episodes
+    return steps, cut_short
+
+
+@compiled
+def rollouts(
+    tables: Tables,
+    rng: Numbers,
+    scores: Floats,
+    which: Numbers,
+    chance: float,
+    discount: float,
+    max_steps: int,
+    returns: Floats,
+) -> int:
+    """Write sampled returns of policies into `returns` (E, episodes); return episodes cut short.
+
+    Episodes of row e act greedily in the flat table scores[which[e]], but for a share of `chance`.
+    """
+    cut_short = 0
+    for row in range(len(which)):
+        q = scores[which[row]]
+        for episode in range(returns.shape[1]):
+            state = first_state(rng, tables.start, tables.start_total)
+            total, weight, step = 0.0, 1.0, 0
+            while not tables.terminal[state]:
+                if step == max_steps:
+                    cut_short += 1
+                    break
+                step += 1
+                low, high = tables.low[state], tables.high[state]
+                taken = act(rng, q, tables.entry, low, high, chance, FIRST)
+                drawn = outcome(rng, tables.offsets, tables.cut, taken)
+                total += weight * tables.gain[drawn]
+                weight *= discount
+                state = tables.next[drawn]
+            returns[row, episode] = total
+    return cut_short

@@ -1,0 +1,102 @@
+"""Many rationals in lowest terms, quickly, where their denominators share a few small primes.
+
+Values of a model have denominators that are products of its rows' denominators: thousands of
+digits, but few primes. A common factor of numerator and denominator then is found by remainders of
+small numbers, at a fraction of what a greatest common divisor of long ones costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from math import gcd, lcm
+from numbers import Rational
+from typing import cast
+
+import numpy as np
+
+from mdp.table import Numbers
+
+SMALL = 512  # bits: products of primes that are longer do not pay
+
+
+@dataclass(frozen=True, slots=True)
+class _LowestTerms:
+    """What `Fraction` takes over as it is, as it does every rational."""
+
+    numerator: int
+    denominator: int
+
+
+Rational.register(_LowestTerms)
+
+
+def fractions(top: Iterable[int | None], bottom: Iterable[int], primes: int) -> Numbers:
+    """Return an array of the Fractions top / bottom, and None where there is no number.
+
+    Parameters
+    ----------
+    top, bottom : integers, positive ones in `bottom`
+    primes : int
+        A number that every prime of any of the `bottom` divides.
+
+    Examples
+    --------
+    >>> fractions([50, None], [60, 1], 30).tolist()
+    [Fraction(5, 6), None]
+    """
+    found = [
+        None if a is None else _fraction(a, b, primes) for a, b in zip(top, bottom, strict=True)
+    ]
+    array = np.empty(len(found), dtype=object)
+    array[:] = found
+    array.setflags(write=False)
+    return array
+
+
+def fraction(top: int, bottom: int) -> Fraction:
+    """Return the Fraction top / bottom, in little more than linear time, for a positive bottom.
+
+    Examples
+    --------
+    >>> fraction(-6, 4)
+    Fraction(-3, 2)
+    """
+    from flint import fmpz
+
+    numerator, denominator = fmpz(top), fmpz(bottom)
+    shared = numerator.gcd(denominator)
+    lowest = _LowestTerms(int(numerator // shared), int(denominator // shared))
+    return Fraction(cast(Rational, lowest))
+
+
+def primes_of(numbers: Sequence[int]) -> int:
+    """Return a number that every prime of the given positive integers divides.
+
+    It is small where each is a small multiple of the one before.
+
+    Examples
+    --------
+    >>> primes_of([4, 8, 8 * 15])
+    60
+    """
+    found = numbers[0]
+    for before, number in pairwise(numbers):
+        factor, rest = divmod(number, before)
+        found = lcm(found, number if rest else factor)
+    return found
+
+
+def _fraction(top: int, bottom: int, primes: int) -> Fraction:
+    if primes.bit_length() > SMALL:
+        return fraction(top, bottom)
+    if top == 0:
+        return Fraction(0)
+    # Once no prime of the denominator divides both, they are in lowest terms.
+    while gcd(top % primes, bottom % primes, primes) > 1:
+        power = primes ** (1 + SMALL // primes.bit_length())
+        shared = gcd(top % power, bottom % power, power)
+        top, bottom = top // shared, bottom // shared
+    return Fraction(cast(Rational, _LowestTerms(top, bottom)))

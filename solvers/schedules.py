@@ -1,0 +1,110 @@
+"""Exploration and learning rates that change from epoch to epoch.
+
+The authors' decaying exploration is ε(t) = ε_min + (ε_max - ε_min) exp(-λ t), t counting epochs
+from 0, with λ such that ε = 0.8 at t = 300:  λ = ln((ε_max - ε_min) / (0.8 - ε_min)) / 300
+(Yuan et al. 2025, Equation 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, log
+from typing import Protocol
+
+import numpy as np
+
+from mdp.errors import ModelError
+from mdp.table import Floats
+
+
+class Schedule(Protocol):
+    """A number for every epoch."""
+
+    def values(self, epochs: int) -> Floats:
+        """Return (E,) numbers, that of epoch t = 0 first."""
+        ...
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same number throughout.
+
+    Examples
+    --------
+    >>> Constant(0.1).values(2).tolist()
+    [0.1, 0.1]
+    """
+
+    value: float
+
+    def values(self, epochs: int) -> Floats:
+        return np.full(epochs, float(self.value))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exponential:
+    """minimum + (maximum - minimum) exp(-decay t).
+
+    Examples
+    --------
+    >>> schedule = Exponential.through(0.8, at=300, minimum=0.03)
+    >>> round(schedule.decay, 8), round(float(schedule.values(301)[300]), 12)
+    (0.00076969, 0.8)
+    """
+
+    minimum: float = 0.0
+    maximum: float = 1.0
+    decay: float
+
+    @classmethod
+    def through(
+        cls, value: float, *, at: float, minimum: float = 0.0, maximum: float = 1.0
+    ) -> Exponential:
+        """Return the schedule that has fallen to `value` at epoch `at`."""
+        if not (minimum < value < maximum and at > 0):
+            raise ModelError(
+                f"no decay from {maximum:g} to {minimum:g} passes through {value:g} at {at:g}",
+                where="schedule",
+                fix="choose a value between the two, and a positive epoch",
+            )
+        decay = log((maximum - minimum) / (value - minimum)) / at
+        return cls(minimum=minimum, maximum=maximum, decay=decay)
+
+    def values(self, epochs: int) -> Floats:
+        # math.exp, not NumPy's, whose last bit depends on the processor.
+        fall = [exp(-self.decay * epoch) for epoch in range(epochs)]
+        return self.minimum + (self.maximum - self.minimum) * np.array(fall)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harmonic:
+    """first / (1 + t / scale): it falls like 1/t, so that the noise of learning dies out.
+
+    Examples
+    --------
+    >>> Harmonic(first=0.5, scale=10).values(11)[10]
+    np.float64(0.25)
+    """
+
+    first: float
+    scale: float
+
+    def values(self, epochs: int) -> Floats:
+        return np.asarray(self.first / (1 + np.arange(epochs) / self.scale))
+
+
+PAPER_RATE = Constant(0.05)
+PAPER_CONSTANT = Constant(0.1)
+PAPER_DECAYING = Exponential.through(0.8, at=300, minimum=0.03)
+
+
+def checked(name: str, schedule: Schedule, epochs: int) -> Floats:
+    """Return (E,) numbers of a schedule; raises ModelError where one is outside [0, 1]."""
+    values = np.ascontiguousarray(schedule.values(epochs), dtype=np.float64)
+    if values.shape != (epochs,) or not ((values >= 0) & (values <= 1)).all():
+        raise ModelError(
+            f"{name} does not stay between 0 and 1",
+            where=f"{schedule!r}",
+            fix=f"give {epochs} numbers from 0 to 1",
+        )
+    return values

@@ -1,0 +1,248 @@
+"""What a solver answers with: values, a policy, and the claim that it makes about them.
+
+A number leaves the toolkit as one of three types, so that a table or a plot cannot confuse them:
+`Certified` (an exact rational with a proof), `Bounded` (a float and a bound on its error that is
+sound in floating point) and `Estimated` (a sample mean and its standard error).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from fractions import Fraction
+
+import numpy as np
+
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+
+
+class Claim(StrEnum):
+    """How far a number can be trusted."""
+
+    CERTIFIED = "certified"
+    BOUNDED = "bounded"
+    ESTIMATED = "estimated"
+
+
+class Status(StrEnum):
+    """How a solver ended: a message, with the likely remedy where something is amiss."""
+
+    CONVERGED = "the error bound meets the tolerance"
+    DIRECT = "solved directly; the error bound is what rounding may have left"
+    PRECISION = (
+        "double precision reaches its limit above the tolerance; "
+        "allow a larger tol, or use certify(), which computes in rational arithmetic"
+    )
+    ITERATION_LIMIT = (
+        "the iteration limit came first; "
+        "raise max_iterations, or use PolicyIteration, which does not depend on mixing"
+    )
+    NO_BOUND = (
+        "double precision cannot bound the error of this model; "
+        "use certify(), which computes in rational arithmetic"
+    )
+    PROGRAM_FAILED = (
+        "the optimiser did not reach an optimum of the linear program; "
+        "try another one, or PolicyIteration"
+    )
+
+
+class PrecisionWarning(UserWarning):
+    """The tolerance asked for is beyond double precision; the error bound says what was reached."""
+
+
+class SolverError(RuntimeError):
+    """A solver that could not give what was asked for.
+
+    Attributes
+    ----------
+    status : Status
+    solution : Solution or None
+        The best that was reached, with its honest error bound, where there is any.
+
+    Examples
+    --------
+    >>> print(SolverError(Status.PROGRAM_FAILED, "CLARABEL says infeasible"))
+    CLARABEL says infeasible: the optimiser did not reach an optimum of the linear program; ...
+    """
+
+    def __init__(self, status: Status, detail: str = "", solution: Solution | None = None) -> None:
+        self.status, self.detail, self.solution = status, detail, solution
+        super().__init__(f"{detail}: {status}" if detail else str(status))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.status, self.detail, self.solution)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certified:
+    """An exact number that a certificate proves.
+
+    Examples
+    --------
+    >>> print(Certified(value=Fraction(1, 3)))
+    1/3 (certified)
+    """
+
+    value: Fraction
+
+    @property
+    def claim(self) -> Claim:
+        return Claim.CERTIFIED
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The number itself, rounded outward by less than one part in 10^15."""
+        rounded = float(self.value)
+        return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
+
+    def __str__(self) -> str:
+        return f"{self.value} ({self.claim})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounded:
+    """A float whose distance from the true number is at most `error`, rounding included.
+
+    Examples
+    --------
+    >>> print(Bounded(value=0.5, error=1e-12))
+    0.5 ± 1e-12 (bounded)
+    """
+
+    value: float
+    error: float
+
+    @property
+    def claim(self) -> Claim:
+        return Claim.BOUNDED
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper bound."""
+        low, high = self.value - self.error, self.value + self.error
+        return float(np.nextafter(low, -np.inf)), float(np.nextafter(high, np.inf))
+
+    def __str__(self) -> str:
+        return f"{self.value:.12g} ± {self.error:.1g} ({self.claim})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimated:
+    """A sample mean and its standard error.
+
+    Examples
+    --------
+    >>> Estimated(value=2.0, standard_error=0.5).interval
+    (1.0..., 2.9...)
+    """
+
+    value: float
+    standard_error: float
+
+    @property
+    def claim(self) -> Claim:
+        return Claim.ESTIMATED
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The normal 95 % interval."""
+        half = 1.959963984540054 * self.standard_error
+        return self.value - half, self.value + half
+
+    def __str__(self) -> str:
+        return f"{self.value:.6g} ± {self.standard_error:.1g} s.e. ({self.claim})"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solution:
+    """Values and policy of a solved model, with bounds that hold in every state.
+
+    Attributes
+    ----------
+    mdp : MDP
+    value : (S,)
+        State values V.
+    pairs : (S,) int64
+        The pair that the policy takes in each state.
+    state_error : (S,)
+        |V(s) - V*(s)| and |V(s) - V^π(s)| are at most this, for the policy π given here.
+    regret_bound : float
+        V*(s) - V^π(s) is at most this in every state.
+    status : Status
+    method : str
+        Name of the algorithm, as in `SOLVERS`.
+    solver : str
+        The solver with its settings.
+    iterations : int
+    seconds : float
+    claim : Claim
+    gaps : (L,), optional
+        V(s) less the value of taking the pair and then acting optimally; from a linear program.
+    occupancy : (L,), optional
+        Expected discounted number of uses of each pair from the start; from a linear program.
+    """
+
+    mdp: MDP
+    value: Floats
+    pairs: Integers
+    state_error: Floats
+    regret_bound: float
+    status: Status
+    method: str
+    solver: str
+    iterations: int
+    seconds: float
+    claim: Claim = Claim.BOUNDED
+    gaps: Floats | None = None
+    occupancy: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for array in (self.value, self.pairs, self.state_error, self.gaps, self.occupancy):
+            if array is not None:
+                array.setflags(write=False)
+
+    @property
+    def policy(self) -> Integers:
+        """(S,) the action number that the policy takes in each state."""
+        return self.mdp.pair_action[self.pairs]
+
+    @property
+    def error_bound(self) -> float:
+        """|V(s) - V*(s)| is at most this in every state."""
+        return float(self.state_error.max())
+
+    @property
+    def start(self) -> Bounded:
+        """The value of the start distribution with its error bound."""
+        states = np.array([state for state, _ in self.mdp.start])
+        weights = np.array([float(weight) for _, weight in self.mdp.start])
+        terms = weights * self.value[states]
+        rounding = (len(states) + 2) * 2.0**-52 * float(np.abs(terms).sum())
+        if len(states) == 1 and weights[0] == 1:
+            rounding = 0.0
+        error = float(weights @ self.state_error[states]) * (1 + 1e-9) + rounding
+        return Bounded(value=float(terms.sum()), error=error)
+
+    @property
+    def start_value(self) -> float:
+        """Value of the start distribution."""
+        return self.start.value
+
+    @property
+    def start_error_bound(self) -> float:
+        """Bound on the error of `start_value`."""
+        return self.start.error
+
+    @property
+    def q(self) -> Floats:
+        """(L,) action values r + γ P V."""
+        return self.mdp.backup(self.value)
+
+    def __repr__(self) -> str:
+        return (
+            f"Solution({self.method}: start value {self.start}, "
+            f"regret at most {self.regret_bound:.1g}, {self.iterations} iterations, "
+            f"{self.seconds:.3g} s; {self.status})"
+        )

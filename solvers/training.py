@@ -1,0 +1,211 @@
+"""Many runs of a learner, side by side, resumable, the same whatever the number of workers.
+
+Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so that it depends neither on
+how many runs there are nor on who does them. Runs are done in blocks of `BLOCK`; a finished block
+is written to its own file at once, whole or not at all, and read instead of done again when the
+training is called once more. Workers are threads: the compiled loop needs no interpreter lock.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from mdp.errors import ModelError
+from mdp.files import read_text, write_atomically
+from mdp.fingerprint import fingerprint
+from mdp.model import MDP
+from mdp.space import StateSpace
+from mdp.table import Numbers
+from solvers.q_learning import QLearning, Trainer, TrainingRun
+from solvers.sampler import as_sequence, child
+
+BLOCK = 16
+RECORD = "training.json"
+
+
+def train_many(
+    mdp: MDP,
+    settings: QLearning,
+    runs: int,
+    *,
+    seed: int | SeedSequence,
+    n_jobs: int | None = 1,
+    out: str | Path | None = None,
+    progress: bool = False,
+) -> list[TrainingRun]:
+    """Return independent runs of a learner.
+
+    Parameters
+    ----------
+    runs : int
+        How many. Run i is `settings.train(mdp, child(seed, i))`.
+    seed : int or SeedSequence
+    n_jobs : int, optional
+        Threads; all cores where None. The result does not depend on it.
+    out : path, optional
+        Folder for finished blocks. Those of an earlier call with the same model, settings and seed
+        are used again; more runs may be asked for than before.
+    progress : bool
+        Show a bar on standard error where that is a terminal.
+
+    Raises
+    ------
+    ModelError
+        Where the folder holds the training of another model, other settings or another seed, or a
+        file in it is damaged.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> runs = train_many(mdp, QLearning(epochs=5), 3, seed=0)
+    >>> len(runs), runs[0].q.shape
+    (3, (16, 4))
+    """
+    from tqdm import tqdm
+
+    if isinstance(runs, bool) or not isinstance(runs, int) or runs < 1:
+        raise ModelError(f"runs is {runs!r}", where="train_many", fix="give a whole number > 0")
+    trainer = Trainer(settings, mdp)
+    root = as_sequence(seed)
+    folder = None if out is None else _folder(Path(out), mdp, settings, root)
+    blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
+    done: dict[int, list[TrainingRun]] = {}
+    with tqdm(
+        total=runs, desc="training", unit="run", disable=None if progress else True, delay=1
+    ) as bar:
+        waiting = []
+        for block in blocks:
+            found = None if folder is None else _read(folder, block, trainer)
+            if found is None:
+                waiting.append(block)
+            else:
+                done[block.start] = found
+                bar.update(len(found))
+        for block, found in _train(trainer, root, waiting, n_jobs):
+            if folder is not None:
+                write_atomically(folder / _name(block), _packed(found))
+            done[block.start] = found
+            bar.update(len(found))
+    return [run for block in blocks for run in done[block.start]]
+
+
+def _train(
+    trainer: Trainer, root: SeedSequence, blocks: Sequence[range], n_jobs: int | None
+) -> Iterator[tuple[range, list[TrainingRun]]]:
+    """Yield blocks of runs as they are finished; an interruption ends after the runs at hand."""
+    stop = Event()
+
+    def block_of(block: range) -> list[TrainingRun]:
+        return [trainer.run(child(root, number)) for number in block if not stop.is_set()]
+
+    workers = max(1, (os.cpu_count() or 1) if n_jobs is None else n_jobs)
+    if workers == 1 or len(blocks) <= 1:
+        for block in blocks:
+            yield block, block_of(block)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        pending: dict[Future[list[TrainingRun]], range] = {}
+        try:
+            pending = {pool.submit(block_of, block): block for block in blocks}
+            while pending:
+                for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                    yield pending.pop(future), future.result()
+        finally:
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def _folder(folder: Path, mdp: MDP, settings: QLearning, root: SeedSequence) -> Path:
+    """Return the folder, made where it is missing, after checking what it is the training of."""
+    record = {
+        "model_hash": fingerprint(mdp),
+        "settings": repr(settings),
+        "seed": str(root.entropy),
+        "spawn_key": list(root.spawn_key),
+        "runs_per_file": BLOCK,
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(
+            f"cannot make the folder: {error.strerror}", where=str(folder), fix="choose another"
+        ) from error
+    path = folder / RECORD
+    if not path.exists():
+        write_atomically(path, json.dumps(record, indent=2) + "\n")
+        return folder
+    try:
+        found = json.loads(read_text(path))
+    except ValueError as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError("broken JSON", where=str(path), fix="choose another folder") from error
+    if found != record:
+        known = found if isinstance(found, dict) else {}
+        unlike = [key for key, value in record.items() if known.get(key) != value]
+        raise ModelError(
+            f"the folder holds a training that differs in {', '.join(unlike) or 'its record'}",
+            where=str(folder),
+            fix="choose another folder, or delete this one",
+        )
+    return folder
+
+
+def _name(block: range) -> str:
+    return f"runs-{block.start:06d}.npz"
+
+
+_PER_RUN = ("q", "snapshots", "last", "returns")
+_NUMBERS = ("steps", "cut_short")
+_STORED = (*_PER_RUN, *_NUMBERS, "policies", "distinct")
+
+
+def _packed(runs: Sequence[TrainingRun]) -> bytes:
+    """Return a block as an .npz archive: `policies` one run behind the other, the rest stacked."""
+    arrays = {name: np.stack([getattr(run, name) for run in runs]) for name in _PER_RUN}
+    arrays |= {name: np.array([getattr(run, name) for run in runs]) for name in _NUMBERS}
+    arrays["policies"] = np.concatenate([run.policies for run in runs])
+    arrays["distinct"] = np.array([len(run.policies) for run in runs])
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _read(folder: Path, block: range, trainer: Trainer) -> list[TrainingRun] | None:
+    """Return the runs of a block from its file; None where there is none, or one with fewer."""
+    path = folder / _name(block)
+    if not path.exists():
+        return None
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            arrays = {
+                name: archive[name] for name in (*_PER_RUN, *_NUMBERS, "policies", "distinct")
+            }
+        runs = list(_unpacked(arrays, trainer.rows.space))
+    except Exception as error:  # archives can be damaged in many ways, and each raises its own
+        raise ModelError(
+            "the file is damaged", where=str(path), fix="delete it: its runs are then done again"
+        ) from error
+    return runs[: len(block)] if len(runs) >= len(block) else None
+
+
+def _unpacked(arrays: dict[str, Numbers], space: StateSpace) -> Iterator[TrainingRun]:
+    ends = np.cumsum(arrays["distinct"])
+    for number, end in enumerate(ends.tolist()):
+        values = {name: arrays[name][number] for name in _PER_RUN}
+        scalars = {name: arrays[name][number].item() for name in _NUMBERS}
+        policies = arrays["policies"][end - int(arrays["distinct"][number]) : end]
+        yield TrainingRun(space=space, policies=policies, **values, **scalars)

@@ -1,0 +1,60 @@
+"""Running the command line in tests: in this process, or as the installed program."""
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any, NoReturn
+
+from analysis.cli import main
+
+PROGRAM = Path(sys.executable).with_name("exact-mdp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Done:
+    """How a command ended."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """The JSON object that it printed, which has to be all that it printed."""
+        assert self.status in (0, 1), self.err
+        assert self.err == ""
+        found = strict(self.out)
+        assert isinstance(found, dict)
+        return found
+
+
+def strict(text: str) -> Any:
+    """Read JSON that has no NaN and no infinity."""
+
+    def refuse(name: str) -> NoReturn:
+        raise AssertionError(f"{name} in JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def run(*words: object) -> Done:
+    """Run a command in this process, by the entry point of the installed program."""
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        status = main([str(word) for word in words])
+    return Done(status=status, out=out.getvalue(), err=err.getvalue())
+
+
+def launch(*words: object, **environment: str) -> Done:
+    """Run the installed program."""
+    done = subprocess.run(
+        [PROGRAM, *(str(word) for word in words)],
+        capture_output=True,
+        encoding="utf-8",
+        env=os.environ | environment,
+    )
+    return Done(status=done.returncode, out=done.stdout, err=done.stderr)

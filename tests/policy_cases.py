@@ -1,0 +1,276 @@
+"""Small chains with everything that may go wrong, and what is true of a policy on them, exactly.
+
+The reference solves the equations of the first and the second moment of the return by elimination
+in fractions; it shares nothing with the code that it checks, which uses neither of the two.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fractions import Fraction as F
+from functools import cached_property
+
+import numpy as np
+from hypothesis import strategies as st
+from oracle import ACTIONS, END, Oracle, State
+from oracle import Policy as OraclePolicy
+
+from mdp import MDP, Policy, Scenario
+
+Outcome = tuple[F, int, F, bool]
+DISCOUNTS = (F(0), F(1, 2), F(19, 20), F(9999, 10_000), F(1))
+REWARDS = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(10**9), F(1, 10**9), F(20)])
+WEIGHTS = st.sampled_from([1, 1, 2, 3, 7, 1000])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A model as {(state, action): [(probability, next, reward, event)]}, and a policy."""
+
+    n_states: int
+    rows: dict[tuple[int, int], list[Outcome]]
+    discount: F
+    start: dict[int, F]
+    policy: dict[tuple[int, int], F]
+    floats: bool = False
+
+    @cached_property
+    def model(self) -> MDP:
+        kind = float if self.floats else F
+        rows = [
+            (s, a, [(kind(p), t, kind(r)) for p, t, r, _ in outcomes])
+            for (s, a), outcomes in self.rows.items()
+        ]
+        mdp = MDP.from_outcomes(rows, self.discount, start=self.start)
+        happens = {
+            (s, a, t, F(kind(r))): event
+            for (s, a), outcomes in self.rows.items()
+            for _, t, r, event in outcomes
+        }
+        marks = [
+            happens[int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), t, r]
+            for pair in range(mdp.n_pairs)
+            for _, t, r in mdp.table.row(pair)
+        ]
+        # The second bit is an event that never happens.
+        table = replace(mdp.table, event=np.array(marks, dtype=np.uint8))
+        return mdp.with_(table=table, events=("hit", "miss"))
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        return np.array([float(self.policy[key]) for key in sorted(self.rows)])
+
+    @cached_property
+    def outcomes(self) -> dict[int, list[Outcome]]:
+        """What can follow each state under the policy: exactly what the floats stand for."""
+        found: dict[int, list[Outcome]] = defaultdict(list)
+        for s, a in sorted(self.rows):
+            total = sum(F(float(w)) for (state, _), w in self.policy.items() if state == s)
+            share = F(float(self.policy[s, a])) / total
+            for p, t, r, event in self.rows[s, a] if share else ():
+                if self.floats:
+                    p, r = F(float(p)), F(float(r))
+                found[s].append((share * p, t, r, event))
+        return found
+
+    @cached_property
+    def terminal(self) -> set[int]:
+        return {
+            s
+            for s in range(self.n_states)
+            if all(
+                t == s and r == 0
+                for (state, _), row in self.rows.items()
+                for _, t, r, _ in row
+                if state == s
+            )
+        }
+
+    def closed(self, states: set[int], step: Callable[[int, int], bool]) -> set[int]:
+        """All states related to `states` by any number of steps."""
+        found = set(states)
+        while True:
+            more = {s for s in range(self.n_states) if any(step(s, t) for t in found)} - found
+            if not more:
+                return found
+            found |= more
+
+    def leads(self, s: int, t: int) -> bool:
+        return s not in self.terminal and any(t == x for _, x, _, _ in self.outcomes[s])
+
+    @cached_property
+    def ending(self) -> set[int]:
+        """States from which a terminal one is reached with probability 1."""
+        everyone = set(range(self.n_states))
+        stuck = everyone - self.closed(self.terminal, self.leads)
+        return everyone - self.closed(stuck, self.leads)
+
+    @cached_property
+    def reached(self) -> set[int]:
+        return self.closed(set(self.start), lambda s, t: self.leads(t, s))
+
+    @property
+    def ends(self) -> bool:
+        return self.reached <= self.ending
+
+    def solve(
+        self, constant: Callable[[Outcome], F], rate: F, among: set[int], through: bool = True
+    ) -> dict[int, F]:
+        """x(s) = E[constant + rate x(next)], x = 0 outside `among`; events stop it on demand."""
+        order = sorted(among)
+        matrix = {s: defaultdict(F, {s: F(1)}) for s in order}
+        right = {s: sum((o[0] * constant(o) for o in self.outcomes[s]), F(0)) for s in order}
+        for s in order:
+            for p, t, _, event in self.outcomes[s]:
+                if t in among and (through or not event):
+                    matrix[s][t] -= rate * p
+        for k in order:
+            for s in order:
+                if s != k and matrix[s][k]:
+                    factor = matrix[s][k] / matrix[k][k]
+                    for t in order:
+                        matrix[s][t] -= factor * matrix[k][t]
+                    right[s] -= factor * right[k]
+        return {s: right[s] / matrix[s][s] for s in order} | dict.fromkeys(
+            set(range(self.n_states)) - among, F(0)
+        )
+
+    @cached_property
+    def live(self) -> set[int]:
+        return (self.ending if self.discount == 1 else set(range(self.n_states))) - self.terminal
+
+    @cached_property
+    def value(self) -> dict[int, F]:
+        return self.solve(lambda o: o[2], self.discount, self.live)
+
+    @cached_property
+    def variance(self) -> dict[int, F]:
+        """By the second moment: E[G²] = E[r² + 2 γ r V' + γ² G'²]."""
+        g, v = self.discount, self.value
+        square = self.solve(lambda o: o[2] ** 2 + 2 * g * o[2] * v[o[1]], g * g, self.live)
+        return {s: square[s] - v[s] ** 2 for s in v}
+
+    def mean(self, values: dict[int, F]) -> F:
+        return sum((weight * values[s] for s, weight in self.start.items()), F(0))
+
+    @cached_property
+    def total_variance(self) -> F:
+        mean = self.mean(self.value)
+        return self.mean({s: self.variance[s] + (self.value[s] - mean) ** 2 for s in self.value})
+
+    @cached_property
+    def steps(self) -> F:
+        return self.mean(self.solve(lambda o: F(1), F(1), self.ending - self.terminal))
+
+    @cached_property
+    def hit(self) -> F:
+        happening = {s for s in range(self.n_states) if any(e for *_, e in self.outcomes[s])}
+        among = self.closed(happening - self.terminal, self.leads)
+        return self.mean(self.solve(lambda o: F(o[3]), F(1), among, through=False))
+
+    def visits(self, rate: F, among: set[int]) -> dict[int, F]:
+        """Expected visits of each state, in which only those `among` lead on."""
+        return {s: self._visits_to(s, rate, among) for s in range(self.n_states)}
+
+    def _visits_to(self, state: int, rate: F, among: set[int]) -> F:
+        # One visit for being there, and rate times what comes of the next states.
+        own = {s: F(s == state) for s in range(self.n_states)}
+        later = self.solve(lambda o: own[o[1]], rate, among)
+        return self.mean({s: own[s] + rate * later[s] for s in own})
+
+
+@st.composite
+def cases(
+    draw: st.DrawFn,
+    *,
+    discounts: tuple[F, ...] = DISCOUNTS,
+    rewards: st.SearchStrategy[F] = REWARDS,
+    weights: st.SearchStrategy[int] = WEIGHTS,
+) -> Case:
+    """Draw a model with joint rewards, events, self loops and ends, and a mixed policy."""
+    n_states = draw(st.integers(1, 5))
+    acyclic = draw(st.booleans())
+    rows: dict[tuple[int, int], list[Outcome]] = {}
+    policy: dict[tuple[int, int], F] = {}
+    for s in range(n_states):
+        actions = sorted(draw(st.sets(st.integers(0, 2), min_size=1, max_size=3)))
+        over = s == n_states - 1 or draw(st.integers(0, 4)) == 0
+        for a in actions:
+            if over:
+                rows[s, a] = [(F(1), s, F(0), False)]
+                continue
+            states = st.integers(s + 1 if acyclic else 0, n_states - 1)
+            keys = draw(st.lists(st.tuples(states, rewards), min_size=1, max_size=4, unique=True))
+            shares = [draw(weights) for _ in keys]
+            rows[s, a] = [
+                (F(share, sum(shares)), t, r, draw(st.booleans()))
+                for share, (t, r) in zip(shares, keys, strict=True)
+            ]
+        shares = [draw(st.sampled_from([0, 0, 1, 2])) for _ in actions]
+        shares[draw(st.integers(0, len(actions) - 1))] += 1
+        for a, share in zip(actions, shares, strict=True):
+            policy[s, a] = F(share, sum(shares))
+    chosen = draw(st.lists(st.integers(0, n_states - 1), min_size=1, max_size=2, unique=True))
+    odds = [draw(weights) for _ in chosen]
+    return Case(
+        n_states=n_states,
+        rows=rows,
+        discount=draw(st.sampled_from(discounts)),
+        start={s: F(weight, sum(odds)) for s, weight in zip(chosen, odds, strict=True)},
+        policy=policy,
+        floats=draw(st.booleans()),
+    )
+
+
+# ---- the care model --------------------------------------------------------------------------
+
+
+def careful(state: State) -> dict[str, F]:
+    """A mixed policy that reads every part of the state, in quarters."""
+    assert not isinstance(state, str)
+    k, t, c, s = state
+    if s[2] or s[3]:
+        return {"supportive": F(3, 4), ACTIONS[(k + t + c) % 2 * 2]: F(1, 4)}
+    return {"directive" if s[0] and s[1] else "non-directive": F(1)}
+
+
+def uniform(state: State) -> dict[str, F]:
+    return dict.fromkeys(ACTIONS, F(1, 4))
+
+
+def directive(state: State) -> dict[str, F]:
+    return {"directive": F(1)}
+
+
+def state_of(mdp: MDP, number: int) -> State:
+    """The oracle's name of a state."""
+    if number == mdp.n_states - 1:
+        return END
+    value = {name: int(mdp.space.values(name)[number]) for name in mdp.space.names}
+    f, c, a, d = (value["status"] >> shift & 1 for shift in (3, 2, 1, 0))
+    return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), (f, c, a, d))
+
+
+def policy_of(mdp: MDP, policy: OraclePolicy) -> Policy:
+    """The oracle's policy as one over all states."""
+    table = np.zeros((mdp.n_states, mdp.n_actions))
+    for number in range(mdp.n_states):
+        if mdp.forced[number]:
+            table[number, mdp.pair_action[mdp.pair_offsets[number]]] = 1
+            continue
+        for action, share in policy(state_of(mdp, number)).items():
+            table[number, mdp.action(action)] += float(share)
+    return Policy(space=mdp.space, actions=mdp.actions, table=table)
+
+
+def care(
+    readings: dict[str, str], tasks: list[int], discount: F = F(1), max_trial: int = 2
+) -> tuple[MDP, Oracle]:
+    """The compiled model and the oracle of the same choices."""
+    scenario = Scenario.load("yuan2025").with_(
+        readings=readings, tasks=tasks, discount=discount, max_trial=max_trial
+    )
+    oracle = Oracle(readings, tasks=tasks, max_trial=max_trial, discount=discount)
+    return scenario.compile(), oracle

@@ -1,0 +1,49 @@
+"""Models of every make, to be saved and read again."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from mdp import MDP, Column, Parameter, Scenario, StateSpace
+
+CARE = Scenario.load("yuan2025").with_(tasks=[1, 2], max_trial=2)
+WIDE = Fraction(1, 3**60)
+
+MODELS = {
+    "care": CARE.compile(),
+    "care by other readings": CARE.with_(
+        readings={"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}
+    ).compile(),
+    "care beyond 64 bits": CARE.with_(
+        parameters={"base.anger": "0.1234567891234567", "reward.trial": "-1.00000000000000000001"}
+    ).compile(),
+    "tea": Scenario.load("tea").compile(),
+    "floats": MDP.from_arrays(
+        [[[0.1, 0.9], [0.0, 1]], [[1, 0], [0.3, 0.7]]], [[0.1, -2.5], [3, 0]], 0.9,
+        start={0: 0.25, 1: 0.75}, actions=["stay", "go"], states=["here", "there"], name="two",
+    ),
+    "float moves": MDP.from_arrays(
+        np.array([[[0.1, 0.9], [0, 1]]]), np.array([[[0.1, 1e300], [0, -0.0]]]), 0.99
+    ),
+    "wide": MDP.from_outcomes(
+        [(0, 0, [(WIDE, 0, -(10**30)), (1 - WIDE, 1, Fraction(1, 7))]), (1, 0, [(1, 1, 0)])],
+        Fraction(10**40 - 1, 10**40), start={0: WIDE, 1: 1 - WIDE},
+    ),
+    "extra states": MDP.from_outcomes(
+        [(s, 0, [(1, 8, 0)]) for s in range(9)], "1/2",
+        space=StateSpace(
+            columns=(
+                Column(name="größe", size=2, words=("klein", "groß")),
+                Column(name="bits", size=4, bits=2),
+            ),
+            extra=("Ende – \U0001f3c1",),
+        ),
+        name='quoted "name"\n', parameters=(
+            Parameter(name="p", value=WIDE, low=Fraction(0)),
+            Parameter(name="q", value=Fraction(-3), high=Fraction(7, 3)),
+        ),
+    ),
+    "gymnasium": MDP.from_gymnasium("Taxi-v4", "9/10"),
+}  # fmt: skip

@@ -1,0 +1,183 @@
+"""Bounds are held against rational arithmetic: the inequalities that prove them, and exact optima.
+
+With V, w, c and c' as the exact rationals that the floats are, V + c w ≥ r + γ P (V + c w) for
+every pair and V + c' w ≤ r + γ P (V + c' w) for the policy's pairs; that is all of the proof.
+"""
+
+from fractions import Fraction as F
+
+import numpy as np
+import pytest
+from cases import BY_NAME
+from cases.reference import solve_exact
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, models
+
+import solvers.gains as module
+from mdp import MDP, ModelError
+from solvers import SolverError
+from solvers.bounds import Bounds, bounds, greedy, margin_weights
+from solvers.gains import gains
+
+NUMBERS = st.one_of(
+    st.floats(-10, 10), st.sampled_from([0.0, 1e9, -1e9, 1e-9, 1 / 3, 1e15, 2.0**-1060])
+)
+
+
+def any_value(mdp: MDP, data: st.DataObject) -> np.ndarray:
+    drawn = data.draw(st.lists(NUMBERS, min_size=mdp.n_states, max_size=mdp.n_states))
+    return np.where(mdp.terminal, 0.0, np.array(drawn))
+
+
+def proves(mdp: MDP, found: Bounds) -> bool:
+    value, weight = exact_values(found.value), exact_values(found.weight)
+    above = [v + F(found.high) * w for v, w in zip(value, weight, strict=True)]
+    below = [v + F(found.low) * w for v, w in zip(value, weight, strict=True)]
+    live = [pair for pair in range(mdp.n_pairs) if not mdp.terminal[mdp.pair_state[pair]]]
+    no_more, no_less = exact_gains(mdp, above), exact_gains(mdp, below)
+    ended = all(above[s] == below[s] == 0 for s in np.flatnonzero(mdp.terminal))
+    chosen = set(found.pairs.tolist())
+    return (
+        ended
+        and all(no_more[pair] <= 0 for pair in live)
+        and all(no_less[pair] >= 0 for pair in live if pair in chosen)
+    )
+
+
+@given(models(), st.booleans(), st.data())
+def test_bounds_are_proven_by_exact_inequalities(
+    rows: Rows, floats: bool, data: st.DataObject
+) -> None:
+    mdp = rows.model(floats=floats)
+    value = any_value(mdp, data)
+    found = bounds(mdp, value)
+    assert proves(mdp, found)
+    picked = [data.draw(st.sampled_from(mdp.pairs_of(s))) for s in range(mdp.n_states)]
+    assert proves(mdp, bounds(mdp, value, np.array(picked)))
+
+
+@given(models(), st.data())
+def test_optimal_values_lie_within_the_bounds(rows: Rows, data: st.DataObject) -> None:
+    mdp = rows.model()
+    exact, _ = solve_exact(rows.n_states, rows.pairs, rows.discount)
+    for found in (
+        bounds(mdp, np.array([float(x) for x in exact])),
+        bounds(mdp, any_value(mdp, data)),
+    ):
+        errors = zip(exact, exact_values(found.value), found.state_error, strict=True)
+        assert all(abs(x - v) <= F(float(e)) for x, v, e in errors)
+
+
+@given(models())
+def test_bounds_around_the_optimum_are_tight(rows: Rows) -> None:
+    exact, optimal = solve_exact(rows.n_states, rows.pairs, rows.discount)
+    mdp = rows.model()
+    found = bounds(mdp, np.array([float(x) for x in exact]))
+    size = float(max(map(abs, exact)) + max(abs(r) for _, _, r, _ in rows.pairs))
+    assert found.error <= 1e-14 * size * found.weight.max() * _worst(mdp)
+    assert found.regret <= 2 * found.error * (1 + 1e-6)
+    # Among tied actions the one of lowest number is taken; rounding decides nothing.
+    chosen = mdp.pair_action[found.pairs].tolist()
+    assume(_separated(mdp, exact, size))
+    assert chosen == [min(actions) for actions in optimal]
+
+
+def _worst(mdp: MDP) -> float:
+    weights = margin_weights(mdp)
+    return float(1 / weights.least.min())
+
+
+def _separated(mdp: MDP, value: list[F], size: float) -> bool:
+    return not any(0 < -gain < 1e-12 * size for gain in exact_gains(mdp, value))
+
+
+@given(models(), st.booleans(), st.data())
+def test_gains_are_off_by_no_more_than_they_say(
+    rows: Rows, floats: bool, data: st.DataObject
+) -> None:
+    mdp = rows.model(floats=floats)
+    value = any_value(mdp, data)
+    gain = gains(mdp, value)
+    exact = exact_gains(mdp, exact_values(value))
+    for x, g, e in zip(exact, exact_values(gain.value), gain.error, strict=True):
+        assert abs(x - g) <= F(float(e))
+
+
+@given(models(), st.booleans())
+def test_margins_lie_where_they_were_verified(rows: Rows, floats: bool) -> None:
+    mdp = rows.model(floats=floats)
+    weights = margin_weights(mdp)
+    weight = exact_values(weights.value)
+    for pair, (least, most) in enumerate(zip(weights.least, weights.most, strict=True)):
+        state = int(mdp.pair_state[pair])
+        if mdp.terminal[state]:
+            assert weight[state] == 0
+            continue
+        later = sum((p * weight[t] for p, t, _ in mdp.table.row(pair)), F(0))
+        margin = weight[state] - mdp.discount_exact * later
+        assert 0 < F(float(least)) <= margin <= F(float(most))
+
+
+def test_float_rows_need_not_sum_to_one() -> None:
+    row = [0.1, 0.2, 0.7 + 9e-10]
+    mdp = MDP.from_arrays([[row, row, [0.0, 0.0, 1.0]]], np.array([1.0, 2.0, 3.0]), "999/1000")
+    found = bounds(mdp, np.array([1e6, -3.0, 7.0]))
+    assert proves(mdp, found)
+    # A row of a sum above 1 has no bound where the discount does not make up for it.
+    with pytest.raises(SolverError, match="certify"):
+        bounds(mdp.with_(discount=1 - F(1, 10**12)), np.zeros(3))
+
+
+def test_weights_are_the_smaller_of_levels_and_horizon() -> None:
+    rows = [(s, 0, F(1), {max(s - 1, 0): F(1)}) for s in range(1, 17)]
+    rows.append((0, 0, F(0), {0: F(1)}))
+    few_steps = margin_weights(model_of(17, rows, F(999_999, 10**6))).value.max()
+    assert 15.9 < few_steps <= 16
+    short_horizon = margin_weights(model_of(17, rows, F(1, 2))).value.max()
+    assert short_horizon < 2
+    assert margin_weights(model_of(17, rows, F(1))).value.tolist() == list(range(17))
+    assert margin_weights(model_of(17, rows, F(0))).value.max() == 1
+
+
+@pytest.mark.parametrize("discount", DISCOUNTS)
+def test_a_model_that_has_ended(discount: F) -> None:
+    found = bounds(model_of(1, [(0, 0, F(0), {0: F(1)})], discount), np.zeros(1))
+    assert (found.error, found.regret) == (0, 0)
+
+
+def test_ends_are_worth_nothing() -> None:
+    with pytest.raises(ValueError, match="terminal"):
+        bounds(model_of(1, [(0, 0, F(0), {0: F(1)})], F(1)), np.ones(1))
+
+
+def test_a_policy_that_never_ends_has_no_bounds() -> None:
+    with pytest.raises(ModelError, match="discount 1 needs every policy to end"):
+        bounds(model_of(1, [(0, 0, F(1), {0: F(1)})], F(1)), np.zeros(1))
+
+
+def test_an_end_too_far_away_is_refused() -> None:
+    case = BY_NAME["reset-chain-100-7/10-steps"]
+    mdp = model_of(case.n_states, case.pairs, case.discount)
+    with pytest.raises(SolverError, match="certify"):
+        bounds(mdp, np.zeros(case.n_states))
+
+
+def test_many_transitions_are_taken_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    chances = rng.dirichlet(np.full(9, 0.3), size=(3, 9))
+    mdp = MDP.from_arrays(chances, rng.normal(size=(9, 3)), "9/10")
+    value = rng.normal(size=9)
+    whole = gains(mdp, value)
+    for chunk in (1, 7, 10, 10_000):
+        monkeypatch.setattr(module, "CHUNK", chunk)
+        pieces = gains(mdp, value)
+        assert pieces.value.tolist() == whole.value.tolist()
+        assert pieces.error.tolist() == whole.error.tolist()
+
+
+def test_keeping_a_pair_that_is_as_good() -> None:
+    mdp = model_of(2, [(0, a, F(1), {1: F(1)}) for a in range(3)] + [(1, 0, F(0), {1: F(1)})], F(1))
+    gain = gains(mdp, np.zeros(2))
+    assert greedy(mdp, gain).tolist() == [0, 3]
+    assert greedy(mdp, gain, keep=np.array([2, 3])).tolist() == [2, 3]

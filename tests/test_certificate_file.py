@@ -1,0 +1,230 @@
+"""Certificates saved and read: nothing is lost, and no file does worse than raise ModelError."""
+
+import json
+import sys
+from dataclasses import fields
+from fractions import Fraction as F
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from certificates import MODELS, certified
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from strategies import model_of
+
+from mdp import ModelError
+from mdp.fingerprint import fingerprint
+from solvers import certify
+from solvers.certificate import BoundedCertificate, Certificate
+
+NAMES = ["acyclic", "cycle", "cycle of floats"]
+
+
+def same(first: Any, second: Any) -> None:
+    assert type(first) is type(second)
+    for name in {field.name for field in fields(first)} - {"mdp"}:
+        one, other = getattr(first, name), getattr(second, name)
+        if isinstance(one, np.ndarray):
+            assert one.dtype == other.dtype
+            assert one.tolist() == other.tolist()
+        else:
+            assert one == other
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_what_is_saved_is_read(name: str, tmp_path: Path) -> None:
+    path, mdp = tmp_path / "proof.json", MODELS[name]
+    certified(name).save(path)
+    read = Certificate.load(path)
+    same(read, certified(name))
+    assert read.violations(mdp) == []
+    with pytest.raises(ModelError, match="does not contain the model"):
+        read.violations()
+    bounded = certify(mdp, bounded=True)
+    bounded.save(path)
+    again = BoundedCertificate.load(path)
+    same(again, bounded)
+    assert again.violations(mdp) == []
+
+
+def test_the_file_is_what_is_documented(tmp_path: Path) -> None:
+    """Read as any program would, by the description of the format alone."""
+    path = tmp_path / "proof.json"
+    found, mdp = certified("cycle"), MODELS["cycle"]
+    found.save(path)
+    data = json.loads(path.read_text("utf-8"))
+    assert data["model"] == fingerprint(mdp)
+    below = [int(data["denominators"][group], 16) for group in data["group"]]
+    value = [F(int(a, 16), b) for a, b in zip(data["numerators"], below, strict=True)]
+    assert value == list(found.value)
+    gaps = [
+        gap and F(int(gap, 16), int(scale, 16) * b)
+        for gap, scale, b in zip(data["gaps"], data["gap_scales"], below, strict=True)
+    ]
+    assert gaps == list(found.gaps)
+    assert [mark == "1" for mark in data["optimal"]] == found.optimal_pairs.tolist()
+    assert F(*(int(part, 16) for part in data["start_value"])) == found.start_value
+    assert (data["states"], data["pairs"], data["unique"]) == (4, mdp.n_pairs, found.unique)
+    bounded = certify(mdp, bounded=True)
+    bounded.save(path)
+    data = json.loads(path.read_text("utf-8"))
+    assert [float.fromhex(text) for text in data["upper"]] == bounded.upper.tolist()
+
+
+def test_integers_of_more_digits_than_python_prints(tmp_path: Path) -> None:
+    """Python neither reads nor writes more than 4,300 decimal digits."""
+    reward = F(10**6000 + 1, 7**7000)
+    mdp = model_of(2, [(0, 0, reward, {1: F(1)}), (1, 0, F(0), {1: F(1)})], F(1))
+    found = certify(mdp)
+    assert found.start_value == reward
+    assert found.violations() == []
+    with pytest.raises(ValueError, match=str(sys.get_int_max_str_digits())):
+        str(found.numerator[0])
+    path = tmp_path / "proof.json"
+    found.save(path)
+    read = Certificate.load(path)
+    same(read, found)
+    assert read.violations(mdp) == []
+    assert read.value[0] == reward
+    assert "start value" in repr(read)
+
+
+def test_nothing_is_written_half(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="cannot write"):
+        certified("cycle").save(tmp_path / "missing" / "proof.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_each_kind_is_read_as_such(tmp_path: Path) -> None:
+    path = tmp_path / "proof.json"
+    certified("cycle").save(path)
+    with pytest.raises(ModelError, match="kind is 'exact', not 'bounded'"):
+        BoundedCertificate.load(path)
+    with pytest.raises(ModelError, match="cannot read"):
+        Certificate.load(tmp_path / "other.json")
+
+
+BAD: dict[str, list[Any]] = {
+    "format": ["other", None, 1],
+    "version": [2, "1", None],
+    "kind": ["bounded", 0],
+    "model": ["", "0" * 63, "g" * 64, 5, None],
+    "states": [0, -1, 3, 5, 4.0, "4", None, True, 10**30],
+    "pairs": [0, 5, 7, 10**30, None],
+    "policy": [[0, 0, 0], [0, 0, 0, -1], [0, 0, 0, 1.0], [0, 0, 0, True], "0000", 7, [10**30] * 4],
+    "unique": [1, "true", None],
+    "start_value": [["1"], ["1", "0"], ["1", "-2"], ["0x1", "1"], "1/2", 0.5, [1, 2], ["1", "1_0"]],
+    "denominators": [[], ["0"], ["-1"], ["1", "x"], "1", None, [1, 2]],
+    "group": [[0, 0, 0, 7], [0, 0, 0, -1], [0] * 5, [0, 0, 0, 0.0], {}, [[0] * 4]],
+    "numerators": [
+        ["1"] * 3,
+        ["1"] * 5,
+        ["1.0"] * 4,
+        [" 1"] * 4,
+        ["+1"] * 4,
+        ["١"] * 4,
+        [None] * 4,
+    ],
+    "gaps": [["0"] * 4, ["-1"] * 4, [1] * 4, ["1"] * 3, None],
+    "gap_scales": [["0"] * 4, [None] * 4, ["1"] * 5],
+    "optimal": ["", "1" * 5, "2" * 6, [1] * 6, None, "１" * 6],
+    "rank": [[0] * 3, [0, 1, 2, -3], "1", [0, 0, 0, None]],
+    "weight": [[1] * 4, ["1"] * 3, "1"],
+}
+
+
+@pytest.mark.parametrize("key", BAD)
+def test_damage_is_named(key: str, tmp_path: Path) -> None:
+    path = tmp_path / "proof.json"
+    certified("cycle").save(path)
+    data = json.loads(path.read_text("utf-8"))
+    assert set(BAD) == set(data)
+    values = [*BAD[key], *([] if key in ("rank", "weight") else [...])]
+    for value in values:
+        changed = {k: v for k, v in data.items() if k != key}
+        if value is not ...:
+            changed[key] = value
+        path.write_text(json.dumps(changed), "utf-8")
+        with pytest.raises(ModelError) as caught:
+            Certificate.load(path)
+        assert str(path) in caught.value.where
+        assert caught.value.fix
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "1.5", "0x1.8", "0x1.8p+9999", "", None, 1.5])
+def test_floats_that_are_none(number: object, tmp_path: Path) -> None:
+    path = tmp_path / "proof.json"
+    certify(MODELS["cycle"], bounded=True).save(path)
+    data = json.loads(path.read_text("utf-8"))
+    data["upper"][1] = number
+    path.write_text(json.dumps(data), "utf-8")
+    with pytest.raises(ModelError, match="upper"):
+        BoundedCertificate.load(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "null", "[" * 100_000, '{"a": ' * 100_000, "9" * 5000, '"\\ud800"', "NaN"],
+)
+def test_texts_that_are_no_certificate(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "proof.json"
+    path.write_text(text, "utf-8")
+    for kind in (Certificate, BoundedCertificate):
+        with pytest.raises(ModelError):
+            kind.load(path)
+
+
+def mutated(draw: st.DrawFn, content: bytes) -> bytes:
+    """Cut, overwrite, repeat or insert a few bytes."""
+    for _ in range(draw(st.integers(1, 4))):
+        place = draw(st.integers(0, len(content)))
+        length = draw(st.integers(0, 20))
+        other = draw(
+            st.one_of(
+                st.binary(max_size=8),
+                st.sampled_from(
+                    [b"", b"null", b"[", b"]", b'"', b"-", b"1e999", b"0", b",", b"ffff"]
+                ),
+                st.just(content[place : place + 50]),
+            )
+        )
+        content = content[:place] + other + content[place + length :]
+    return content
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a certificate of each kind for each of NAMES."""
+    path = tmp_path_factory.mktemp("certificates")
+    for name in NAMES:
+        certified(name).save(path / f"{name} True.json")
+        certify(MODELS[name], bounded=True).save(path / f"{name} False.json")
+    return path
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data(), st.sampled_from(NAMES), st.booleans())
+def test_mutated_files_are_read_or_refused(
+    folder: Path, data: st.DataObject, name: str, exact: bool
+) -> None:
+    """What still is a certificate is judged without a crash, and holds only if it is the same."""
+    content = (folder / f"{name} {exact}.json").read_bytes()
+    path = folder / "mutated.json"
+    path.write_bytes(mutated(data.draw, content))
+    kind = Certificate if exact else BoundedCertificate
+    try:
+        read = kind.load(path)
+    except ModelError:
+        return
+    if read.violations(MODELS[name]) != []:
+        return
+    value = certified(name).value
+    if isinstance(read, Certificate):
+        assert list(read.value) == list(value)
+        assert list(read.gaps) == list(certified(name).gaps)
+        assert read.unique == certified(name).unique
+    else:
+        for low, exactly, high in zip(read.lower, value, read.upper, strict=True):
+            assert F(float(low)) <= exactly <= F(float(high))

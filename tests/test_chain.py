@@ -1,0 +1,159 @@
+"""The graph of a model, held against networkx and against definitions written out."""
+
+from fractions import Fraction as F
+from functools import cache
+
+import networkx as nx
+import numpy as np
+import pytest
+from cases import CASES
+from cases.reference import every_policy_ends
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import Rows, model_of, models
+
+from mdp import MDP, ModelError, Scenario
+from mdp.chain import (
+    check_rank,
+    components,
+    is_acyclic,
+    reachable,
+    require_termination,
+    termination,
+    to_networkx,
+    topological_levels,
+)
+
+
+def graph_of(mdp: MDP, pairs: list[int] | None = None) -> nx.DiGraph:
+    graph = nx.DiGraph()
+    graph.add_nodes_from(range(mdp.n_states))
+    for pair in range(mdp.n_pairs) if pairs is None else pairs:
+        for _, state, _ in mdp.table.row(pair):
+            graph.add_edge(int(mdp.pair_state[pair]), state)
+    return graph
+
+
+@given(models(), st.data())
+def test_reachable_states_are_those_of_networkx(rows: Rows, data: st.DataObject) -> None:
+    mdp = rows.model()
+    start = data.draw(st.sets(st.integers(0, mdp.n_states - 1), max_size=2))
+    pairs = sorted(data.draw(st.sets(st.integers(0, mdp.n_pairs - 1))))
+    graph = graph_of(mdp, pairs)
+    expected = set(start).union(*(nx.descendants(graph, s) for s in start))
+    assert set(np.flatnonzero(reachable(mdp, sorted(start), pairs))) == expected
+    mask = np.isin(np.arange(mdp.n_pairs), pairs)
+    assert set(np.flatnonzero(reachable(mdp, sorted(start), mask))) == expected
+    whole = {0} | nx.descendants(graph_of(mdp), 0)
+    assert set(np.flatnonzero(reachable(mdp))) == whole
+
+
+@given(models())
+def test_components_are_those_of_networkx(rows: Rows) -> None:
+    mdp = rows.model()
+    count, labels = components(mdp)
+    expected = {frozenset(part) for part in nx.strongly_connected_components(graph_of(mdp))}
+    assert {frozenset(np.flatnonzero(labels == n)) for n in range(count)} == expected
+
+
+@given(models())
+def test_levels_are_the_longest_paths(rows: Rows) -> None:
+    mdp = rows.model()
+    graph = graph_of(mdp)
+    graph.remove_edges_from([(s, s) for s in np.flatnonzero(mdp.terminal)])
+    levels = topological_levels(mdp)
+    assert is_acyclic(mdp) == (levels is not None) == nx.is_directed_acyclic_graph(graph)
+    if levels is None:
+        return
+
+    @cache
+    def longest(state: int) -> int:
+        return max((1 + longest(after) for after in graph.successors(state)), default=0)
+
+    assert levels.tolist() == [longest(state) for state in range(mdp.n_states)]
+
+
+@given(models(discounts=(F(1, 2), F(1))))
+def test_termination_is_proven_or_refuted(rows: Rows) -> None:
+    mdp = rows.model()
+    found = termination(mdp)
+    assert found.proven == every_policy_ends(rows.n_states, rows.pairs)
+    assert found.proven == check_rank(mdp, found.rank)
+    if found.proven:
+        require_termination(mdp.with_(discount=1))
+        return
+    # The policy is one, and stays where it was said to stay.
+    assert found.policy is not None
+    chosen = [mdp.pair(s, int(a)) for s, a in enumerate(found.policy)]
+    trapped = set(found.trapped.tolist())
+    assert trapped
+    assert not trapped & set(np.flatnonzero(mdp.terminal))
+    for state in trapped:
+        assert {after for _, after, _ in mdp.table.row(chosen[state])} <= trapped
+    with pytest.raises(ModelError, match="discount 1 needs every policy to end"):
+        require_termination(mdp.with_(discount=1))
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_published_models_end_as_they_say(case) -> None:
+    mdp = model_of(case.n_states, case.pairs, case.discount)
+    if case.discount == 1:
+        assert termination(mdp).proven == case.proper
+
+
+@given(models(discounts=(F(1),)), st.data())
+def test_a_spoilt_rank_is_refused(rows: Rows, data: st.DataObject) -> None:
+    mdp = rows.model()
+    rank = termination(mdp).rank
+    assert check_rank(mdp, rank)
+    assert not check_rank(mdp, rank[1:])
+    if mdp.terminal.all():
+        return
+    spoilt = rank.copy()
+    # A state whose rank is the least of all has no successor of smaller rank.
+    spoilt[data.draw(st.sampled_from(np.flatnonzero(~mdp.terminal).tolist()))] = 0
+    assert not check_rank(mdp, spoilt)
+    lifted = rank.copy()
+    lifted[mdp.terminal] = 1
+    assert not check_rank(mdp, lifted)
+
+
+def test_the_policy_that_never_ends_is_named() -> None:
+    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes(rows, states=["left", "right", "end"], actions=["go", "stop"])
+    with pytest.raises(ModelError) as caught:
+        require_termination(mdp)
+    assert str(caught.value) == (
+        "discount 1 needs every policy to end, and one does not\n"
+        "  where: it stays for ever in (state left) with action go, (state right) with action go\n"
+        "  fix:   choose a discount below 1, or add a way out: a terminal state stays put and "
+        "earns 0"
+    )
+    require_termination(mdp.with_(discount="1/2"))
+
+
+def test_many_trapped_states_are_counted() -> None:
+    mdp = MDP.from_arrays([np.eye(9)], np.ones(9))
+    with pytest.raises(ModelError, match="and 5 more"):
+        require_termination(mdp)
+
+
+def test_networkx_graph_has_labels_and_probabilities() -> None:
+    mdp = MDP.from_arrays([[["1/4", "3/4"], [0, 1]], [[0, 1], [0, 1]]], [1, 0], states=["a", "b"])
+    graph = to_networkx(mdp)
+    assert graph.nodes["state b"]["terminal"]
+    assert graph.edges["state a", "state b"]["actions"] == {"0": 0.75, "1": 1.0}
+    assert not to_networkx(mdp, [1, 0]).has_edge("state a", "state a")
+    with pytest.raises(ModelError, match="not available"):
+        to_networkx(mdp, [2, 0])
+
+
+def test_a_thousand_subtasks_fall_level_by_level() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[1000]).compile()
+    levels = topological_levels(mdp)
+    assert levels is not None
+    assert mdp.n_states == 80_001
+    # Four further trials of each subtask, then the next.
+    assert levels.max() == 5000
+    assert check_rank(mdp, levels)
+    assert check_rank(mdp, termination(mdp).rank)

@@ -1,0 +1,169 @@
+"""The command `train`: its JSON, its files, and that nothing depends on how it is run."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import launch, run, strict
+
+from mdp import Policy, Scenario
+from solvers import evaluate
+
+QUICK = ("train", "yuan2025", "--epochs", "60", "--seeds", "20", "--json")
+
+
+@pytest.fixture(scope="module")
+def result() -> dict:
+    return run(*QUICK).result
+
+
+def test_the_keys_of_the_contract(result: dict) -> None:
+    assert result["seeds"] == 20
+    assert {"mean", "quantiles"} <= set(result["regret"])
+    assert 0 <= result["optimal_fraction"] <= 1
+    counts = [entry["count"] for entry in result["policies"]]
+    assert sum(counts) == 20
+    assert counts == sorted(counts, reverse=True)
+    assert result["claim"] == "estimated"
+    assert result["value_claim"] == "bounded"
+
+
+def test_values_and_regrets_are_exact(result: dict) -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    total = 0.0
+    for entry in result["policies"]:
+        found = evaluate(mdp, Policy.of(mdp, entry["policy"]))
+        assert abs(found.mean - entry["value"]) <= found.error_bound + entry["error_bound"]
+        assert entry["regret"] == pytest.approx(result["optimal_value"] - entry["value"], abs=1e-9)
+        total += entry["count"] * entry["regret"]
+    assert result["regret"]["mean"] == pytest.approx(total / 20)
+    low, high = result["regret"]["mean_interval"]
+    assert low < result["regret"]["mean"] < high
+    assert result["best_value_proven"]
+    assert result["best_value"] <= result["optimal_value"] + 1e-9
+
+
+def test_neither_workers_nor_an_interruption_change_a_byte(tmp_path: Path) -> None:
+    words = ("--epochs", "20", "--seeds", "40", "--seed", "7", "--json")
+    plain = run("train", "yuan2025", *words, "--jobs", 1)
+    assert plain.out == run("train", "yuan2025", *words, "--jobs", 3).out
+    few = ("--epochs", "20", "--seeds", "20", "--seed", "7", "--json")
+    assert run("train", "yuan2025", *few, "--out", tmp_path).status == 0
+    again = run("train", "yuan2025", *words, "--out", tmp_path)
+    assert again.result | {"written": []} == plain.result
+    assert again.result["seeds"] == 40
+    other = run("train", "yuan2025", *words[:-2], "8", "--json")
+    assert other.result["regret"] != plain.result["regret"]
+
+
+def test_the_files_can_be_used(tmp_path: Path) -> None:
+    done = run(*QUICK, "--out", tmp_path, "--seeds", 2, "--epsilon", "decaying")
+    names = {path.name for path in tmp_path.iterdir()}
+    written = {"summary.json", "policy.csv", "q.npy", "run.json"}
+    assert names == written | {"training.json", "runs-000000.npz"}
+    assert {Path(path).name for path in done.result["written"]} == written
+    assert strict((tmp_path / "summary.json").read_text()) == done.result
+    record = json.loads((tmp_path / "run.json").read_text())
+    assert record["seed"] == 0
+    assert "Exponential" in record["solver"]
+    first = done.result["policies"][0]
+    audit = run("check", "yuan2025", tmp_path / "policy.csv", "--json")
+    assert audit.result["learned_value"] == pytest.approx(first["value"])
+    q = np.load(tmp_path / "q.npy")
+    assert q.shape == (16, 4)
+    audit = run("evaluate", "yuan2025", tmp_path / "q.npy", "--json")
+    values = [entry["value"] for entry in done.result["policies"]]
+    assert min(abs(audit.result["mean"] - value) for value in values) < 1e-9
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--columns", "all"),
+        ("--columns", "trial, status", "--method", "sarsa"),
+        ("--method", "double-q-learning", "--ties", "random", "--initial", "100"),
+        ("--method", "expected-sarsa", "--rate", "1", "--rate-power", "0.7"),
+        ("--bootstrap-end", "--learning-discount", "9/10", "--epsilon", "0.3"),
+        ("--set", "readings.skip_timestep=own", "--discount", "0.95"),
+        ("--set", "tasks=[1,1]", "--max-steps", "3"),
+    ],
+    ids=" ".join,
+)
+def test_options(words: tuple[str, ...], tmp_path: Path) -> None:
+    found = run(*QUICK, "--seeds", 3, "--epochs", 10, "--out", tmp_path, *words).result
+    assert found["regret"]["mean"] >= 0
+    assert found["best_value"] <= found["optimal_value"] + 1e-9
+    if "--max-steps" in words:
+        assert found["cut_short"] > 0
+    policy = "q.npy" if "trial, status" not in words else "policy.csv"
+    mine = [word for word in words if word.startswith(("readings", "tasks"))]
+    changes = [piece for word in mine for piece in ("--set", word)]
+    assert run("evaluate", "yuan2025", tmp_path / policy, *changes, "--json").status == 0
+
+
+def test_any_model_can_be_learned() -> None:
+    words = ("--discount", "0.99", "--learning-discount", "0.99", "--max-steps", "200")
+    done = run(
+        "train", "gymnasium:CliffWalking-v1", *words, "--seeds", 4, "--epochs", 100, "--json"
+    )
+    assert done.result["columns"] == ["state"]
+    assert done.result["regret"]["mean"] < 10
+
+
+def test_it_explains_the_least_stable_status() -> None:
+    found = run(*QUICK, "--epochs", 600, "--explain").result["unstable"]
+    assert found["row"] == "status 0000"
+    assert sum(entry["observed"] for entry in found["actions"].values()) == pytest.approx(1)
+    assert found["actions"]["non-directive"]["gap"] == 0
+    for entry in found["actions"].values():
+        assert entry["noise"] > 4
+    assert 0 <= found["distance"]["switching"] <= 1
+
+
+def test_people_get_a_table() -> None:
+    done = run(*QUICK[:-1], "--seeds", 4)
+    assert done.status == 0
+    for words in ("mean regret", "runs that end optimal", "policies are greedy", "95 %"):
+        assert words in done.out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--epsilon", "falling"), "not a finite rational"),
+        (("--epsilon", "1.5"), "between 0 and 1"),
+        (("--seeds", "0"), "--seeds"),
+        (("--seed", "-1"), "--seed"),
+        (("--epochs", "many"), "--epochs"),
+        (("--method", "q"), "method"),
+        (("--columns", "state"), "unknown state column"),
+        (("--learning-discount", "2"), "outside [0, 1]"),
+        (("--jobs", "0"), "--jobs"),
+        (("--rate", "2"), "between 0 and 1"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_bad_options_are_refused(words: tuple[str, ...], message: str) -> None:
+    done = run(*QUICK, *words)
+    assert (done.status, done.out) == (2, "")
+    assert message in done.err
+    assert "fix:" in done.err
+
+
+def test_a_model_that_cannot_be_judged_is_refused_before_the_work() -> None:
+    done = run("train", "gymnasium:CliffWalking-v1", "--epochs", 10**9, "--json")
+    assert (done.status, done.out) == (2, "")
+
+
+def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path) -> None:
+    assert run(*QUICK, "--seeds", 1, "--out", tmp_path).status == 0
+    done = run(*QUICK, "--seeds", 1, "--out", tmp_path, "--seed", 1)
+    assert (done.status, done.out) == (2, "")
+    assert "differs in seed" in done.err
+
+
+def test_the_installed_program_prints_json_alone() -> None:
+    done = launch(*QUICK, "--seeds", 1)
+    assert (done.status, done.err) == (0, "")
+    assert strict(done.out)["seeds"] == 1

@@ -1,0 +1,192 @@
+"""The Gymnasium environments: their interface, their law, and a learner that is not ours."""
+
+import subprocess
+import sys
+import tomllib
+from collections import Counter
+from importlib import import_module
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import oracle
+import pytest
+from gymnasium.utils.env_checker import check_env
+from scipy.stats import chisquare
+
+from mdp import MDP, ModelError, Policy, Scenario
+from mdp.environment import YUAN2025, MDPEnv, ScenarioEnv
+from solvers import evaluate, solve
+
+ROOT = Path(__file__).resolve().parent.parent
+READINGS = [{}, {"skip_timestep": "own"}, {"task_bonus": "no-subtask-skipped"}]
+
+
+@pytest.mark.parametrize("readings", READINGS, ids=str)
+@pytest.mark.parametrize("columns", [("status",), ("subtask", "trial", "status")])
+def test_gymnasium_accepts_the_scenario(readings: dict[str, str], columns: tuple[str, ...]) -> None:
+    env = gymnasium.make(
+        f"mdp.environment:{YUAN2025}", readings=readings, columns=columns, render_mode="ansi"
+    )
+    check_env(env.unwrapped)
+
+
+def test_gymnasium_accepts_a_model() -> None:
+    check_env(MDPEnv(Scenario.load("tea").compile()), skip_render_check=True)
+
+
+def test_it_is_made_by_its_name() -> None:
+    env = gymnasium.make(f"mdp.environment:{YUAN2025}", tasks=[3, 1], columns=("trial", "status"))
+    assert env.observation_space.n == 80
+    assert env.unwrapped.scenario.tasks == (3, 1)
+    _, info = env.reset(seed=1)
+    assert info["state"] == "subtask 0, trial 0, status 0000"
+
+
+def test_the_entry_point_registers_it() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    points = project["entry-points"]["gymnasium.envs"]
+    module, _, function = points["exact_mdp"].partition(":")
+    gymnasium.registry.pop(YUAN2025)
+    getattr(import_module(module), function)()
+    assert YUAN2025 in gymnasium.registry
+
+
+def test_without_gymnasium_the_error_names_the_extra() -> None:
+    code = (
+        "import sys; sys.modules['gymnasium'] = None\n"
+        "from mdp.errors import ModelError\n"
+        "try:\n    import mdp.environment\n"
+        "except ModelError as error:\n    print(error.fix)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert "exact-mdp[gymnasium]" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_a_step_follows_the_law_of_the_care_model(number: int) -> None:
+    """Against the independent implementation: next status, reward and skip together."""
+    readings = {"status_cost": "current", "max_trial_rule": "at"}
+    care = oracle.Oracle(readings, max_trial=1)
+    expected: Counter[tuple[str, float]] = Counter()
+    state = (0, 0, 1, (1, 0, 1, 0))
+    for chance, following, rewards, _ in care.outcomes(state, oracle.ACTIONS[number]):
+        label = "".join(map(str, following[3])) if following != oracle.END else "end"
+        expected[label, float(sum(rewards.values()))] += float(chance)
+    env = ScenarioEnv(readings=readings, max_trial=1)
+    env.reset(seed=10 + number)
+    found: Counter[tuple[str, float]] = Counter()
+    begin = env.mdp.space.index(subtask=0, trial=0, status=0b1010)
+    for _ in range(6000):
+        env.state = begin
+        seen, reward, over, _, info = env.step(np.int64(number))
+        assert not over
+        assert info["state"].endswith(env.observed.columns[0].label(int(seen)))
+        found[info["state"][-4:], reward] += 1
+    assert set(found) <= set(expected)
+    keys = sorted(expected)
+    test = chisquare([found[key] for key in keys], [6000 * expected[key] for key in keys])
+    assert test.pvalue > 1e-4
+
+
+@pytest.mark.parametrize("readings", READINGS, ids=str)
+def test_episodes_have_the_exact_means(readings: dict[str, str]) -> None:
+    env = ScenarioEnv(readings=readings)
+    exact = evaluate(env.mdp, "random")
+    returns, steps, skips, parts = [], [], [], []
+    env.action_space.seed(0)
+    for episode in range(1500):
+        env.reset(seed=7 if episode == 0 else None)
+        total, count, skipped, pieces, over = 0.0, 0, False, 0.0, False
+        while not over:
+            _, reward, over, _, info = env.step(env.action_space.sample())
+            total, count = total + reward, count + info["timesteps"]
+            skipped |= "skip" in info["events"]
+            pieces += sum(info["components"].values())
+        returns.append(total)
+        steps.append(count)
+        skips.append(skipped)
+        parts.append(pieces)
+    for found, mean in (
+        (returns, exact.mean),
+        (steps, exact.steps),
+        (skips, exact.skip_probability),
+        (parts, exact.mean),
+    ):
+        assert abs(np.mean(found) - mean) < 4 * np.std(found) / np.sqrt(len(found))
+
+
+def test_the_same_seed_gives_the_same_episode() -> None:
+    def episode(seed: int) -> list[tuple[int, float]]:
+        env = ScenarioEnv()
+        env.reset(seed=seed)
+        return [env.step(np.int64(2))[:2] for _ in range(3)]
+
+    assert episode(0) == episode(0)
+    assert any(episode(seed) != episode(0) for seed in range(1, 5))
+
+
+def test_an_action_that_is_not_offered_is_refused() -> None:
+    rows = [(0, 0, [(1, 1, 0)]), (0, 2, [(1, 2, 1)]), (1, 0, [(1, 2, 5)]), (1, 1, [(1, 2, 7)])]
+    env = MDPEnv(MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]))
+    _, info = env.reset()
+    assert info["action_mask"].tolist() == [1, 0, 1]
+    with pytest.raises(ModelError, match="not available"):
+        env.step(np.int64(1))
+    with pytest.raises(ModelError, match="not available"):
+        env.step(np.int64(3))
+    assert env.step(np.int64(0))[:4] == (1, 0.0, False, False)
+    assert env.step(np.int64(1))[:4] == (2, 7.0, True, False)
+
+
+def test_forced_states_are_passed_through_with_their_discounted_rewards() -> None:
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 0, 0)]), (1, 0, [(1, 2, 8)]), (2, 1, [(1, 3, 16)])]
+    mdp = MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], discount="1/2")
+    env = MDPEnv(mdp, pass_forced=True)
+    env.reset()
+    seen, reward, over, _, info = env.step(np.int64(0))
+    assert (seen, reward, over, info["timesteps"]) == (3, 1 + 8 / 2 + 16 / 4, True, 3)
+    asked = MDPEnv(mdp)
+    asked.reset()
+    assert asked.step(np.int64(0))[:2] == (1, 1.0)
+    assert asked.step(np.int64(1))[:2] == (2, 8.0)
+
+
+def test_a_circle_of_forced_states_is_left_again() -> None:
+    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 0, 0)]), (1, 0, [(1, 2, 1)]), (2, 0, [(1, 1, 1)])]
+    env = MDPEnv(MDP.from_outcomes(rows, discount="1/2"), pass_forced=True)
+    env.reset()
+    assert not env.step(np.int64(0))[2]
+
+
+def test_starts_are_drawn_from_the_start_distribution() -> None:
+    rows = [(state, 0, [(1, 2, 0)]) for state in range(3)]
+    env = MDPEnv(MDP.from_outcomes(rows, start={0: "1/4", 1: "3/4"}))
+    env.reset(seed=3)
+    share = np.mean([env.reset()[0] for _ in range(2000)])
+    assert abs(share - 0.75) < 4 * np.sqrt(0.75 * 0.25 / 2000)
+
+
+def test_an_unknown_render_mode_is_refused() -> None:
+    with pytest.raises(ModelError, match="render mode"):
+        ScenarioEnv(render_mode="human")
+
+
+def test_a_learner_from_elsewhere_learns_in_it() -> None:
+    """Plain Q-learning over what the environment shows, written against Gymnasium's API alone."""
+    env = gymnasium.make(f"mdp.environment:{YUAN2025}", tasks=[1])
+    q = np.zeros((env.observation_space.n, env.action_space.n))
+    draw = np.random.default_rng(0)
+    env.reset(seed=0)
+    for _ in range(4000):
+        seen, over = env.reset()[0], False
+        while not over:
+            greedy = draw.random() >= 0.2
+            action = np.int64(q[seen].argmax() if greedy else draw.integers(len(q[0])))
+            following, reward, over, _, _ = env.step(action)
+            target = reward + (0.0 if over else 0.95 * q[following].max())
+            q[seen, action] += 0.05 * (target - q[seen, action])
+            seen = following
+    mdp = env.unwrapped.mdp
+    learned = evaluate(mdp, Policy.from_q(mdp, q)).mean
+    assert evaluate(mdp, "random").mean + 10 < learned <= solve(mdp).start_value + 1e-9

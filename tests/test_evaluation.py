@@ -1,0 +1,288 @@
+"""Mean, spread, components, steps, visits and events of a policy, against exact arithmetic."""
+
+from __future__ import annotations
+
+from fractions import Fraction as F
+from itertools import product
+from math import inf
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from oracle import READINGS
+from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
+
+from mdp import MDP, ModelError, Policy, Scenario
+from solvers import Claim, PolicyIteration, solve
+from solvers.evaluation import evaluate
+from solvers.solution import Bounded
+from solvers.visits import occupancy
+
+POLICIES = (careful, uniform, directive)
+SAMPLE = [
+    dict(zip(READINGS, options, strict=True))
+    for options in Random(5).sample(list(product(*READINGS.values())), 12)
+]
+
+
+def within(found: Bounded, exact: F) -> bool:
+    return abs(F(found.value) - exact) <= F(found.error)
+
+
+@settings(deadline=None)
+@given(cases())
+def test_every_number_lies_within_its_error_bound(case: Case) -> None:
+    if case.discount == 1 and not case.ends:
+        with pytest.raises(ModelError, match="discount 1 needs a policy that ends"):
+            evaluate(case.model, case.weights)
+        return
+    found = evaluate(case.model, case.weights)
+    for s in range(case.n_states):
+        if s in case.live or s in case.terminal:
+            assert abs(F(found.value[s]) - case.value[s]) <= F(found.value_error[s])
+        else:
+            assert np.isnan(found.value[s])
+            assert found.value_error[s] == inf
+    numbers = found.numbers
+    assert within(numbers["mean"], case.mean(case.value))
+    assert within(numbers["variance"], case.total_variance)
+    least, most = numbers["sd"].interval
+    assert max(F(least), 0) ** 2 <= case.total_variance <= F(most) ** 2
+    assert within(numbers["event.hit"], case.hit)
+    assert numbers["event.miss"].value == 0.0
+    assert numbers["event.miss"].error < 1e-200
+    assert found.ends == case.ends
+    if case.ends:
+        assert within(numbers["steps"], case.steps)
+    else:
+        assert found.steps == inf
+    # The bounds mean something: they are near what double precision can do.
+    size = max(abs(r) for row in case.rows.values() for _, _, r, _ in row)
+    longest = 1 + sum(abs(x) for x in case.value.values()) + size
+    assert found.error_bound <= 1e-9 * longest * max(1, found.steps if case.ends else 10_000)
+
+
+@settings(deadline=None, max_examples=50)
+@given(cases())
+def test_visits_are_the_references(case: Case) -> None:
+    if case.discount == 1 and not case.ends:
+        with pytest.raises(ModelError, match="discount 1"):
+            occupancy(case.model, case.weights)
+        return
+    mdp, found = case.model, evaluate(case.model, case.weights)
+    discounted = case.visits(case.discount, case.live)
+    wanted = np.array([float(discounted[s]) for s in range(case.n_states)])
+    rest = 0.0 if case.discount == 1 else float(1 / (1 - case.discount))
+    wanted[sorted(case.terminal)] *= rest
+    np.testing.assert_allclose(
+        np.add.reduceat(found.occupancy, mdp.pair_offsets[:-1]), wanted, rtol=1e-7, atol=1e-9
+    )
+    assert occupancy(mdp, case.weights).tolist() == found.occupancy.tolist()
+    if case.discount < 1 and not case.floats:
+        assert found.occupancy.sum() == pytest.approx(float(1 / (1 - case.discount)))
+    if case.ends:
+        exact = case.visits(F(1), case.ending - case.terminal)
+        own = [float(exact[s]) for s in range(case.n_states)]
+        np.testing.assert_allclose(found.visits, own, rtol=1e-7, atol=1e-9)
+        assert found.visits[mdp.terminal].sum() == pytest.approx(1)
+        assert found.visits[~mdp.terminal].sum() == pytest.approx(found.steps)
+    else:
+        assert found.visits.tolist() == found._discounted.value.tolist()
+
+
+@pytest.mark.parametrize("discount", [F(1), F(19, 20)])
+@pytest.mark.parametrize("number", range(len(SAMPLE)))
+def test_the_care_model_is_the_oracles(number: int, discount: F) -> None:
+    readings, policy = SAMPLE[number], POLICIES[number % 3]
+    mdp, oracle = care(readings, [1, 1], discount)
+    found, wanted = evaluate(mdp, policy_of(mdp, policy)), oracle.evaluate(policy, False)
+    numbers = found.numbers
+    for name in ("mean", "variance", "steps"):
+        assert within(numbers[name], wanted[name]), name
+    assert within(numbers["event.skip"], wanted["skip_probability"])
+    assert found.skip_probability == found.event_probability["skip"]
+    assert list(found.components) == list(wanted["components"])
+    for name, exact in wanted["components"].items():
+        # The model's component of a pair is itself rounded once.
+        assert within(numbers[f"component.{name}"], exact), name
+    assert sum(found.components.values()) == pytest.approx(found.mean, abs=1e-10)
+    assert found.claim is Claim.BOUNDED
+    assert found.error_bound < 1e-10
+
+
+def test_the_papers_model_is_the_oracles() -> None:
+    mdp, oracle = care({}, [3], max_trial=5)
+    wanted = oracle.evaluate(uniform, distribution=False)
+    numbers = evaluate(mdp, "random").numbers
+    assert within(numbers["mean"], wanted["mean"])
+    assert within(numbers["variance"], wanted["variance"])
+
+
+def test_quantiles_are_the_oracles() -> None:
+    mdp, oracle = care({}, [1, 1], max_trial=3)
+    found, wanted = evaluate(mdp, "always:directive"), oracle.evaluate(directive)
+    spread = sorted(wanted["distribution"].items())
+    assert found.quantiles is not None
+    for share, value in found.quantiles.items():
+        least = next(
+            x for i, (x, _) in enumerate(spread) if sum(p for _, p in spread[: i + 1]) >= F(share)
+        )
+        assert value == least
+
+
+def two_rewards() -> MDP:
+    """To the same next state with 1/2 or with -1: the reward says what the state does not."""
+    rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, -1)]), (1, 0, [(1, 1, 0)])]
+    return MDP.from_outcomes(rows)
+
+
+def test_rewards_that_differ_on_the_way_to_the_same_state_count() -> None:
+    found = evaluate(two_rewards(), "random")
+    assert found.mean == -0.25
+    assert found.start_variance == 0.5625
+    assert found.sd == 0.75
+    assert found.variance.tolist() == [0.5625, 0.0]
+
+
+def test_the_spread_between_start_states_counts() -> None:
+    rows = [(0, 0, [(1, 2, 10)]), (1, 0, [(1, 2, 20)]), (2, 0, [(1, 2, 0)])]
+    found = evaluate(MDP.from_outcomes(rows, start={0: "1/2", 1: "1/2"}), "random")
+    assert (found.mean, found.sd) == (15.0, 5.0)
+    assert found.variance.tolist() == [0.0, 0.0, 0.0]
+    assert found.visits.tolist() == [0.5, 0.5, 1.0]
+
+
+def test_a_large_mean_does_not_drown_a_small_spread() -> None:
+    rows = [
+        (0, 0, [(1, 1, 10**9)]),
+        (1, 0, [("1/2", 2, "1/1000"), ("1/2", 2, "-1/1000")]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    found = evaluate(MDP.from_outcomes(rows), "random")
+    assert found.sd == pytest.approx(1e-3, rel=1e-3)
+
+
+WAITING = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+GOING = [["1/2", 0, "1/2"], [0, "1/2", "1/2"], [0, 0, 1]]
+
+
+def test_a_policy_that_ends_may_be_evaluated_where_others_never_do() -> None:
+    mdp = MDP.from_arrays([WAITING, GOING], [[-1, -2], [-1, -3], [0, 0]])
+    found = evaluate(mdp, [1, 1, 0])
+    assert found.value.tolist() == [-4.0, -6.0, 0.0]
+    assert found.ends
+
+
+def test_a_policy_that_never_ends_is_refused_by_name() -> None:
+    mdp = MDP.from_arrays(
+        [WAITING, GOING],
+        [[-1, -2], [-1, -3], [0, 0]],
+        actions=["wait", "go"],
+        states=["hall", "stairs", "out"],
+    )
+    with pytest.raises(ModelError) as caught:
+        evaluate(mdp, [0, 1, 0])
+    assert "hall" in caught.value.where
+    assert "wait" in caught.value.where
+    assert "discount below 1" in caught.value.fix
+    assert evaluate(mdp.with_(discount="1/2"), [0, 1, 0]).mean == -2.0
+
+
+def test_where_no_episode_comes_a_policy_need_not_end() -> None:
+    mdp = MDP.from_arrays([WAITING, GOING], [[-1, -2], [-1, -3], [0, 0]])
+    found = evaluate(mdp, [1, 0, 0])
+    assert found.value[0] == -4.0
+    assert np.isnan(found.value[1])
+    assert np.isnan(found.variance).tolist() == [False, True, False]
+    assert found.chain.ends.tolist() == [True, False, True]
+    assert (found.mean, found.sd, found.steps) == (-4.0, pytest.approx(8**0.5), 2.0)
+    assert found.visits.tolist() == [2.0, 0.0, 1.0]
+
+
+def test_quantiles_say_why_they_are_missing() -> None:
+    found = evaluate(two_rewards().with_(discount="9/10"), "random")
+    assert found.quantiles is None
+    assert "9/10" in found.quantiles_missing
+    found = evaluate(two_rewards(), "random")
+    assert found.quantiles == {0.05: -1.0, 0.25: -1.0, 0.5: -1.0, 0.75: 0.5, 0.95: 0.5}
+    assert found.quantiles_missing == ""
+
+
+def test_a_policy_may_come_in_any_form() -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    choices = np.full(mdp.n_states, mdp.action("directive"))
+    choices[-1] = 0
+    wanted = evaluate(mdp, "always:directive").mean
+    for policy in (choices, Policy.from_choices(mdp, choices), Policy.uniform(mdp)):
+        weights = Policy.of(mdp, policy).weights(mdp)
+        assert evaluate(mdp, policy).mean == evaluate(mdp, weights).mean
+    assert evaluate(mdp, choices).mean == wanted
+    solution = solve(mdp, PolicyIteration())
+    assert evaluate(mdp, solution).mean == pytest.approx(solution.start_value, abs=1e-10)
+    chain = evaluate(mdp, "random").chain
+    assert evaluate(mdp, chain).mean == evaluate(mdp, "random").mean
+
+
+@pytest.mark.parametrize(
+    ("weights", "what"),
+    [
+        ([1.0], "shape"),
+        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], "sum to 2"),
+        ([1.5, -0.5, 1.0, 0.0, 1.0, 0.0], "negative"),
+        ([np.nan, 0.5, 1.0, 0.0, 1.0, 0.0], "nan"),
+    ],
+)
+def test_pair_weights_that_are_no_policy_are_refused(weights: list[float], what: str) -> None:
+    mdp = MDP.from_arrays([WAITING, GOING], [[-1, -2], [-1, -3], [0, 0]], discount="1/2")
+    with pytest.raises(ModelError, match=what):
+        evaluate(mdp, np.array(weights))
+
+
+def test_a_chain_of_another_model_is_refused() -> None:
+    chain = evaluate(two_rewards(), "random").chain
+    with pytest.raises(ModelError, match="another model"):
+        evaluate(two_rewards(), chain)
+
+
+def test_a_model_that_starts_at_its_end_is_worth_nothing() -> None:
+    found = evaluate(MDP.from_outcomes([(0, 0, [(1, 0, 0)])]), "random")
+    assert (found.mean, found.sd, found.steps, found.error_bound) == (0.0, 0.0, 0.0, 0.0)
+    assert found.components == {"reward": 0.0}
+    assert found.quantiles == dict.fromkeys((0.05, 0.25, 0.5, 0.75, 0.95), 0.0)
+    assert found.skip_probability is None
+
+
+@settings(deadline=None, max_examples=25)
+@given(cases(discounts=(F(1, 2), F(19, 20))))
+def test_the_occupancy_gives_the_mean_back(case: Case) -> None:
+    found = evaluate(case.model, case.weights)
+    size = np.abs(case.model.reward) @ found.occupancy
+    assert found.occupancy @ case.model.reward == pytest.approx(found.mean, abs=1e-9 * (1 + size))
+
+
+def test_large_models_with_cycles_agree_with_the_solvers() -> None:
+    side = 25  # over 500 states: solved by iteration, not by elimination
+
+    def cell(row: int, column: int) -> int:
+        return min(max(row, 0), side - 1) * side + min(max(column, 0), side - 1)
+
+    rows = []
+    for row, column in product(range(side), repeat=2):
+        near = [cell(row + x, column + y) for x, y in ((0, 1), (1, 0), (0, -1), (-1, 0))]
+        here = cell(row, column)
+        if here == side * side - 1:
+            rows.append((here, 0, [(1, here, 0)]))
+            continue
+        for a in range(4):
+            slips = [(F(7, 10) if b == a else F(1, 10), near[b], -1) for b in range(4)]
+            rows.append((here, a, slips))
+    mdp = MDP.from_outcomes(rows)
+    found = evaluate(mdp, "random")
+    assert found.chain.order is None
+    assert abs(found.mean + found.steps) <= found.error_bound + found.numbers["steps"].error
+    assert found.error_bound < 1e-6
+    solution = solve(mdp.with_(discount="9/10"))
+    again = evaluate(solution.mdp, solution)
+    assert (np.abs(again.value - solution.value) <= again.value_error + solution.state_error).all()
+    assert again.occupancy @ solution.mdp.reward == pytest.approx(again.mean, abs=1e-9)

@@ -1,0 +1,284 @@
+"""Models from Gymnasium, against value iteration on the environment's own table."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mdp import MDP, ModelError, Policy
+from mdp.load import load
+
+IDS = ("FrozenLake-v1", "FrozenLake8x8-v1", "CliffWalking-v1", "CliffWalkingSlippery-v1", "Taxi-v4")
+Table = Mapping[int, Mapping[int, list[tuple[float, int, float, bool]]]]
+
+
+def values_of(table: Table, discount: float, sweeps: int) -> tuple[Any, Any]:
+    """Optimal values and action values of all numbered states, straight from `P`."""
+    flat = [
+        (s, a, p, n, r, not over) for s in table for a in table[s] for p, n, r, over in table[s][a]
+    ]
+    s, a, p, n, r, alive = (np.array(column) for column in zip(*flat, strict=True))
+    value = np.zeros(len(table))
+    action_values = np.zeros((len(table), int(a.max()) + 1))
+    for _ in range(sweeps):
+        action_values[:] = 0
+        np.add.at(action_values, (s, a), p * (r + discount * alive * value[n]))
+        value = action_values.max(axis=1)
+    return value, action_values
+
+
+def solve_by_sweeps(mdp: MDP, sweeps: int) -> Any:
+    value = np.zeros(mdp.n_states)
+    for _ in range(sweeps):
+        value = np.maximum.reduceat(mdp.backup(value), mdp.pair_offsets[:-1])
+    return value
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_values_are_those_of_the_environments_table(name: str) -> None:
+    env = gymnasium.make(name)
+    mdp = MDP.from_gymnasium(env, 0.9)
+    table = env.unwrapped.P  # type: ignore[attr-defined]
+    wanted, _ = values_of(table, 0.9, 400)
+    found = solve_by_sweeps(mdp, 400)[: len(table)]
+    ends = mdp.terminal[: len(table)]
+    assert found[~ends] == pytest.approx(wanted[~ends], abs=1e-12)
+    assert (found[ends] == 0).all()
+    start = env.unwrapped.initial_state_distrib  # type: ignore[attr-defined]
+    assert mdp.start_distribution[: len(table)] == pytest.approx(np.asarray(start))
+    assert mdp.name == name
+
+
+def test_known_values() -> None:
+    """FrozenLake's 0.542 at discount 0.99; CliffWalking's 13 steps along the edge of the cliff."""
+    lake = MDP.from_gymnasium("FrozenLake-v1", 0.99)
+    assert solve_by_sweeps(lake, 3000)[0] == pytest.approx(0.5420259)
+    assert (lake.n_states, lake.n_actions) == (16, 4)
+    cliff = MDP.from_gymnasium("CliffWalking-v1", "99/100")
+    assert solve_by_sweeps(cliff, 100)[36] == pytest.approx(-(1 - 0.99**13) / 0.01)
+    assert cliff.start == ((36, Fraction(1)),)
+    assert np.flatnonzero(cliff.terminal).tolist() == [47]
+
+
+def test_a_discount_of_one_sums_the_rewards() -> None:
+    assert MDP.from_gymnasium("CliffWalking-v1").discount_exact == 1
+    value = solve_by_sweeps(MDP.from_gymnasium("CliffWalking-v1"), 100)
+    assert value[36] == -13
+
+
+def test_ends_without_reward_replace_what_the_table_lists_there() -> None:
+    lake = MDP.from_gymnasium("FrozenLake-v1")
+    assert np.flatnonzero(lake.terminal).tolist() == [5, 7, 11, 12, 15]
+    assert lake.forced.tolist() == lake.terminal.tolist()
+    # the table goes on from the goal of CliffWalking: up for -1, left over the cliff for -100
+    cliff = MDP.from_gymnasium("CliffWalking-v1")
+    assert cliff.table.row(cliff.pair_offsets[47]) == [(1, 47, 0)]
+
+
+def test_taxi_has_an_end_of_its_own() -> None:
+    """Its four drop-off states are entered alive as well, so they must stay what they are."""
+    env = gymnasium.make("Taxi-v4")
+    mdp = MDP.from_gymnasium(env, 0.9)
+    assert (mdp.n_states, mdp.n_actions, mdp.space.label(500)) == (501, 6, "end")
+    assert np.flatnonzero(mdp.terminal).tolist() == [500]
+    dropped = env.unwrapped.encode(0, 0, 4, 0)  # type: ignore[attr-defined]
+    assert mdp.table.row(mdp.pair(dropped, 5)) == [(1, 500, 20)]
+    assert len(mdp.start) == 300
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_q_table_of_the_environments_shape_is_a_policy(name: str) -> None:
+    env = gymnasium.make(name)
+    table = env.unwrapped.P  # type: ignore[attr-defined]
+    _, action_values = values_of(table, 0.9, 300)
+    assert action_values.shape == (env.observation_space.n, env.action_space.n)  # type: ignore
+    mdp = MDP.from_gymnasium(env, 0.9)
+    greedy = action_values.argmax(axis=1)
+    for policy in (Policy.from_q(mdp, action_values), Policy.of(mdp, greedy)):
+        chosen = policy.choices(mdp)[: len(table)]
+        free = ~mdp.forced[: len(table)]
+        assert chosen[free].tolist() == greedy[free].tolist()
+
+
+def test_wrapped_environments_and_ids_are_the_same() -> None:
+    bare = gymnasium.make("FrozenLake-v1", is_slippery=False).unwrapped
+    wrapped = gymnasium.wrappers.TimeLimit(bare, 7)
+    models = [MDP.from_gymnasium(env, 0.9) for env in (bare, wrapped)]
+    assert models[0].transition.toarray().tolist() == models[1].transition.toarray().tolist()
+    slippery = MDP.from_gymnasium("FrozenLake-v1", 0.9)
+    assert slippery.n_transitions > models[0].n_transitions
+    assert load("gymnasium:FrozenLake-v1", discount="0.9").mdp.reward.tolist() == (
+        slippery.reward.tolist()
+    )
+
+
+def test_maps_of_ones_own() -> None:
+    env = gymnasium.make("FrozenLake-v1", desc=["SFH", "FHG", "FFF"], is_slippery=True)
+    mdp = MDP.from_gymnasium(env, 0.9)
+    assert np.flatnonzero(mdp.terminal).tolist() == [2, 4, 5]
+    wanted, _ = values_of(env.unwrapped.P, 0.9, 400)  # type: ignore[attr-defined]
+    assert solve_by_sweeps(mdp, 400) == pytest.approx(wanted, abs=1e-12)
+
+
+# ---- tables of one's own -----------------------------------------------------------------------
+
+
+class Env:
+    """As little of an environment as a model needs."""
+
+    def __init__(self, table: Any, start: Any = (1,)) -> None:
+        self.P = table
+        self.initial_state_distrib = start
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> tuple[Table, list[float]]:
+    """Tables with terminated outcomes anywhere: into states with moves, with starts, with none."""
+    states, actions = draw(st.integers(1, 5)), draw(st.integers(1, 3))
+    outcome = st.tuples(st.integers(0, states - 1), st.integers(-3, 3), st.booleans())
+    table: dict[int, dict[int, Any]] = {}
+    for state in range(states):
+        if draw(st.booleans()):
+            over = draw(st.booleans())
+            table[state] = {a: [(1.0, state, 0, over)] for a in range(actions)}
+            continue
+        table[state] = {}
+        for action in range(actions):
+            listed = draw(st.lists(outcome, min_size=1, max_size=4))
+            table[state][action] = [(1 / len(listed), *rest) for rest in listed]
+    weights = [draw(st.integers(0, 3)) for _ in range(states)]
+    weights[draw(st.integers(0, states - 1))] += 1
+    return table, [weight / sum(weights) for weight in weights]
+
+
+@given(tables())
+def test_any_table_keeps_its_values(given: tuple[Table, list[float]]) -> None:
+    """Every state that can be alive has the value that an episode in the table has."""
+    table, start = given
+    mdp = MDP.from_gymnasium(Env(table, start), 0.5)
+    wanted, _ = values_of(table, 0.5, 60)
+    found = solve_by_sweeps(mdp, 60)
+    kept = {state for state in table if not mdp.terminal[state]}
+    for state in kept:
+        assert found[state] == pytest.approx(wanted[state], abs=1e-12)
+    starts = {state for state, weight in enumerate(start) if weight > 0}
+    for state in starts:
+        assert found[state] == pytest.approx(wanted[state], abs=1e-12)
+    # a state that was made an end is one that no episode is alive in
+    reached = set(starts)
+    while True:
+        more = {
+            n
+            for s in reached
+            for outcomes in table[s].values()
+            for _, n, _, over in outcomes
+            if not over
+        }
+        if more <= reached:
+            break
+        reached |= more
+    for state in reached:
+        assert found[state] == pytest.approx(wanted[state], abs=1e-12)
+    assert mdp.n_states in (len(table), len(table) + 1)
+    assert mdp.start_distribution[: len(table)] == pytest.approx(start)
+
+
+def test_lists_serve_as_well_as_dictionaries() -> None:
+    table = [[[(1, 1, 5, False)], [("1/3", 0, 0, False), ("2/3", 1, 2, True)]], [[(1, 1, 0, True)]]]
+    mdp = MDP.from_gymnasium(Env(table, [1, 0]), "1/2", actions=["go", "try"], name="list")
+    assert mdp.table.row(1) == [(Fraction(1, 3), 0, 0), (Fraction(2, 3), 1, 2)]
+    assert (mdp.name, mdp.actions, mdp.n_states) == ("list", ("go", "try"), 2)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    table = {
+        np.int64(0): {np.int32(0): [(np.float64(1), np.int64(1), np.float32(0.5), np.True_)]},
+        1: {0: [(1, 1, 0, np.False_)]},
+    }
+    mdp = MDP.from_gymnasium(Env(table, np.array([1.0, 0])))
+    assert mdp.reward.tolist() == [0.5, 0]
+
+
+def test_equal_outcomes_are_merged() -> None:
+    table = {0: {0: [(0.25, 0, 1, False), (0.25, 0, 1, False), (0.5, 0, 2, False)]}}
+    mdp = MDP.from_gymnasium(Env(table), 0.5)
+    assert mdp.table.row(0) == [(Fraction(1, 2), 0, 1), (Fraction(1, 2), 0, 2)]
+
+
+def test_a_start_can_be_given() -> None:
+    table = {0: {0: [(1, 1, 1, True)]}, 1: {0: [(1, 0, 9, False)]}}
+    with pytest.raises(ModelError, match="no initial_state_distrib"):
+        MDP.from_gymnasium(Env(table, None))
+    assert MDP.from_gymnasium(Env(table, None), start=0).n_states == 2
+    # an episode that starts in state 1 is alive there: now the end must be another state
+    mdp = MDP.from_gymnasium(Env(table, None), start={1: "1/2", 0: "1/2"})
+    assert mdp.n_states == 3
+    assert mdp.table.row(1) == [(1, 0, 9)]
+
+
+@pytest.mark.parametrize(
+    ("table", "start", "message"),
+    [
+        (None, [1], "does not expose its model"),
+        (3, [1], "int found where a list"),
+        ({}, [], "without state-action pairs"),
+        ({0: {}}, [], "without state-action pairs"),
+        ({0: {0: []}}, [1], "sum to 0, not 1"),
+        ({0: {0: [(1, 0, 0)]}}, [1], "an outcome is (1, 0, 0)"),
+        ({0: {0: [(1, 0, 0, "no")]}}, [1], "an outcome is"),
+        ({0: {0: [(1, 0.0, 0, False)]}}, [1], "an outcome is"),
+        ({0: {0: [7]}}, [1], "int found where a list"),
+        ({0: {0: 7}}, [1], "int found where a list"),
+        ({0: {0: [(1, 1, 0, False)]}}, [1], "next state 1 is outside"),
+        ({0: {0: [(1, -1, 0, False)]}}, [1], "next state -1 is outside"),
+        ({0: {0: [(1, 0, 0, False)]}, 2: {0: [(1, 0, 0, True)]}}, [1, 0, 0], "without action"),
+        ({"a": {0: [(1, 0, 0, False)]}}, [1], "the key 'a'"),
+        ({0: {"left": [(1, 0, 0, False)]}}, [1], "the key 'left'"),
+        ({-1: {0: [(1, 0, 0, False)]}}, [1], "the key -1"),
+        ({0: {0: [(0.9, 0, 0, False)]}}, [1], "sum to 0.9, not 1"),
+        ({0: {0: [(1.5, 0, 0, False), (-0.5, 0, 1, False)]}}, [1], "a probability is -0.5"),
+        ({0: {0: [(1.0, 0, float("nan"), False)]}}, [1], "a reward is nan"),
+        ({0: {0: [("x", 0, 0, False)]}}, [1], "not a finite rational"),
+        ({0: {0: [(1, 0, 0, False)]}}, [0.5, 0.5], "2 entries for 1 states"),
+        ({0: {0: [(1, 0, 0, False)]}}, [0.5], "start probabilities sum to 0.5"),
+        ({0: {0: [(1, 0, 0, False)]}}, ["x"], "not a finite rational"),
+    ],
+)
+def test_tables_that_are_no_model(table: Any, start: Any, message: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        MDP.from_gymnasium(Env(table, start))
+    assert message in caught.value.what
+    assert caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("name", "what", "fix"),
+    [
+        ("FrozenLak-v1", "FrozenLak", "did you mean FrozenLake-v1?"),
+        ("Taxi-v3", "deprecated", "did you mean Taxi-v4?"),
+        ("Nothing-v0", "Nothing", "FrozenLake-v1"),
+        ("", "Gymnasium cannot make ''", "FrozenLake-v1"),
+        ("no_such_module:Env-v0", "no_such_module", "FrozenLake-v1"),
+        ("CartPole-v1", "does not expose its model", "FrozenLake-v1"),
+        ("Blackjack-v1", "does not expose its model", "FrozenLake-v1"),
+    ],
+)
+def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        load(f"gymnasium:{name}")
+    assert what in caught.value.what
+    assert fix in caught.value.fix
+
+
+def test_without_gymnasium_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(ModelError, match=r"exact-mdp\[gymnasium\]"):
+        MDP.from_gymnasium("FrozenLake-v1")

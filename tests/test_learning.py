@@ -1,0 +1,260 @@
+"""What learning ends with: exact values, curves, intervals, and an implementation of its own."""
+
+import os
+from math import sqrt
+from random import Random
+
+import numpy as np
+import oracle
+import pytest
+
+from analysis.learning import (
+    exact_curves,
+    learning_curve,
+    mean_interval,
+    outcomes,
+    random_curve,
+    share_interval,
+)
+from mdp import MDP, ModelError, Policy, Scenario
+from solvers import evaluate, solve
+from solvers.q_learning import QLearning, TrainingRun
+from solvers.sampler import rows_of
+from solvers.schedules import Exponential
+from solvers.training import train_many
+
+SHORT = QLearning(epochs=150)
+
+
+@pytest.fixture(scope="module")
+def care() -> MDP:
+    return Scenario.load("yuan2025").compile()
+
+
+@pytest.fixture(scope="module")
+def runs(care: MDP) -> list[TrainingRun]:
+    return train_many(care, SHORT, 24, seed=3, n_jobs=2)
+
+
+# ---- outcomes ------------------------------------------------------------------------------------
+
+
+def test_outcomes_are_exact_values_of_what_was_learned(care: MDP, runs: list[TrainingRun]) -> None:
+    found = outcomes(care, runs)
+    best = solve(care).start_value
+    for run, regret, final in zip(runs, found.regret, found.final, strict=True):
+        assert np.array_equal(found.policies[final], run.final)
+        greedy = Policy.from_q(care, run.q)
+        assert np.array_equal(greedy.table.argmax(axis=1), run.final)
+        assert regret == pytest.approx(best - evaluate(care, greedy).mean, abs=1e-9)
+    assert found.counts.sum() == len(runs)
+    assert (np.diff(found.counts[found.counts > 0]) <= 0).all()
+    for row in range(16):
+        taken = [run.final[row] for run in runs]
+        assert found.choices(row).tolist() == [taken.count(action) for action in range(4)]
+
+
+def test_the_last_episodes_are_counted(care: MDP, runs: list[TrainingRun]) -> None:
+    found = outcomes(care, runs)
+    for run, distinct, changed in zip(runs, found.distinct, found.changed, strict=True):
+        recent = {tuple(run.policies[number]) for number in run.last}
+        assert len(recent) == distinct
+        columns = list(zip(*recent, strict=True))
+        assert changed.tolist() == [len(set(column)) > 1 for column in columns]
+
+
+def test_the_selected_policy_is_the_best_of_the_five_most_frequent(
+    care: MDP, runs: list[TrainingRun]
+) -> None:
+    found = outcomes(care, runs)
+    for run, number in zip(runs, found.selected, strict=True):
+        counts = sorted(run.last_counts().values(), reverse=True)
+        assert sum(counts) == SHORT.last
+        times = {i: int((run.last == i).sum()) for i in set(run.last.tolist())}
+        fifth = (counts + [0] * 5)[4]
+        always = [i for i, count in times.items() if count > fifth]
+        values = {
+            i: evaluate(care, Policy.by(care, ("status",), run.policies[i])).mean for i in times
+        }
+        assert found.value[number] >= max(values[i] for i in always or [run.last[-1]]) - 1e-9
+        assert any(abs(found.value[number] - value) < 1e-9 for value in values.values())
+
+
+def test_an_optimal_policy_has_no_regret() -> None:
+    """Two actions that are equally good: whatever is learned is optimal."""
+    rows = [(0, a, [("1/3", 1, 3), ("2/3", 1, 0)]) for a in range(2)]
+    mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+    found = outcomes(mdp, train_many(mdp, QLearning(epochs=10), 10, seed=0))
+    assert found.regret.tolist() == [0.0] * 10
+    assert found.optimal_fraction == found.best_fraction == 1.0
+    assert found.best is None
+    assert found.regret_interval == (0.0, 0.0)
+
+
+def test_reading_less_is_told_from_learning_badly() -> None:
+    """One action for all states cannot be optimal; the learner is not to blame for that."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 2, 0)]), (1, 1, [(1, 2, 3)])]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+    found = outcomes(mdp, train_many(mdp, QLearning(epochs=50, columns=()), 10, seed=0))
+    assert found.optimum.value == 4
+    assert found.best_value.value == 3
+    assert found.regret.tolist() == [1.0] * 10
+    assert found.learning_error.tolist() == [0.0] * 10
+    assert (found.optimal_fraction, found.best_fraction) == (0.0, 1.0)
+
+
+def test_runs_of_another_model_are_refused(care: MDP, runs: list[TrainingRun]) -> None:
+    other = Scenario.load("tea").compile()
+    with pytest.raises(ModelError, match="other states"):
+        outcomes(other, runs)
+    with pytest.raises(ModelError, match="no runs"):
+        outcomes(care, [])
+
+
+# ---- curves --------------------------------------------------------------------------------------
+
+
+def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[TrainingRun]) -> None:
+    curve = learning_curve(care, runs[0], seed=5)
+    assert len(curve.sampled) == SHORT.epochs
+    assert curve.experiments == 40
+    error = curve.standard_error
+    assert abs((curve.sampled - curve.exact).sum()) < 4 * sqrt((error**2).sum())
+    assert 0.8 < ((curve.sampled - curve.exact) ** 2).sum() / (error**2).sum() < 1.25
+    last = runs[0].policies[runs[0].snapshots[-1]]
+    assert curve.exact[-1] == pytest.approx(evaluate(care, Policy.by(care, ("status",), last)).mean)
+    again = learning_curve(care, runs[0], seed=5)
+    assert again.sampled.tobytes() == curve.sampled.tobytes()
+    assert learning_curve(care, runs[0], seed=6).sampled.tobytes() != curve.sampled.tobytes()
+
+
+def test_the_random_baseline(care: MDP) -> None:
+    curve = random_curve(care, 300, seed=1)
+    exact = evaluate(care, "random")
+    assert set(curve.exact) == {exact.mean}
+    assert abs(curve.sampled.mean() - exact.mean) < 4 * exact.sd / sqrt(300 * 40)
+
+
+def test_discounted_curves_of_another_reading() -> None:
+    mdp = (
+        Scenario.load("yuan2025")
+        .with_(readings={"skip_timestep": "own"}, discount="19/20")
+        .compile()
+    )
+    run = QLearning(epochs=60, columns=("trial", "status")).train(mdp, 1)
+    curve = learning_curve(mdp, run, seed=0, experiments=200)
+    error = sqrt((curve.standard_error**2).sum())
+    assert abs((curve.sampled - curve.exact).sum()) < 4 * error
+
+
+def test_exact_curves_of_many_runs(care: MDP, runs: list[TrainingRun]) -> None:
+    values = exact_curves(care, runs)
+    assert values.shape == (24, SHORT.epochs)
+    assert values[0].tolist() == learning_curve(care, runs[0], seed=5).exact.tolist()
+    assert values[:, -20:].mean() > values[:, :5].mean()
+
+
+# ---- intervals -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "total"), [(0, 20), (7, 20), (20, 20), (500, 1000)])
+def test_wilson_by_its_formula(count: int, total: int) -> None:
+    z, share = 1.959963984540054, count / total
+    middle = (share + z * z / (2 * total)) / (1 + z * z / total)
+    half = z / (1 + z * z / total) * sqrt(share * (1 - share) / total + (z / (2 * total)) ** 2)
+    assert share_interval(count, total) == pytest.approx((middle - half, middle + half), abs=1e-12)
+
+
+def test_the_bootstrap_is_near_the_normal_interval() -> None:
+    values = np.random.default_rng(0).exponential(size=400)
+    low, high = mean_interval(values)
+    error = values.std(ddof=1) / sqrt(400)
+    assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.3 * error)
+    assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.4 * error)
+    assert mean_interval(values) == (low, high)
+    assert mean_interval(values[:9]) is None
+
+
+# ---- an implementation of its own ----------------------------------------------------------------
+
+
+def learn_alone(care: oracle.Oracle, settings: QLearning, seed: int) -> tuple[list, list[float]]:
+    """Q-learning on the independent implementation of the care model, by its own random numbers."""
+    draw = Random(seed)
+    laws: dict = {}
+    q = {(s, a): 0.0 for s in range(16) for a in (*range(4), "skip")}
+    returns = []
+
+    def number(state: oracle.State) -> int:
+        return 0 if state == oracle.END else int("".join(map(str, state[3])), 2)
+
+    def law(state: oracle.State, action: str) -> tuple[list, list[float]]:
+        if (state, action) not in laws:
+            found = care.outcomes(state, action)
+            results = [(nxt, float(sum(earned.values()))) for _, nxt, earned, _ in found]
+            laws[state, action] = (results, [float(chance) for chance, *_ in found])
+        return laws[state, action]
+
+    def options(state: oracle.State) -> list:
+        names = care.actions(state)
+        return ["skip"] if names == ("skip",) else list(range(4))
+
+    for epsilon in settings.exploration.values(settings.epochs):
+        total = 0.0
+        for _ in range(settings.episodes):
+            state = care.start
+            while state != oracle.END:
+                row, offered = number(state), options(state)
+                if draw.random() < epsilon:
+                    action = draw.choice(offered)
+                else:
+                    action = max(offered, key=lambda a: q[row, a])
+                name = "skip" if action == "skip" else oracle.ACTIONS[action]
+                results, chances = law(state, name)
+                state, reward = draw.choices(results, chances)[0]
+                total += reward
+                ahead = 0.0
+                if state != oracle.END:
+                    ahead = max(q[number(state), a] for a in options(state))
+                q[row, action] += 0.05 * (reward + 0.95 * ahead - q[row, action])
+        returns.append(total / settings.episodes)
+    greedy = [max(range(4), key=lambda a: q[s, a]) for s in range(16)]
+    return [greedy, [q[0, a] for a in range(4)]], returns
+
+
+@pytest.mark.parametrize(
+    "readings",
+    [
+        {"influence_orientation": "column-to-row", "trial_cost": "failed-trials"},
+        {"skip_timestep": "own", "task_bonus": "no-subtask-skipped", "skip_onset": "base"},
+    ],
+    ids=str,
+)
+def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, str]) -> None:
+    """On seeds and readings used nowhere else: returns, values and policies, in distribution."""
+    learner = QLearning(epochs=40, exploration=Exponential(minimum=0.05, decay=0.1))
+    count = int(os.environ.get("LEARNING_RUNS", "24"))
+    scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=[1, 1])
+    ours = train_many(scenario.compile(), learner, 8 * count, seed=90210)
+    care = oracle.Oracle(readings, tasks=[1, 1])
+    theirs = [learn_alone(care, learner, 77_000 + number) for number in range(count)]
+
+    def z(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        spread = ours.var(axis=0, ddof=1) / len(ours) + theirs.var(axis=0, ddof=1) / len(theirs)
+        return (ours.mean(axis=0) - theirs.mean(axis=0)) / np.sqrt(spread + 1e-12)
+
+    halves = (slice(0, 20), slice(20, 40))
+    mine = np.array([[run.returns[half].mean() for half in halves] for run in ours])
+    others = np.array([[np.mean(returns[half]) for half in halves] for _, returns in theirs])
+    assert (np.abs(z(mine, others)) < 4).all()
+    values = np.array([run.q[0, :4] for run in ours])
+    assert (np.abs(z(values, np.array([found[1] for found, _ in theirs]))) < 4).all()
+    for action in range(4):
+        share = np.array([run.final[0] == action for run in ours]).mean()
+        other = np.mean([found[0][0] == action for found, _ in theirs])
+        pooled = (share * 8 + other) / 9
+        assert abs(share - other) < 4 * sqrt(pooled * (1 - pooled) * (9 / 8) / count) + 1e-9
+
+
+def test_rows_are_what_the_learner_reads(care: MDP, runs: list[TrainingRun]) -> None:
+    assert outcomes(care, runs, bound=False).rows.space == rows_of(care).space == runs[0].space

@@ -1,0 +1,133 @@
+"""Models by name or file: every form finds its reader, every mistake is named."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from model_equality import assert_same
+
+from mdp import MDP, ModelError, Scenario
+from mdp.interop import npz
+from mdp.load import load, load_model, load_scenario, save_model
+
+SMALL = ["tasks=[1]", "max_trial=1"]
+
+
+def test_a_shipped_scenario() -> None:
+    found = load("yuan2025", sets=SMALL)
+    assert found.name == "yuan2025"
+    assert found.scenario is not None
+    assert (found.scenario.tasks, found.scenario.max_trial) == ((1,), 1)
+    assert_same(found.mdp, Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile())
+    assert_same(load_model("yuan2025", sets=SMALL), found.mdp)
+
+
+def test_settings_apply_in_order_and_the_discount_last() -> None:
+    sets = ["base.anger=0.1", "base.anger=1/5", "discount=0.5", *SMALL]
+    scenario = load_scenario("yuan2025", sets=sets, discount="9/10")
+    assert (scenario["base.anger"], scenario.discount) == (Fraction(1, 5), Fraction(9, 10))
+    assert load("yuan2025", sets=sets, discount="9/10").mdp.discount_exact == Fraction(9, 10)
+    assert load("yuan2025", sets=sets).mdp.discount_exact == Fraction(1, 2)
+    assert load("yuan2025", sets=SMALL, discount=0).mdp.discount_exact == 0
+
+
+def test_a_scenario_file(tmp_path: Path) -> None:
+    text = (Path(npz.__file__).parent.parent / "scenarios" / "tea.toml").read_text("utf-8")
+    for name in ("my tea.toml", "TEA.TOML"):
+        path = tmp_path / name
+        path.write_text(text.replace('name = "tea"\n', ""), encoding="utf-8")
+        found = load(path, sets=["tasks=[2]"])
+        assert found.name == path.stem
+        assert found.scenario is not None
+        assert found.mdp.discount_exact == Fraction(99, 100)
+        assert found.mdp.n_states == 2 * 4 * 8 + 1
+
+
+@pytest.mark.parametrize("name", ["model.npz", "model.umb", "MODEL.NPZ"])
+def test_a_saved_model(tmp_path: Path, name: str) -> None:
+    mdp = load_model("yuan2025", sets=SMALL)
+    save_model(mdp, tmp_path / name)
+    found = load(tmp_path / name)
+    assert (found.name, found.scenario) == ("yuan2025", None)
+    assert found.mdp.reward.tolist() == mdp.reward.tolist()
+    assert sorted(found.mdp.table.row(5)) == sorted(mdp.table.row(5))
+    assert load(str(tmp_path / name), discount="1/3").mdp.discount_exact == Fraction(1, 3)
+    if name.endswith("npz"):
+        kept = tmp_path / "kept.npz"
+        save_model(mdp.with_(discount="1/2"), kept)
+        assert load(kept).mdp.discount_exact == Fraction(1, 2)
+
+
+def test_a_nameless_model_goes_by_its_file(tmp_path: Path) -> None:
+    mdp = MDP.from_arrays(np.eye(2)[None], [1.0, 2.0], 0.5)
+    save_model(mdp, tmp_path / "two states.npz")
+    assert load(tmp_path / "two states.npz").name == "two states"
+
+
+def test_a_gymnasium_environment() -> None:
+    found = load("gymnasium:CliffWalking-v1", discount="99/100")
+    assert (found.name, found.scenario) == ("CliffWalking-v1", None)
+    assert found.mdp.discount_exact == Fraction(99, 100)
+    assert load("gymnasium:CliffWalking-v1").mdp.discount_exact == 1
+
+
+@pytest.mark.parametrize(
+    ("spec", "what", "fix"),
+    [
+        ("yuan2052", "unknown model 'yuan2052'", "did you mean yuan2025?"),
+        ("", "unknown model ''", ".toml"),
+        ("model.json", "unknown model", ".npz"),
+        ("missing.toml", "cannot read the file", "check the path"),
+        ("missing.npz", "cannot read the file", "check the path"),
+        ("missing.umb", "cannot read the file", "check the path"),
+        ("missing.umb#cost", "cannot read the file", "check the path"),
+        ("gymnasium:FrozenLakes-v1", "FrozenLakes", "FrozenLake-v1"),
+        ("Gymnasium:FrozenLake-v1", "unknown model", "gymnasium:ID"),
+    ],
+)
+def test_models_that_are_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: str, what: str, fix: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelError) as caught:
+        load(spec)
+    assert what in caught.value.what
+    assert fix in caught.value.fix
+
+
+def test_a_file_of_another_kind(tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(ModelError, match="unknown kind of model file"):
+        load(tmp_path / "model.json")
+    with pytest.raises(ModelError, match=r"name it \.npz or \.umb"):
+        save_model(load_model("yuan2025", sets=SMALL), tmp_path / "model.json")
+    with pytest.raises(ModelError, match="a file without ending"):
+        save_model(load_model("yuan2025", sets=SMALL), tmp_path / "model")
+
+
+@pytest.mark.parametrize("spec", ["gymnasium:FrozenLake-v1", "model.npz", "model.umb#x"])
+def test_only_scenarios_can_be_set(spec: str) -> None:
+    with pytest.raises(ModelError, match=r"'base\.anger=0' cannot be set"):
+        load(spec, sets=["base.anger=0"])
+    with pytest.raises(ModelError, match="an option of its own"):
+        load(spec, sets=["discount=0.9"])
+    with pytest.raises(ModelError, match="not a scenario"):
+        load_scenario(spec)
+
+
+@pytest.mark.parametrize("discount", ["1.5", -1, "x", float("nan"), ""])
+def test_bad_discounts(tmp_path: Path, discount: object) -> None:
+    save_model(load_model("yuan2025", sets=SMALL), tmp_path / "m.npz")
+    for spec in ("yuan2025", "gymnasium:FrozenLake-v1", str(tmp_path / "m.npz")):
+        with pytest.raises(ModelError):
+            load(spec, discount=discount)
+
+
+def test_bad_settings_are_named() -> None:
+    with pytest.raises(ModelError, match=r"base\.anger"):
+        load("yuan2025", sets=["base.angre=1"])
+    with pytest.raises(ModelError, match="unknown model"):
+        load_scenario("yuan")

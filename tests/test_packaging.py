@@ -1,0 +1,156 @@
+"""The wheel: what is in it, and that it works where the source is not."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tomllib
+import venv
+import zipfile
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ["mdp", "solvers", "analysis", "paper_repro"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+NOT_PACKAGED = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc", ".ipynb_checkpoints")
+
+# One group: the tests run in one process, which builds the wheel once.
+pytestmark = [pytest.mark.wheel, pytest.mark.xdist_group("wheel")]
+
+
+@dataclass(frozen=True)
+class Installed:
+    """An environment that has the wheel, and an empty folder to work in."""
+
+    bin: Path
+    site_packages: Path
+    folder: Path
+
+    def run(self, program: str, *arguments: str) -> str:
+        found = shutil.which(program, path=str(self.bin))
+        assert found is not None, f"no {program} in {self.bin}"
+        done = subprocess.run(
+            [found, *arguments],
+            cwd=self.folder,
+            env=environment(),
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+
+def environment() -> dict[str, str]:
+    """Return this process's environment less what would let it import from elsewhere."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    return kept | {"PYTHONUTF8": "1", "COLUMNS": "100", "NO_COLOR": "1"}
+
+
+def call(*command: str | Path, cwd: Path) -> None:
+    done = subprocess.run(
+        [str(word) for word in command],
+        cwd=cwd,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.fixture(scope="session")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of what the wheel is built from."""
+    copy = tmp_path_factory.mktemp("source")
+    for name in ["pyproject.toml", ".gitignore", "LICENSE", "README.md"]:
+        if (ROOT / name).exists():
+            shutil.copy(ROOT / name, copy)
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, copy / package, ignore=NOT_PACKAGED)
+    return copy
+
+
+@pytest.fixture(scope="session")
+def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation"]
+    call(*build, "--outdir", out, source, cwd=out)
+    (found,) = out.glob("*.whl")
+    return found
+
+
+@pytest.fixture(scope="session")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """The wheel in an environment of its own, which borrows the dependencies installed here.
+
+    The folder of the dependencies is added by a .pth file. Such a folder's own .pth files are
+    not read, and so the editable installation that is among them is not seen.
+    """
+    home = tmp_path_factory.mktemp("venv")
+    venv.create(home, symlinks=os.name != "nt", with_pip=False)
+    where = {"base": str(home), "platbase": str(home), "installed_base": str(home)}
+    scripts = Path(sysconfig.get_path("scripts", "venv", vars=where))
+    site_packages = Path(sysconfig.get_path("purelib", "venv", vars=where))
+    python = scripts / ("python.exe" if os.name == "nt" else "python")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", str(python)]
+    call(*pip, "install", "--no-index", "--no-deps", wheel, cwd=home)
+    borrowed = dict.fromkeys([sysconfig.get_path("purelib"), sysconfig.get_path("platlib")])
+    (site_packages / "dependencies.pth").write_text("\n".join(borrowed) + "\n", "utf-8")
+    return Installed(scripts, site_packages, tmp_path_factory.mktemp("elsewhere"))
+
+
+def test_wheel_holds_every_file_of_the_packages_and_nothing_else(source: Path, wheel: Path) -> None:
+    expected = {
+        path.relative_to(source).as_posix()
+        for package in PACKAGES
+        for path in (source / package).rglob("*")
+        if path.is_file()
+    }
+    with zipfile.ZipFile(wheel) as archive:
+        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+    assert held == expected
+    assert {f"{package}/py.typed" for package in PACKAGES} <= held
+    scenarios = {name for name in held if name.startswith("mdp/scenarios/")}
+    assert "mdp/scenarios/yuan2025.toml" in scenarios
+
+
+def test_wheel_describes_the_project(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        about = {
+            name.partition(".dist-info/")[2]: archive.read(name).decode()
+            for name in archive.namelist()
+            if ".dist-info/" in name
+        }
+    assert f"\nName: {PROJECT['name']}\n" in about["METADATA"]
+    assert f"\nVersion: {PROJECT['version']}\n" in about["METADATA"]
+    assert "exact-mdp = analysis.cli:main" in about["entry_points.txt"]
+    assert about["licenses/LICENSE"] == (ROOT / "LICENSE").read_text("utf-8")
+    assert "py3-none-any" in wheel.name
+
+
+def test_installed_packages_are_the_wheels(installed: Installed) -> None:
+    code = f"import {', '.join(PACKAGES)}; print(*[m.__file__ for m in [{', '.join(PACKAGES)}]])"
+    files = [Path(name) for name in installed.run("python", "-c", code).split()]
+    assert [file.parent for file in files] == [installed.site_packages / name for name in PACKAGES]
+
+
+def test_installed_program_tells_its_version(installed: Installed) -> None:
+    assert installed.run("exact-mdp", "--version").strip() == f"exact-mdp {PROJECT['version']}"
+
+
+def test_installed_program_reads_a_packaged_scenario(installed: Installed) -> None:
+    described = json.loads(installed.run("exact-mdp", "info", "yuan2025", "--json"))
+    assert isinstance(described, dict)
+    assert described
+
+
+@pytest.mark.skipif(find_spec("cvxpy") is None, reason="cvxpy is not installed here")
+def test_installed_environment_sees_the_dependencies(installed: Installed) -> None:
+    installed.run("python", "-c", "import clarabel, click, cvxpy, networkx, numpy, scipy")

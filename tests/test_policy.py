@@ -1,0 +1,252 @@
+"""Policies: by status, by all columns, by array; from every form; and objects that are none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from policies import (
+    ACTIONS,
+    FLAGGED,
+    MDP_1,
+    OWN_SKIP,
+    PLAIN,
+    STATUSES,
+    by_status,
+    check_follows,
+    numbers,
+    status_of,
+)
+
+from mdp import MDP, Column, ModelError, Policy, StateSpace
+
+# ---- one policy, many forms ------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(by_status)
+def test_every_form_of_a_status_policy_is_the_same(chosen: list[int]) -> None:
+    words = {STATUSES[s]: ACTIONS[a] for s, a in enumerate(chosen)}
+    all_states = np.where(MDP_1.forced, 0, np.array([*chosen, 0])[status_of(MDP_1)])
+    forms = [
+        Policy.of(MDP_1, words),
+        Policy.of(MDP_1, {status: {word: 1} for status, word in words.items()}),
+        Policy.by(MDP_1, ["status"], chosen),
+        Policy.by(MDP_1, ["status"], np.eye(4)[chosen]),
+        Policy.of(MDP_1, all_states),
+        Policy.of(MDP_1, all_states[:-1]),
+        Policy.of(MDP_1, np.eye(4)[all_states]),
+        Policy.from_q(MDP_1, np.eye(4)[chosen] * 3 - 1),
+        Policy.from_q(MDP_1, np.eye(4)[all_states]),
+        Policy.from_q(MDP_1, np.eye(4)[all_states][:-1]),
+    ]
+    for policy in forms:
+        assert policy.deterministic
+        check_follows(MDP_1, policy, chosen)
+        assert Policy.of(MDP_1, policy) is policy
+    for mdp in (OWN_SKIP, FLAGGED):
+        for policy in forms[:4]:
+            check_follows(mdp, policy, chosen)
+        check_follows(mdp, Policy.from_q(mdp, np.eye(4)[chosen]), chosen)
+        check_follows(mdp, Policy.of(mdp, words), chosen)
+
+
+@settings(max_examples=25, deadline=None)
+@given(by_status, st.sampled_from([MDP_1, OWN_SKIP, FLAGGED]))
+def test_files_are_the_inverse_of_writing(
+    tmp_path_factory: pytest.TempPathFactory, chosen: list[int], mdp: MDP
+) -> None:
+    folder = tmp_path_factory.mktemp("policy")
+    policy = Policy.of(mdp, {STATUSES[s]: ACTIONS[a] for s, a in enumerate(chosen)})
+    for name in ("p.csv", "p.json"):
+        policy.write(folder / name)
+        check_follows(mdp, Policy.read(folder / name, mdp), chosen)
+        check_follows(mdp, Policy.of(mdp, str(folder / name)), chosen)
+    np.save(folder / "q.npy", np.eye(4)[chosen])
+    check_follows(mdp, Policy.read(folder / "q.npy", mdp), chosen)
+    np.savez(folder / "q.npz", np.eye(4)[chosen])
+    check_follows(mdp, Policy.read(folder / "q.npz", mdp), chosen)
+    np.savez(folder / "more.npz", visits=np.zeros(3), q=np.eye(4)[chosen])
+    check_follows(mdp, Policy.read(folder / "more.npz", mdp), chosen)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.data())
+def test_a_mixed_policy_over_all_columns_survives_its_file(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    mdp = data.draw(st.sampled_from([MDP_1, FLAGGED, PLAIN]))
+    size = (mdp.space.regular, mdp.n_actions)
+    seed = data.draw(st.integers(0, 2**32))
+    table = np.random.default_rng(seed).dirichlet(np.full(size[1], 0.4), size=size[0])
+    offered = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
+    offered[mdp.pair_state, mdp.pair_action] = True
+    table = np.where(offered[: size[0]], table, 0)
+    table[table.sum(axis=1) == 0, 0] = 1
+    table /= table.sum(axis=1, keepdims=True)
+    policy = Policy.by(mdp, mdp.space.names, table)
+    path = tmp_path_factory.mktemp("policy") / "mixed.csv"
+    policy.write(path)
+    again = Policy.read(path, mdp)
+    assert again.weights(mdp).tolist() == policy.weights(mdp).tolist()
+    assert again.columns == mdp.space.names
+    weights = policy.weights(mdp)
+    for pair in range(mdp.n_pairs):
+        state = int(mdp.pair_state[pair])
+        if not mdp.forced[state]:
+            assert weights[pair] == table[state, mdp.pair_action[pair]]
+
+
+def test_a_mixed_status_policy_as_json(tmp_path: Path) -> None:
+    content: dict[str, Any] = dict.fromkeys(STATUSES, "none")
+    content["0110"] = {"directive": 0.25, "supportive": "3/4"}
+    path = tmp_path / "mixed.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    policy = Policy.read(path, MDP_1)
+    assert not policy.deterministic
+    assert policy.table[6].tolist() == [0, 0.75, 0, 0.25]
+    policy.write(tmp_path / "again.json")
+    assert Policy.read(tmp_path / "again.json", MDP_1).table.tolist() == policy.table.tolist()
+    status = status_of(MDP_1)[MDP_1.pair_state]
+    weights = policy.weights(MDP_1)[status == 6].reshape(-1, 4)
+    assert weights.tolist() == [[0, 0.75, 0, 0.25]] * len(weights)
+
+
+# ---- named policies ------------------------------------------------
+
+
+@pytest.mark.parametrize("mdp", [MDP_1, OWN_SKIP, FLAGGED, PLAIN], ids=["care", "own", "flag", "3"])
+def test_the_random_policy_is_uniform_over_what_is_offered(mdp: MDP) -> None:
+    weights = Policy.of(mdp, "random").weights(mdp)
+    for state in range(mdp.n_states):
+        pairs = mdp.pairs_of(state)
+        assert weights[pairs.start : pairs.stop].tolist() == [1 / len(pairs)] * len(pairs)
+
+
+@pytest.mark.parametrize("action", range(4))
+def test_always(action: int) -> None:
+    for mdp in (MDP_1, OWN_SKIP, FLAGGED):
+        policy = Policy.of(mdp, f"always:{ACTIONS[action]}")
+        check_follows(mdp, policy, [action] * 16)
+    assert policy.columns == ()
+
+
+def test_an_action_that_is_not_offered() -> None:
+    assert PLAIN.forced.tolist() == [False, True, False]
+    with pytest.raises(ModelError, match=r"not available(.|\n)*state z(.|\n)*a, b"):
+        Policy.of(PLAIN, "always:c").weights(PLAIN)
+    with pytest.raises(ModelError, match=r"not available(.|\n)*state x(.|\n)*a, c"):
+        Policy.of(PLAIN, np.array([1, 1, 1])).weights(PLAIN)
+    assert Policy.of(PLAIN, np.array([2, 0, 1])).choices(PLAIN).tolist() == [2, 1, 1]
+
+
+# ---- Q-tables ------------------------------------------------
+
+
+@given(st.lists(numbers, min_size=9, max_size=9))
+def test_a_q_table_is_greedy_over_what_is_offered(values: list[float]) -> None:
+    table = np.array(values).reshape(3, 3)
+    chosen = Policy.from_q(PLAIN, table).choices(PLAIN).tolist()
+    for state in range(3):
+        offered = [int(PLAIN.pair_action[pair]) for pair in PLAIN.pairs_of(state)]
+        assert chosen[state] == max(offered, key=lambda a: (table[state, a], -a))
+
+
+def test_ties_go_to_the_lowest_action() -> None:
+    check_follows(MDP_1, Policy.from_q(MDP_1, np.zeros((16, 4))), [0] * 16)
+    table = np.tile([0.0, 1.0, 1.0, 1.0], (16, 1))
+    check_follows(MDP_1, Policy.from_q(MDP_1, table), [1] * 16)
+    table[3] = -np.inf
+    table[4] = [-np.inf, -np.inf, np.inf, np.inf]
+    check_follows(MDP_1, Policy.from_q(MDP_1, table), [1, 1, 1, 0, 2, *[1] * 11])
+    assert Policy.from_q(PLAIN, np.full((3, 3), -np.inf)).choices(PLAIN).tolist() == [0, 1, 0]
+
+
+def test_nan_matters_only_where_it_could_be_chosen() -> None:
+    table = np.zeros((3, 3))
+    table[0, 1] = table[1, 0] = np.nan
+    assert Policy.from_q(PLAIN, table).choices(PLAIN).tolist() == [0, 1, 0]
+    table[2, 1] = np.nan
+    with pytest.raises(ModelError, match=r"NaN(.|\n)*state z"):
+        Policy.from_q(PLAIN, table)
+    with pytest.raises(ModelError, match=r"NaN(.|\n)*status 0010"):
+        Policy.from_q(MDP_1, np.where(np.arange(16)[:, None] == 2, np.nan, 0) * np.ones(4))
+
+
+@pytest.mark.parametrize("shape", [(4, 16), (16, 5), (17, 4), (16,), (16, 4, 1), (0, 4), ()])
+def test_q_tables_of_other_shapes(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ModelError, match=r"\(65, 4\) over all states or \(16, 4\) over the stat"):
+        Policy.from_q(MDP_1, np.zeros(shape))
+
+
+def test_a_status_table_leaves_skip_out() -> None:
+    """Where *skip* is an action of its own, a table over statuses still has four columns."""
+    assert OWN_SKIP.n_actions == 5
+    check_follows(OWN_SKIP, Policy.from_q(OWN_SKIP, np.eye(4)[[2] * 16]), [2] * 16)
+
+
+# ---- objects that are refused ------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        np.zeros(64, dtype=int) + 4,
+        np.full(65, -1),
+        np.zeros(63, dtype=int),
+        np.zeros(65),
+        np.zeros((65, 4)),
+        np.full((65, 4), 0.3),
+        np.zeros((65, 3)),
+        None,
+        3,
+        "always:non",
+        "always:",
+        "optimall",
+        {},
+        {"0000": "none"},
+        object(),
+    ],
+    ids=lambda given: str(getattr(given, "shape", given))[:12],
+)
+def test_objects_that_are_no_policy(given: Any) -> None:
+    with pytest.raises(ModelError):
+        Policy.of(MDP_1, given).weights(MDP_1)
+
+
+def test_a_policy_of_another_model() -> None:
+    six = Column(name="status", size=64, bits=6)
+    policy = Policy(
+        space=StateSpace(columns=(six,)), actions=MDP_1.actions, table=np.eye(4)[[0] * 64]
+    )
+    with pytest.raises(ModelError, match="64 values here and 16"):
+        policy.weights(MDP_1)
+    with pytest.raises(ModelError, match="unknown action 'none'"):
+        Policy.by(MDP_1, ["status"], [0] * 16).weights(
+            MDP_1.with_(actions=("nothing", "supportive", "non-directive", "directive"))
+        )
+    with pytest.raises(ModelError, match="unknown state column 'subtask'"):
+        Policy.by(MDP_1, ["subtask"], [0, 1]).weights(PLAIN)
+
+
+def test_a_row_that_says_nothing_is_an_error_only_where_it_is_asked() -> None:
+    table = np.eye(3)[[0, 0, 0]]
+    table[1] = np.nan  # state y is forced
+    assert Policy.by(PLAIN, ["state"], table).choices(PLAIN).tolist() == [0, 1, 0]
+    table[2] = np.nan
+    with pytest.raises(ModelError, match=r"says nothing(.|\n)*state z"):
+        Policy.by(PLAIN, ["state"], table).weights(PLAIN)
+
+
+def test_a_policy_is_frozen() -> None:
+    table = np.eye(4)[[0] * 16]
+    policy = Policy.by(MDP_1, ["status"], table)
+    table[0] = [0, 1, 0, 0]
+    assert policy.table[0].tolist() == [1, 0, 0, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        policy.table[0, 0] = 0

@@ -1,0 +1,282 @@
+"""The distribution of the return, against brute force in fractions and against `evaluate`."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from fractions import Fraction as F
+from itertools import product
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from oracle import READINGS
+from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
+
+import solvers.returns
+import solvers.returns_dense
+import solvers.returns_sparse
+from mdp import MDP, ModelError, Scenario
+from solvers import Claim
+from solvers.evaluation import evaluate
+from solvers.returns import ReturnDistribution, return_distribution
+
+Law = dict[F, F]
+SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])
+LAWFUL = cases(discounts=(F(1),), rewards=SMALL, weights=st.integers(1, 3))
+CYCLIC_STEPS = 8
+SAMPLE = [
+    dict(zip(READINGS, options, strict=True))
+    for options in Random(6).sample(list(product(*READINGS.values())), 9)
+]
+
+
+def brute_force(case: Case, steps: int) -> tuple[Law, F]:
+    """Follow every way of an episode for some steps: the law of the ended ones, and the rest."""
+    moving: dict[tuple[int, F], F] = defaultdict(F)
+    for s, weight in case.start.items():
+        moving[s, F(0)] += weight
+    ended: Law = defaultdict(F)
+    for step in range(steps + 1):
+        following: dict[tuple[int, F], F] = defaultdict(F)
+        for (s, total), mass in moving.items():
+            if s in case.terminal:
+                ended[total] += mass
+            elif step == steps:
+                following[s, total] += mass
+            else:
+                for p, t, r, _ in case.outcomes[s]:
+                    following[t, total + r] += mass * p
+        moving = following
+    return dict(ended), sum(moving.values(), F(0))
+
+
+def is_acyclic(case: Case) -> bool:
+    return brute_force(case, case.n_states)[1] == 0
+
+
+@pytest.fixture(params=["dense", "sparse"])
+def kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    if request.param == "sparse":
+        monkeypatch.setattr(solvers.returns, "DENSE_RANGE", -1)
+    return str(request.param)
+
+
+def law_of(case: Case) -> ReturnDistribution:
+    """The law, unless the chain takes long to end."""
+    if is_acyclic(case):
+        return return_distribution(case.model, case.weights)
+    assume(brute_force(case, CYCLIC_STEPS)[1] < 0.3)
+    return return_distribution(case.model, case.weights)
+
+
+def check_law(case: Case, found: ReturnDistribution) -> None:
+    steps = case.n_states if is_acyclic(case) else CYCLIC_STEPS
+    wanted, rest = brute_force(case, steps)
+    law = found.as_dict()
+    assert list(law) == sorted(law)
+    assert rest or set(law) == set(wanted)
+    for value, error in zip(found.values, found.error, strict=True):
+        low = wanted.get(value, F(0))
+        assert low - F(error) <= F(law[value]) <= low + rest + F(error)
+    assert all(mass <= F(found.remaining) for x, mass in wanted.items() if x not in law)
+
+
+@settings(deadline=None, max_examples=40)
+@given(LAWFUL)
+def test_the_law_is_that_of_brute_force(case: Case) -> None:
+    assume(case.ends)
+    for limit in (10_000, -1):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(solvers.returns, "DENSE_RANGE", limit)
+            found = law_of(case)
+        check_law(case, found)
+        assert found.claim is Claim.BOUNDED
+        assert found.remaining <= 1.01e-12
+        if is_acyclic(case):
+            assert found.remaining == 0
+        total = sum(brute_force(case, case.n_states)[0].values()) if is_acyclic(case) else 1
+        assert found.probabilities.sum() == pytest.approx(float(total), abs=3e-9)
+
+
+@settings(deadline=None, max_examples=40)
+@given(LAWFUL)
+def test_an_exact_law_is_exact(case: Case) -> None:
+    assume(case.ends)
+    if is_acyclic(case):
+        found = return_distribution(case.model, case.weights, exact=True)
+        wanted = brute_force(case, case.n_states)[0]
+        assert dict(zip(found.values, found.exact or (), strict=True)) == wanted
+        assert found.probabilities.tolist() == [float(wanted[x]) for x in found.values]
+        assert case.floats or sum(found.exact or ()) == 1
+    elif any(t == s for s in case.reached for _, t, *_ in case.outcomes[s] if s in case.live):
+        with pytest.raises(ModelError, match="lead back"):
+            return_distribution(case.model, case.weights, exact=True)
+
+
+@settings(deadline=None, max_examples=40)
+@given(LAWFUL)
+def test_mean_and_sd_are_those_of_evaluate(case: Case) -> None:
+    assume(case.ends)
+    found = law_of(case)
+    wanted = evaluate(case.model, case.weights)
+    assert found.mean == pytest.approx(wanted.mean, rel=1e-8, abs=1e-7)
+    assert found.sd == pytest.approx(wanted.sd, rel=1e-5, abs=1e-4)
+
+
+@pytest.mark.parametrize("number", range(len(SAMPLE)))
+def test_the_care_model_is_the_oracles(number: int) -> None:
+    policy = (careful, uniform, directive)[number % 3]
+    mdp, oracle = care(SAMPLE[number], [1, 1])
+    wanted = oracle.evaluate(policy)["distribution"]
+    chosen = policy_of(mdp, policy)
+    exact = return_distribution(mdp, chosen, exact=True)
+    assert dict(zip(exact.values, exact.exact or (), strict=True)) == wanted
+    found = return_distribution(mdp, chosen)
+    assert found.values == exact.values
+    for probability, error, value in zip(
+        found.probabilities, found.error, found.values, strict=True
+    ):
+        assert abs(F(probability) - wanted[value]) <= F(error)
+    assert found.relative_error < 1e-12
+    assert found.remaining == 0.0
+
+
+def test_a_hundred_subtasks_take_seconds() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[100]).compile()
+    found, wanted = return_distribution(mdp, "always:directive"), evaluate(mdp, "always:directive")
+    assert len(found.values) > 9_000
+    assert found.probabilities.sum() == pytest.approx(1, abs=1e-13)
+    assert found.mean == pytest.approx(wanted.mean, abs=1e-9)
+    assert found.sd == pytest.approx(wanted.sd, rel=1e-12)
+
+
+def coin(*rewards: object, ways: int = 1) -> MDP:
+    """One of some rewards at random, several times over."""
+    rows = [
+        (step, 0, [(F(1, len(rewards)), step + 1, reward) for reward in rewards])
+        for step in range(ways)
+    ]
+    return MDP.from_outcomes([*rows, (ways, 0, [(1, ways, 0)])])
+
+
+def test_halves_are_on_the_lattice(kind: str) -> None:
+    found = return_distribution(coin("1/2", -1, ways=2), "random")
+    assert found.as_dict() == {F(-2): 0.25, F(-1, 2): 0.5, F(1): 0.25}
+    assert found.unit == F(1, 2)
+
+
+def test_floats_are_the_dyadic_numbers_that_they_are() -> None:
+    found = return_distribution(coin(0.1, 0.25, ways=2), "random")
+    assert found.values == (2 * F(0.1), F(0.1) + F(0.25), F(0.5))
+    assert found.probabilities.tolist() == [0.25, 0.5, 0.25]
+
+
+def test_few_returns_on_a_fine_lattice_are_found() -> None:
+    found = return_distribution(coin(10**9, F(1, 10**9), ways=3), "random")
+    assert found.probabilities.tolist() == [0.125, 0.375, 0.375, 0.125]
+    assert found.values[1] == 10**9 + F(2, 10**9)
+    assert found.multiples.dtype == np.int64 or found.multiples.dtype == object
+    huge = return_distribution(coin(F(10) ** 30, F(1, 7) ** 30), "random")
+    assert huge.values == (F(1, 7) ** 30, F(10) ** 30)
+    assert huge.cdf(1) == 0.5
+
+
+def test_cdf_and_quantiles() -> None:
+    found = return_distribution(coin(0, 1), "random")
+    assert [found.cdf(x) for x in (-1, "-1/10", 0, 0.5, 1, 2)] == [0, 0, 0.5, 0.5, 1, 1]
+    assert [found.quantile(p) for p in (0, 0.2, 0.5, 0.51, 1)] == [0, 0, 0, 1, 1]
+    # Ten times a tenth is 1 - 10^-16 in floats, and reaches the median all the same.
+    tenths = return_distribution(coin(*range(10)), "random")
+    assert [tenths.quantile(p / 10) for p in range(1, 11)] == list(range(10))
+    with pytest.raises(ModelError, match=r"1\.5"):
+        found.quantile(1.5)
+
+
+def geometric(stay: str, reward: object = -1) -> MDP:
+    return MDP.from_outcomes(
+        [(0, 0, [(stay, 0, reward), (1 - F(stay), 1, 0)]), (1, 0, [(1, 1, 0)])]
+    )
+
+
+def test_a_loop_is_followed_until_little_is_left(kind: str) -> None:
+    found = return_distribution(geometric("1/2"), "random")
+    assert found.values[-1] == 0
+    steps = [-int(value) for value in found.values]
+    assert found.probabilities.tolist() == [0.5 ** (step + 1) for step in steps]
+    assert 0 < found.remaining <= 1e-12
+    assert found.probabilities.sum() + found.remaining == pytest.approx(1, abs=1e-15)
+    assert max(steps) == 39  # 2^-40 < 10^-12
+
+
+def test_a_loop_that_takes_too_long_is_an_error(kind: str) -> None:
+    with pytest.raises(ModelError, match="after 100 sweeps") as caught:
+        return_distribution(geometric("999/1000"), "random", max_sweeps=100)
+    assert "max_sweeps" in caught.value.fix
+
+
+def test_a_loop_without_reward_adds_no_returns(kind: str) -> None:
+    found = return_distribution(geometric("9/10", reward=0), "random")
+    assert found.values == (0,)
+    assert found.probabilities[0] == pytest.approx(1, abs=1e-11)
+
+
+def test_tails_too_small_for_floats_are_reported() -> None:
+    rare = F(1, 10**200)
+    rows = [(step, 0, [(rare, step + 1, 1), (1 - rare, step + 1, 0)]) for step in (0, 1)]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+    found = return_distribution(mdp, "random")
+    assert found.values == (0, 1)
+    assert found.probabilities.tolist() == [1.0, 2e-200]
+    assert found.error[1] < 1e-210
+    exact = return_distribution(mdp, "random", exact=True)
+    assert exact.exact == ((1 - rare) ** 2, 2 * rare * (1 - rare), rare**2)
+
+
+def test_ways_too_rare_for_floats_are_followed_exactly(kind: str) -> None:
+    rare = F(1, 10**400)
+    rows = [
+        (0, 0, [(rare, 1, 1), (1 - rare, 3, 0)]),
+        (1, 0, [(1, 2, 1)]),
+        (2, 0, [(1, 3, 1)]),
+        (3, 0, [(1, 3, 0)]),
+        (4, 0, [(1, 3, 7)]),
+    ]
+    mdp = MDP.from_outcomes(rows, start={0: 1 - rare, 4: rare})
+    exact = return_distribution(mdp, "random", exact=True)
+    assert exact.values == (0, 3, 7)
+    assert exact.exact == ((1 - rare) ** 2, rare * (1 - rare), rare)
+    found = return_distribution(mdp, "random")
+    assert found.values == (0,)
+    assert found.remaining < 1e-280
+
+
+def test_too_many_returns_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solvers.returns_dense, "CELLS", 50)
+    monkeypatch.setattr(solvers.returns_sparse, "STEPS", 50)
+    for rewards in ((0, 9000), (0, 7, 9001), (0, 10**7, 3)):
+        mdp = coin(*rewards, 1, ways=8)
+        with pytest.raises(ModelError, match="too many") as caught:
+            return_distribution(mdp, "random")
+        assert "coarser" in caught.value.fix
+
+
+def test_what_has_no_distribution_is_refused() -> None:
+    with pytest.raises(ModelError, match="lattice") as caught:
+        return_distribution(coin(0, 1).with_(discount="9/10"), "random")
+    assert "evaluate()" in caught.value.fix
+    waiting = MDP.from_outcomes([(0, 0, [(1, 0, -1)]), (1, 0, [(1, 1, 0)])])
+    with pytest.raises(ModelError, match="may not"):
+        return_distribution(waiting, "random")
+    with pytest.raises(ModelError, match="lead back"):
+        return_distribution(geometric("1/2"), "random", exact=True)
+
+
+def test_several_starts_and_a_start_at_the_end() -> None:
+    rows = [(0, 0, [(1, 2, 3)]), (1, 0, [(1, 0, 4)]), (2, 0, [(1, 2, 0)])]
+    start = {0: "1/2", 1: "1/4", 2: "1/4"}
+    mdp = MDP.from_outcomes(rows, start=start)
+    wanted = {F(0): 0.25, F(3): 0.5, F(7): 0.25}
+    assert return_distribution(mdp, "random").as_dict() == wanted
+    assert return_distribution(mdp, "random", exact=True).as_dict() == wanted

@@ -1,0 +1,205 @@
+"""The compiled care model against the reference of `oracle.py`, outcome by outcome, exactly."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from fractions import Fraction
+from functools import cache
+from itertools import pairwise, product
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import END, STATUSES, Oracle, State
+
+from mdp import MDP, Scenario
+from mdp.scenario import READINGS
+
+BASE = Scenario.load("yuan2025")
+ALL_READINGS = [
+    dict(zip(READINGS, options, strict=True)) for options in product(*READINGS.values())
+]
+Law = dict[tuple[State, Fraction, bool], Fraction]
+
+
+def state_of(mdp: MDP, number: int) -> State:
+    """The reference's name of a state number."""
+    if number == mdp.n_states - 1:
+        return END
+    value = {name: int(mdp.space.values(name, np.array([number]))[0]) for name in mdp.space.names}
+    bits = tuple(value["status"] >> shift & 1 for shift in (3, 2, 1, 0))
+    return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), bits)  # type: ignore
+
+
+def law_of(mdp: MDP, pair: int) -> Law:
+    """What the compiled model says of one pair."""
+    law: Law = defaultdict(Fraction)
+    table = mdp.table
+    assert table.event is not None
+    first = int(table.offsets[pair])
+    for i, (probability, following, reward) in enumerate(table.row(pair)):
+        skipped = bool(table.event[first + i])
+        law[state_of(mdp, following), reward, skipped] += probability
+    return law
+
+
+def wanted_of(oracle: Oracle, state: State, action: str) -> tuple[Law, dict[str, Fraction]]:
+    """What the reference says of it, with the expected reward components."""
+    law: Law = defaultdict(Fraction)
+    parts: dict[str, Fraction] = defaultdict(Fraction)
+    for probability, following, rewards, skipped in oracle.outcomes(state, action):
+        law[following, sum(rewards.values(), Fraction(0)), skipped] += probability
+        for name, reward in rewards.items():
+            parts[name] += probability * reward
+    return law, parts
+
+
+def check_pairs(mdp: MDP, oracle: Oracle, pairs: Iterable[int]) -> None:
+    for pair in pairs:
+        state = state_of(mdp, int(mdp.pair_state[pair]))
+        action = mdp.actions[mdp.pair_action[pair]]
+        law, parts = wanted_of(oracle, state, action)
+        assert law_of(mdp, pair) == law, mdp.where(pair)
+        found = dict(zip(mdp.component_names, mdp.components[pair], strict=True))
+        for name, value in found.items():
+            assert value == pytest.approx(float(parts.get(name, 0)), rel=1e-14, abs=1e-14)
+
+
+def check_shape(mdp: MDP, oracle: Oracle) -> None:
+    """States, available actions, the start and the end are the reference's."""
+    last = mdp.n_states - 1
+    assert mdp.start == ((0, Fraction(1)),)
+    assert state_of(mdp, 0) == oracle.start
+    assert np.flatnonzero(mdp.terminal).tolist() == [last]
+    assert mdp.table.row(mdp.n_pairs - 1) == [(1, last, 0)]
+    for number in range(last):
+        offered = [mdp.actions[mdp.pair_action[pair]] for pair in mdp.pairs_of(number)]
+        assert offered == list(oracle.actions(state_of(mdp, number)))
+    # every transition leads on, so that the order of the states is a topological one
+    assert (mdp.table.next > mdp.pair_state[mdp.table.pair])[:-1].all()
+
+
+def sample(mdp: MDP, count: int, seed: int) -> list[int]:
+    pairs = range(mdp.n_pairs - 1)
+    return Random(seed).sample(pairs, min(count, len(pairs)))
+
+
+@pytest.mark.parametrize(
+    "part", [0, *(pytest.param(part, marks=pytest.mark.slow) for part in range(1, 6))]
+)
+def test_every_combination_of_readings_is_the_references(part: int) -> None:
+    assert len(ALL_READINGS) == 576
+    for readings in Random(0).sample(ALL_READINGS, 576)[part::6]:
+        mdp = BASE.with_(readings=readings, tasks=[2], max_trial=1).compile()
+        oracle = Oracle(readings, tasks=(2,), max_trial=1)
+        trials = oracle.trials + (readings["skip_timestep"] == "own")
+        flags = 1 + (readings["task_bonus"] == "no-subtask-skipped")
+        assert mdp.n_states == 2 * trials * flags * 16 + 1
+        check_pairs(mdp, oracle, sample(mdp, 8, 0))
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 4, 5))]
+)
+def test_every_pair_of_some_models_is_the_references(seed: int) -> None:
+    readings = Random(seed).choice(ALL_READINGS) if seed else {}
+    scenario = BASE.with_(readings=readings, tasks=[1, 2], max_trial=2)
+    mdp = scenario.compile()
+    oracle = Oracle(readings, tasks=(1, 2), max_trial=2)
+    check_shape(mdp, oracle)
+    check_pairs(mdp, oracle, range(mdp.n_pairs - 1))
+
+
+def test_the_shipped_scenario_is_the_papers() -> None:
+    oracle = Oracle()
+    assert BASE.values() == oracle.parameters
+    mdp = BASE.compile()
+    check_shape(mdp, oracle)
+    check_pairs(mdp, oracle, sample(mdp, 150, 0))
+    assert (mdp.n_states, mdp.n_pairs) == (3 * 5 * 16 + 1, 3 * 5 * 16 * 4 + 1)
+
+
+@pytest.mark.parametrize("name", BASE.names)
+def test_every_parameter_can_be_set_and_matters(name: str) -> None:
+    small = small_scenario()
+    value = small[name]
+    step = Fraction(1, 1000)
+    other = value + step if name.startswith("reward.") or value < 1 else value - step
+    changed = small.set(f"{name}={other}")
+    assert changed[name] == other
+    assert {n: v for n, v in changed.values().items() if n != name} == {
+        n: v for n, v in small.values().items() if n != name
+    }
+    mdp = changed.compile()
+    before, now = rounded_rows(), rounded_rows(name, other)
+    differing = [pair for pair in range(mdp.n_pairs) if now[pair] != before[pair]]
+    assert differing
+    oracle = Oracle(tasks=(2,), max_trial=1, parameters={name: other})
+    check_pairs(mdp, oracle, [differing[0], differing[-1], *sample(mdp, 3, len(differing))])
+
+
+def small_scenario() -> Scenario:
+    return BASE.with_(tasks=[2], max_trial=1)
+
+
+@cache
+def rounded_rows(name: str = "discount", value: Fraction = Fraction(1)) -> list[list[object]]:
+    """All rows in floats, after one change: quick to compare."""
+    table = small_scenario().with_(parameters={name: value}).compile().table
+    columns = (table.probabilities().tolist(), table.next.tolist(), table.gains().tolist())
+    outcomes = list(zip(*columns, strict=True))
+    return [outcomes[first:last] for first, last in pairwise(table.offsets.tolist())]
+
+
+chances = st.one_of(
+    st.sampled_from([Fraction(0), Fraction(1)]), st.fractions(0, 1, max_denominator=60)
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_any_parameters_under_any_readings(data: st.DataObject) -> None:
+    values = {
+        name: data.draw(
+            st.fractions(-40, 40, max_denominator=9) if name.startswith("reward.") else chances
+        )
+        for name in data.draw(st.lists(st.sampled_from(BASE.names), max_size=12, unique=True))
+    }
+    readings = data.draw(st.sampled_from(ALL_READINGS))
+    mdp = BASE.with_(readings=readings, parameters=values, tasks=[1, 1], max_trial=1).compile()
+    oracle = Oracle(readings, tasks=(1, 1), max_trial=1, parameters=values)
+    check_pairs(mdp, oracle, sample(mdp, 6, data.draw(st.integers(0, 10**6))))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"base.anger": "0.1234567891234567"},
+        {f"base.{status}": f"0.1234567891234{digit}67" for digit, status in enumerate(STATUSES)},
+        {f"skip.{s}.persistence": "0.123456789012345678" for s in STATUSES[2:]},
+        {"reward.anger": "-5.000000000000000000001", "reward.trial": "-1/3"},
+        {"reward.anger": 2**62 - 1, "reward.trial": 2**62 - 1, "reward.assist.none": 2**62 - 1},
+        {"reward.subtask-skip": -(2**63) - 1},
+        {
+            "reward.timestep": "1/9223372036854775809",
+            "skip.anger.persistence": "1/9223372036854775809",
+        },
+    ],
+    ids=["one", "all", "skip", "reward", "sums", "whole", "unsigned"],
+)
+@pytest.mark.parametrize("skip", ["same", "own"])
+def test_numbers_that_outgrow_64_bits_stay_exact(values: dict[str, Any], skip: str) -> None:
+    readings = {"skip_timestep": skip, "status_cost": "current" if skip == "own" else "next"}
+    mdp = BASE.with_(parameters=values, tasks=[2], max_trial=1, readings=readings).compile()
+    exact = {name: Fraction(value) for name, value in values.items()}
+    oracle = Oracle(readings, tasks=(2,), max_trial=1, parameters=exact)
+    table = mdp.table
+    wide = [a.dtype == object for a in (table.weight, table.denominator, table.gain)]
+    assert any(wide)
+    check_pairs(mdp, oracle, sample(mdp, 40, 3))
+    probabilities = [float(p) for pair in range(mdp.n_pairs) for p, _, _ in table.row(pair)]
+    assert table.probabilities().tolist() == probabilities

@@ -1,0 +1,222 @@
+"""Scenarios of one's own, and what is said of settings and files that make none."""
+
+from __future__ import annotations
+
+import pickle
+from fractions import Fraction
+from pathlib import Path
+from random import Random
+
+import pytest
+from own_scenarios import check_own, own_text
+
+from mdp import ModelError, Scenario
+from mdp.scenario import READINGS
+from mdp.scenario_file import parse, shipped
+
+BASE = Scenario.load("yuan2025")
+
+
+def test_three_statuses_and_three_actions() -> None:
+    scenario = parse(own_text(3, 3))
+    assert (scenario.statuses, scenario.actions) == (("s0", "s1", "s2"), ("a0", "a1", "a2"))
+    check_own(scenario, range(2 * 2 * 8 * 3))
+
+
+def test_six_statuses() -> None:
+    scenario = parse(own_text(6, 5))
+    mdp = scenario.compile()
+    assert mdp.n_states == 2 * 2 * 64 + 1
+    check_own(scenario, Random(0).sample(range(mdp.n_pairs - 1), 12))
+
+
+def test_one_status() -> None:
+    check_own(parse(own_text(2, 2).replace("tasks = [2]", "tasks = [1]")), range(2 * 4 * 2))
+
+
+def test_the_tea_scenario() -> None:
+    tea = Scenario.load("tea")
+    assert tea["assistance.demonstrate.anxiety.persistence"] == Fraction(2, 3)
+    check_own(tea.with_(tasks=[2], readings={"skip_timestep": "same"}), range(0, 2 * 3 * 8 * 3, 5))
+    assert tea.compile().space.size == 5 * 4 * 8 + 1
+
+
+def test_a_file_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(own_text(3, 3), encoding="utf-8")
+    scenario = Scenario.load(path)
+    assert scenario.name == "own"
+    assert scenario.values() == parse(own_text(3, 3)).values()
+
+
+def test_every_shipped_scenario_compiles() -> None:
+    for name in shipped():
+        mdp = Scenario.load(name).compile()
+        assert mdp.name == name
+        assert mdp.terminal.sum() == 1
+
+
+# ---- settings and errors --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("assignment", "attribute", "value"),
+    [
+        ("tasks=[3,1]", "tasks", (3, 1)),
+        ("tasks = [ 2 ]", "tasks", (2,)),
+        ("max_trial=4", "max_trial", 4),
+        ("discount=0.9", "discount", Fraction(9, 10)),
+        ("discount=2/3", "discount", Fraction(2, 3)),
+        ("evaluation_discount=1", "discount", Fraction(1)),
+    ],
+)
+def test_settings(assignment: str, attribute: str, value: object) -> None:
+    assert getattr(BASE.set(assignment), attribute) == value
+
+
+@pytest.mark.parametrize(
+    ("reading", "option"), [(name, option) for name in READINGS for option in READINGS[name]]
+)
+def test_every_reading_can_be_set(reading: str, option: str) -> None:
+    assert BASE.set(f"readings.{reading}={option}").readings[reading] == option
+    assert BASE.with_(readings={reading: option}).readings[reading] == option
+
+
+def test_numbers_are_taken_as_they_are_written() -> None:
+    assert BASE.set("base.anger=0.1")["base.anger"] == Fraction(1, 10)
+    assert BASE.set("base.anger=1/10")["base.anger"] == Fraction(1, 10)
+    assert BASE.set("base.anger=1e-1")["base.anger"] == Fraction(1, 10)
+    assert BASE.set("reward.anger=-7.5")["reward.anger"] == Fraction(-15, 2)
+    assert BASE.with_(parameters={"base.anger": 0.1})["base.anger"] == Fraction(0.1)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "what", "fix"),
+    [
+        ("base.angre=0.1", "unknown parameter 'base.angre'", "base.anger"),
+        ("bse.anger=0.1", "unknown parameter 'bse.anger'", "base.anger"),
+        ("influence.anger.anger=0.1", "unknown parameter", "influence."),
+        ("reward.angry=1", "unknown parameter", "reward.anger"),
+        ("task=[1]", "unknown parameter", "tasks"),
+        ("readings.skip_onsets=base", "unknown reading", "skip_onset"),
+        ("readings.skip_onset=bases", "unknown option", "base"),
+        ("skip_onset=base", "unknown parameter", "skip_onset"),
+        ("base.anger=1.5", "outside [0, 1]", "in that range"),
+        ("base.anger=-0.1", "outside [0, 1]", "in that range"),
+        ("base.anger=nan", "not a finite rational", "1/10"),
+        ("base.anger=inf", "not a finite rational", "1/10"),
+        ("base.anger=1/0", "not a finite rational", "1/10"),
+        ("base.anger=often", "not a finite rational", "1/10"),
+        ("base.anger=1e999999999", "exponent", "scale"),
+        ("base.anger", "not a setting", "KEY=VALUE"),
+        ("=1", "not a setting", "KEY=VALUE"),
+        ("base.anger=", "not a setting", "KEY=VALUE"),
+        ("tasks=[]", "tasks", "[3]"),
+        ("tasks=[0]", "tasks", "[3]"),
+        ("tasks=[1.5]", "tasks", "[3]"),
+        ("tasks=[true]", "tasks", "[3]"),
+        ("tasks=3", "tasks", "[3]"),
+        ("tasks=three", "tasks", "[3]"),
+        ("max_trial=0", "max_trial", "at least 1"),
+        ("max_trial=-1", "max_trial", "at least 1"),
+        ("max_trial=2.5", "max_trial", "at least 1"),
+        ("max_trial=1000000000", "max_trial", ""),
+        ("discount=1.1", "discount", "0 to 1"),
+        ("discount=-0.1", "discount", "0 to 1"),
+        ("tasks=[99999999]", "states", "fewer"),
+    ],
+)
+def test_bad_settings_say_what_and_how_to_mend(assignment: str, what: str, fix: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        BASE.set(assignment)
+    assert what in caught.value.what
+    assert fix in caught.value.fix
+    assert caught.value.where
+
+
+TEXT = own_text(3, 3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("s0 = 0.1", "", "base.s0 is missing"),
+        ("s0 = 0.1", "s0 = 1.1", "outside [0, 1]"),
+        ("s0 = 0.1", "s0 = nan", "not a finite"),
+        ("s0 = 0.1", "s0 = true", "not a number"),
+        ("s0 = 0.1", "s0 = [1]", "not a number"),
+        ("s0 = 0.1", "s9 = 0.1", "base.s9"),
+        ("s0 = 0.1", "s0 = 0.1\ns0 = 0.2", "broken TOML"),
+        ("[base]", "[bases]", "unknown key 'bases'"),
+        ("[base]", "colour = 1\n[base]", "unknown key 'colour'"),
+        ("max_trial = 2", "", "max_trial"),
+        ("max_trial = 2", "max_trial = true", "max_trial"),
+        ("tasks = [2]", "tasks = []", "tasks"),
+        ("tasks = [2]", "tasks = [2, 'x']", "tasks"),
+        ("tasks = [2]", "discount = 2\ntasks = [2]", "discount"),
+        ("other = 's1'", "other = 's0'", "other status"),
+        ("other = 's1'", "other = 's7'", "other status"),
+        ("alone = 0.1\nwith-other = 0.9\n[", "alone = 0.1\n[", "with-other is missing"),
+        ("'a0', 'a1', 'a2'", "'a0', 'a1', 'skip'", "skip"),
+        ("'a0', 'a1', 'a2'", "'a0', 'a1', 'a1'", "different names"),
+        ("'s0', 's1', 's2'", "'s0', 's1', 's.2'", "different names"),
+        ("'s0', 's1', 's2'", "'s0', 's1', 3", "different names"),
+        ("assistance.a1.s0", "assistance.a7.s0", "unknown action 'a7'"),
+        ("assistance.a1.s0", "assistance.a1.s7", "unknown status 's7'"),
+        ("[base]", "[readings]\nskip_onset = 'never'\n[base]", "unknown option"),
+        ("[base]", "[readings]\nskip_on = 'base'\n[base]", "unknown reading"),
+        ("[base]", "[status_weight]\ns0 = 'trial'\n[base]", "same name"),
+        ("[base]", "[status_weight]\ns7 = 'x'\n[base]", "unknown status"),
+        ("max_trial = 2", "max_trial = 2\nreadings = 3", "not a table"),
+        ("s0 = 0.1", "s0 = 1e99999", "exponent"),
+        ("[base]", "name = 3\n[base]", "not a text"),
+    ],
+)
+def test_bad_scenario_files(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    path = tmp_path / "own.toml"
+    path.write_text(TEXT.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        Scenario.load(path)
+    assert message in caught.value.what
+    assert str(path) in caught.value.where
+    assert caught.value.fix
+
+
+def test_unknown_scenarios_and_files(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"yuan2025"):
+        Scenario.load("yuan2024")
+    with pytest.raises(ModelError, match="cannot read"):
+        Scenario.load(tmp_path / "missing.toml")
+    folder = tmp_path / "folder.toml"
+    folder.mkdir()
+    with pytest.raises(ModelError, match="cannot read"):
+        Scenario.load(folder)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ModelError, match="UTF-8"):
+        Scenario.load(binary)
+
+
+def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(TEXT, encoding="utf-8-sig")
+    assert Scenario.load(path).values() == parse(TEXT).values()
+
+
+def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:
+    with pytest.raises(AttributeError):
+        BASE.max_trial = 3  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        BASE.readings["skip_onset"] = "base"  # type: ignore[index]
+    again = pickle.loads(pickle.dumps(BASE))
+    assert again == BASE
+    with pytest.raises(TypeError):
+        again.readings["skip_onset"] = "base"
+    assert again.compile().table.row(0) == BASE.compile().table.row(0)
+
+
+def test_changes_leave_the_original_alone() -> None:
+    before = BASE.values()
+    BASE.with_(tasks=[1], parameters={"base.anger": "1/2"}, readings={"skip_onset": "base"})
+    assert (BASE.values(), BASE.tasks, BASE.readings["skip_onset"]) == (before, (3,), "none")

@@ -1,0 +1,172 @@
+"""Sampled episodes against exact numbers, within four standard errors, and their seeds."""
+
+from __future__ import annotations
+
+from fractions import Fraction as F
+from itertools import pairwise
+from math import inf, sqrt
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from policy_cases import care, careful, policy_of
+
+from mdp import MDP, ModelError, Scenario
+from solvers import Claim
+from solvers.evaluation import evaluate
+from solvers.policy_chain import PolicyChain
+from solvers.returns import return_distribution
+from solvers.simulation import Simulation, _cumulative, simulate
+
+EPISODES = 100_000
+
+
+def check(found: Simulation, mdp: MDP, policy: object) -> None:
+    """Mean, spread, steps and events are within four standard errors of the exact ones."""
+    wanted = evaluate(mdp, policy)
+    assert abs(found.mean - wanted.mean) < 4 * found.standard_error + found.truncation_error
+    assert found.sd == pytest.approx(wanted.sd, rel=0.03)
+    if wanted.ends and not found.truncated:
+        spread = found.steps.std() / sqrt(found.episodes)
+        assert abs(found.steps.mean() - wanted.steps) <= 4 * spread
+    for name, share in found.events.items():
+        p = wanted.event_probability[name]
+        assert abs(share - p) <= 4 * sqrt(p * (1 - p) / found.episodes)
+
+
+@pytest.mark.parametrize("discount", [F(1), F(19, 20)])
+@pytest.mark.parametrize("policy", ["random", "always:none", "always:directive"])
+def test_the_papers_model(policy: str, discount: F) -> None:
+    mdp = Scenario.load("yuan2025").compile().with_(discount=discount)
+    found = simulate(mdp, policy, EPISODES, seed=1)
+    check(found, mdp, policy)
+    assert found.claim is Claim.ESTIMATED
+    assert found.estimate.value == found.mean
+    assert (found.truncated, found.truncation_error) == (0, 0.0)
+    assert list(found.events) == ["skip"]
+
+
+def test_other_readings_and_a_mixed_policy() -> None:
+    readings = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped", "skip_onset": "base"}
+    mdp, oracle = care(readings, [2, 1])
+    policy = policy_of(mdp, careful)
+    found = simulate(mdp, policy, EPISODES, seed=2)
+    check(found, mdp, policy)
+    wanted = oracle.evaluate(careful, distribution=False)
+    assert abs(found.mean - float(wanted["mean"])) < 4 * found.standard_error
+
+
+def test_every_return_comes_as_often_as_it_should() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
+    exact = return_distribution(mdp, "random")
+    found = simulate(mdp, "random", EPISODES, seed=3)
+    values, counts = np.unique(found.returns, return_counts=True)
+    law = {float(value): p for value, p in exact.as_dict().items()}
+    assert set(values.tolist()) <= set(law)
+    shares = dict(zip(values.tolist(), (counts / EPISODES).tolist(), strict=True))
+    for value, p in law.items():
+        assert abs(shares.get(value, 0.0) - p) <= 5 * sqrt(p * (1 - p) / EPISODES) + 1e-4
+
+
+LOOP = [
+    (0, 0, [("1/10", 0, 1), ("9/10", 1, -2)]),
+    (0, 1, [("1/2", 2, 0), ("1/2", 0, "1/2")]),
+    (1, 0, [("3/4", 0, 3), ("1/4", 1, 0)]),
+    (2, 0, [(1, 2, 0)]),
+]
+
+
+@pytest.mark.parametrize("discount", ["1", "19/20", "1/2", "0"])
+def test_cycles_and_several_starts(discount: str) -> None:
+    mdp = MDP.from_outcomes(LOOP, discount, start={0: "1/3", 1: "1/3", 2: "1/3"})
+    found = simulate(mdp, "random", EPISODES, seed=4)
+    check(found, mdp, "random")
+    assert found.steps.min() == 0
+
+
+def test_an_endless_process_is_cut_off_where_nothing_is_lost() -> None:
+    mdp = MDP.from_outcomes(LOOP, "9/10")
+    found = simulate(mdp, [0, 0, 0], 20_000, seed=5)
+    check(found, mdp, [0, 0, 0])
+    assert found.truncated == found.episodes
+    assert set(found.steps.tolist()) == {263}
+    assert 0 < found.truncation_error <= 1e-12 * 3 / 0.1
+    short = simulate(mdp, [0, 0, 0], 20_000, seed=5, max_steps=10)
+    assert short.truncation_error == pytest.approx(0.9**10 * 3 / 0.1)
+    assert abs(short.mean - evaluate(mdp, [0, 0, 0]).mean) < short.truncation_error
+
+
+def test_probabilities_of_large_models_keep_their_digits() -> None:
+    # Summed up over all states at once, rare outcomes of late states would be lost to rounding.
+    states, rare = 100_000, 1e-13
+    here = np.repeat(np.arange(states - 1), 2)
+    there = np.where(np.arange(len(here)) % 2, states - 1, np.minimum(here + 1, states - 2))
+    rows = sp.csr_array((np.tile([1 - rare, rare], states - 1), (here, there)))
+    last = sp.csr_array(([1.0], ([0], [states - 1])), shape=(1, states))
+    mdp = MDP.from_pairs(
+        np.arange(states), np.zeros(states, dtype=int), sp.vstack([rows, last]), np.zeros(states)
+    )
+    first, cumulative = _cumulative(PolicyChain.of(mdp, "random"))
+    assert first.tolist() == [*range(0, 2 * states, 2), 2 * states - 1]
+    assert (cumulative[0:-1:2] == 1 - rare).all()
+    assert (cumulative[1:-1:2] == 1).all()
+
+
+def test_cumulative_probabilities_are_sums_within_states() -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    chain = PolicyChain.of(mdp, "random")
+    first, cumulative = _cumulative(chain)
+    for begin, end in pairwise(first.tolist()):
+        wanted = np.cumsum(chain.probability[begin:end])
+        np.testing.assert_allclose(cumulative[begin:end], wanted, rtol=1e-14)
+        assert cumulative[end - 1] == 1
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    first, again = (simulate(mdp, "random", 1000, seed=0) for _ in range(2))
+    assert first.returns.tobytes() == again.returns.tobytes()
+    assert first.steps.tobytes() == again.steps.tobytes()
+    other = simulate(mdp, "random", 1000, seed=1)
+    assert first.returns.tobytes() != other.returns.tobytes()
+    generator = np.random.default_rng(0)
+    assert simulate(mdp, "random", 1000, generator).returns.tobytes() == first.returns.tobytes()
+    assert simulate(mdp, "random", 1000, generator).returns.tobytes() != first.returns.tobytes()
+
+
+def test_one_episode_says_nothing_of_the_spread() -> None:
+    found = simulate(MDP.from_outcomes(LOOP), "random", 1, seed=0)
+    assert found.episodes == 1
+    assert found.standard_error == inf
+
+
+def test_results_are_read_only() -> None:
+    found = simulate(MDP.from_outcomes(LOOP), "random", 10, seed=0)
+    with pytest.raises(ValueError, match="read-only"):
+        found.returns[0] = 0
+
+
+def test_discount_1_needs_a_policy_that_ends_in_time() -> None:
+    mdp = MDP.from_outcomes(LOOP)
+    with pytest.raises(ModelError, match="may not"):
+        simulate(mdp, [0, 0, 0], 10, seed=0)
+    with pytest.raises(ModelError, match="after 1 steps") as caught:
+        simulate(mdp, "random", 100, seed=0, max_steps=1)
+    assert "max_steps" in caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ({"episodes": 0, "seed": 0}, "episodes is 0"),
+        ({"episodes": 1.5, "seed": 0}, "episodes is 1.5"),
+        ({"episodes": True, "seed": 0}, "episodes is True"),
+        ({"episodes": 5, "seed": None}, "seed is None"),
+        ({"episodes": 5, "seed": -1}, "seed is -1"),
+        ({"episodes": 5, "seed": "0"}, "seed is '0'"),
+        ({"episodes": 5, "seed": 0, "max_steps": 0}, "max_steps is 0"),
+    ],
+)
+def test_unusable_arguments_are_named(arguments: dict[str, object], what: str) -> None:
+    with pytest.raises(ModelError, match=what):
+        simulate(MDP.from_outcomes(LOOP), "random", **arguments)

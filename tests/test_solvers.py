@@ -1,0 +1,374 @@
+"""Every solver in the list, against published answers, rational arithmetic and each other."""
+
+import dataclasses
+import pickle
+from fractions import Fraction as F
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from cases import BY_NAME, CASES, Case
+from cases.reference import evaluate_exact, solve_exact
+from hypothesis import given, settings
+from strategies import Rows, exact_values, model_of, models
+
+from mdp import MDP, ModelError, Scenario
+from mdp.chain import is_acyclic
+from solvers import (
+    SOLVERS,
+    BackwardInduction,
+    Bounded,
+    Certified,
+    Claim,
+    Estimated,
+    LinearProgram,
+    ModifiedPolicyIteration,
+    PolicyIteration,
+    PrecisionWarning,
+    Solution,
+    Solver,
+    SolverError,
+    Status,
+    ValueIteration,
+    solve,
+)
+
+PROGRAMS = [
+    LinearProgram(solver=name, form=form)
+    for name in ("CLARABEL", "HIGHS")
+    for form in ("primal", "dual")
+]
+# Value iteration would take its million sweeps on chains that mix slowly.
+QUICK: dict[str, Solver] = {
+    **{name: kind() for name, kind in SOLVERS.items()},
+    "value-iteration": ValueIteration(max_iterations=6_000),
+}
+DIRECT = {"backward-induction", "policy-iteration", "linear-program"}
+HARD = [case for case in CASES if case.name.startswith("reset-chain")]
+
+
+def case_model(case: Case) -> MDP:
+    return model_of(case.n_states, case.pairs, case.discount, start=case.start)
+
+
+def outcome(mdp: MDP, solver: Solver) -> Solution | SolverError | ModelError:
+    try:
+        return solve(mdp, solver)
+    except (SolverError, ModelError) as error:
+        return error
+
+
+@pytest.mark.filterwarnings("ignore::solvers.solution.PrecisionWarning")
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_published_answers(case: Case, name: str) -> None:
+    mdp = case_model(case)
+    found = outcome(mdp, QUICK[name])
+    if isinstance(found, ModelError):
+        cyclic = name == "backward-induction" and not is_acyclic(mdp)
+        assert cyclic or not case.proper
+        return
+    if isinstance(found, SolverError):
+        assert case in HARD
+        if found.solution is None:
+            return
+        found = found.solution
+    for state, value in case.values.items():
+        error = abs(F(float(found.value[state])) - F(value))
+        assert error <= F(float(found.state_error[state])) + F(case.tolerance)
+    if found.status is Status.ITERATION_LIMIT:
+        return
+    size = max(1.0, float(np.abs(found.value).max()))
+    assert found.error_bound <= (1e-8 if case in HARD else 1e-9) * size
+    for state, actions in case.optimal.items():
+        assert found.policy[state] in actions
+    assert found.method == name
+
+
+@pytest.mark.parametrize("name", [name for name in SOLVERS if name != "linear-program"])
+@given(rows=models())
+def test_exact_optimum_lies_within_the_bounds(name: str, rows: Rows) -> None:
+    check_against_exact(rows, QUICK[name])
+
+
+@pytest.mark.parametrize("solver", PROGRAMS, ids=repr)
+@settings(max_examples=15)
+@given(rows=models())
+def test_exact_optimum_lies_within_the_bounds_of_a_program(
+    solver: LinearProgram, rows: Rows
+) -> None:
+    check_against_exact(rows, solver)
+
+
+def check_against_exact(rows: Rows, solver: Solver) -> None:
+    mdp = rows.model()
+    if solver.name == "backward-induction" and not is_acyclic(mdp):
+        with pytest.raises(ModelError, match="without cycles"):
+            solve(mdp, solver)
+        return
+    found = outcome(mdp, solver)
+    if isinstance(found, SolverError):
+        # Sweeps take long where γ is near 1 and several chains are closed.
+        assert found.status is Status.ITERATION_LIMIT
+        assert solver.name == "value-iteration"
+        found = found.solution
+    assert isinstance(found, Solution)
+    exact, _ = solve_exact(rows.n_states, rows.pairs, rows.discount)
+    policy = dict(enumerate(found.policy.tolist()))
+    worth = evaluate_exact(rows.n_states, rows.pairs, rows.discount, policy)
+    values = zip(exact, worth, exact_values(found.value), found.state_error, strict=True)
+    for best, reached, value, error in values:
+        assert abs(best - value) <= F(float(error))
+        assert abs(reached - value) <= F(float(error))
+        assert best - reached <= F(found.regret_bound)
+    size = float(max(map(abs, exact)) + max(abs(r) for _, _, r, _ in rows.pairs))
+    if solver.name in DIRECT:
+        assert found.error_bound <= 1e-9 * size
+        assert found.status is Status.DIRECT
+    start = sum((weight * exact[state] for state, weight in mdp.start), F(0))
+    assert abs(start - F(found.start_value)) <= F(found.start_error_bound)
+
+
+def test_solvers_agree_on_the_care_model() -> None:
+    scenario = Scenario.load("yuan2025")
+    for discount in (1, "19/20"):
+        mdp = scenario.compile().with_(discount=discount)
+        found = [solve(mdp, name) for name in SOLVERS] + [solve(mdp, one) for one in PROGRAMS]
+        for one in found:
+            assert one.error_bound < 1e-9
+            assert one.policy.tolist() == found[0].policy.tolist()
+            assert (np.abs(one.value - found[0].value) <= 2e-9).all()
+
+
+def test_the_default_depends_on_cycles() -> None:
+    assert solve(case_model(BY_NAME["gambler-30-1/2"])).method == "modified-policy-iteration"
+    assert solve(case_model(BY_NAME["secretary-10"]), "auto").method == "backward-induction"
+    assert solve(case_model(BY_NAME["secretary-10"]), "value-iteration").iterations > 1
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_names_are_those_of_the_list(name: str) -> None:
+    solver = SOLVERS[name]()
+    assert solver.name == name
+    assert repr(solver).startswith(type(solver).__name__)
+    assert hash(solver) == hash(SOLVERS[name]())
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(ModelError, match="did you mean policy-iteration"):
+        solve(case_model(BY_NAME["secretary-2"]), "policy-iterations")
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_policy_that_never_ends_is_refused(name: str) -> None:
+    mdp = MDP.from_arrays([[[0, 1], [1, 0]]], [1, -1])
+    with pytest.raises(ModelError):
+        solve(mdp, name)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_answers_are_the_same_every_time(name: str) -> None:
+    mdp = case_model(BY_NAME["pig-turn"])
+    one, two = solve(mdp, name), solve(case_model(BY_NAME["pig-turn"]), name)
+    assert one.value.tobytes() == two.value.tobytes()
+    assert one.state_error.tobytes() == two.state_error.tobytes()
+    assert one.policy.tobytes() == two.policy.tobytes()
+
+
+@pytest.mark.parametrize("kind", [ValueIteration, ModifiedPolicyIteration])
+@pytest.mark.parametrize("tol", [0, -1.0, float("nan"), float("inf")])
+def test_a_tolerance_is_positive(kind: type, tol: float) -> None:
+    with pytest.raises(ModelError, match="tol"):
+        kind(tol=tol)
+
+
+@pytest.mark.parametrize("kind", [ValueIteration, ModifiedPolicyIteration, PolicyIteration])
+@pytest.mark.parametrize("limit", [0, -3, 1.5])
+def test_a_limit_is_a_whole_number(kind: type, limit: float) -> None:
+    with pytest.raises(ModelError, match="max_iterations"):
+        kind(max_iterations=limit)
+
+
+@pytest.mark.parametrize("kind", [ValueIteration, ModifiedPolicyIteration])
+@pytest.mark.parametrize("tol", [1e-2, 1e-6, 1e-10])
+def test_the_tolerance_is_met(kind: type, tol: float) -> None:
+    case = BY_NAME["gambler-100-2/5"]
+    found = solve(case_model(case), kind(tol=tol))
+    assert found.error_bound <= tol
+    assert found.status is Status.CONVERGED
+    assert all(abs(F(float(found.value[s])) - v) <= F(tol) for s, v in case.values.items())
+
+
+@pytest.mark.parametrize("kind", [ValueIteration, ModifiedPolicyIteration])
+def test_a_tolerance_beyond_double_precision_warns(kind: type) -> None:
+    case = BY_NAME["gambler-100-2/5"]
+    with pytest.warns(PrecisionWarning, match="certify"):
+        found = solve(case_model(case), kind(tol=1e-18))
+    assert found.status is Status.PRECISION
+    assert 1e-18 < found.error_bound < 1e-10
+
+
+def test_small_last_changes_are_no_reason_to_stop() -> None:
+    # Stopping when a sweep changes less than 1e-6 gives 0.33 for a true 1/2 here.
+    case = BY_NAME["reset-chain-20-1/2-goal"]
+    mdp = case_model(case)
+    with pytest.raises(SolverError, match="raise max_iterations") as caught:
+        solve(mdp, ValueIteration(tol=1e-6, max_iterations=5_000))
+    reached = caught.value.solution
+    assert reached is not None
+    assert abs(reached.start_value - 0.5) <= reached.start_error_bound
+    found = solve(mdp, ModifiedPolicyIteration(tol=1e-6))
+    assert found.error_bound <= 1e-6
+    assert abs(found.start_value - 0.5) <= found.start_error_bound
+
+
+@pytest.mark.parametrize("kind", [ModifiedPolicyIteration, PolicyIteration])
+def test_policies_are_not_improved_for_ever(kind: type) -> None:
+    mdp = case_model(BY_NAME["gambler-100-2/5"])
+    with pytest.raises(SolverError, match="iteration limit") as caught:
+        solve(mdp, kind(max_iterations=1))
+    error = pickle.loads(pickle.dumps(caught.value))
+    assert error.status is Status.ITERATION_LIMIT
+    assert str(error) == str(caught.value)
+
+
+@pytest.mark.parametrize("solver", [*QUICK.values(), *PROGRAMS], ids=repr)
+def test_values_beyond_floats_are_refused(solver: Solver) -> None:
+    big = F(5 * 10**307)
+    rows = [(1, 0, big, {1: F(9, 10), 0: F(1, 10)}), (0, 0, F(0), {0: F(1)})]
+    if solver.name == "backward-induction":
+        steps = [(s, 0, big, {s - 1: F(1)}) for s in range(1, 9)]
+        rows = [*steps, (0, 0, F(0), {0: F(1)})]
+    n_states = max(s for s, *_ in rows) + 1
+    with pytest.raises(SolverError):
+        solve(model_of(n_states, rows, F(1)), solver)
+
+
+def test_large_and_small_rewards_side_by_side() -> None:
+    rows = [
+        (2, 0, F(10**9), {1: F(1)}),
+        (2, 1, F(10**9) + F(1, 10**9), {1: F(1)}),
+        (1, 0, F(1, 10**9), {1: F(1, 2), 0: F(1, 2)}),
+        (0, 0, F(0), {0: F(1)}),
+    ]
+    mdp = model_of(3, rows, F(1))
+    exact, _ = solve_exact(3, rows, F(1))
+    for name in ("value-iteration", "modified-policy-iteration", "policy-iteration"):
+        found = solve(mdp, name)
+        assert all(
+            abs(x - v) <= F(float(e))
+            for x, v, e in zip(exact, exact_values(found.value), found.state_error, strict=True)
+        )
+        # The two actions cannot be told apart in double precision, and the bound says so.
+        assert F(1, 10**9) <= F(found.regret_bound)
+
+
+# ---- linear programs -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", PROGRAMS, ids=repr)
+@pytest.mark.parametrize("name", ["pig-turn", "gambler-64-1/4", "puterman-two-state-9/10"])
+def test_gaps_and_visits(solver: LinearProgram, name: str) -> None:
+    case = BY_NAME[name]
+    mdp = case_model(case)
+    found = solve(mdp, solver)
+    assert found.gaps is not None
+    assert found.occupancy is not None
+    q = solve(mdp, PolicyIteration()).q
+    gaps = found.value[mdp.pair_state] - q
+    assert np.abs(found.gaps - gaps).max() < 1e-9
+    assert found.gaps.min() > -1e-12
+    assert found.occupancy.min() >= 0
+    assert (found.occupancy[found.gaps > 1e-9] == 0).all()
+    assert float(found.occupancy @ mdp.reward) == pytest.approx(found.start_value, abs=1e-12)
+    # What flows in flows out, except at the end.
+    used = np.bincount(mdp.pair_state, found.occupancy, minlength=mdp.n_states)
+    inflow = mdp.start_distribution + mdp.discount * (mdp.transition.T @ found.occupancy)
+    assert np.abs((used - inflow)[~mdp.terminal]).max() < 1e-12
+
+
+@pytest.mark.parametrize("setting", [{"solver": "HIGH"}, {"form": "duel"}])
+def test_unknown_settings_of_a_program_are_refused(setting: dict[str, str]) -> None:
+    with pytest.raises(ModelError, match="did you mean"):
+        LinearProgram(**setting)
+
+
+def test_an_optimiser_that_fails_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    mdp = case_model(BY_NAME["pig-turn"])
+
+    def breaks(problem: cp.Problem, **_: object) -> None:
+        raise cp.SolverError("numerical trouble")
+
+    monkeypatch.setattr(cp.Problem, "solve", breaks)
+    with pytest.raises(SolverError, match="numerical trouble"):
+        solve(mdp, LinearProgram())
+    monkeypatch.setattr(cp.Problem, "solve", lambda problem, **_: None)
+    with pytest.raises(SolverError, match="CLARABEL says None"):
+        solve(mdp, LinearProgram())
+
+
+def test_an_optimiser_that_errs_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    mdp = case_model(BY_NAME["pig-turn"])
+    honest = LinearProgram._program
+
+    def errs(self: LinearProgram, mdp: MDP) -> tuple:
+        pairs, objective, steps = honest(self, mdp)
+        return pairs, objective * 1.001, steps
+
+    monkeypatch.setattr(LinearProgram, "_program", errs)
+    with pytest.raises(SolverError, match="found a mean value of"):
+        solve(mdp, LinearProgram())
+
+
+# ---- what is returned ------------------------------------------------------------------------
+
+
+def test_a_solution_cannot_be_changed() -> None:
+    found = solve(case_model(BY_NAME["pig-turn"]))
+    with pytest.raises(ValueError, match="read-only"):
+        found.value[0] = 1
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        found.claim = Claim.CERTIFIED
+    assert found.claim == "bounded"
+    assert str(found.start) in repr(found)
+    assert "solved directly" in repr(found)
+
+
+def test_the_start_may_be_spread_over_states() -> None:
+    case = BY_NAME["gambler-30-1/2"]
+    mdp = case_model(case).with_(start={3: "1/3", 7: "2/3"})
+    found = solve(mdp, PolicyIteration())
+    exact = F(1, 3) * case.values[3] + F(2, 3) * case.values[7]
+    assert abs(F(found.start_value) - exact) <= F(found.start_error_bound)
+    assert found.start_error_bound < 1e-12
+
+
+def test_three_kinds_of_number() -> None:
+    third = Certified(value=F(1, 3))
+    assert third.claim == "certified"
+    low, high = third.interval
+    assert F(low) < F(1, 3) < F(high)
+    bounded = Bounded(value=1.0, error=0.5)
+    assert bounded.claim == "bounded"
+    assert bounded.interval[0] < 0.5 < 1.5 < bounded.interval[1]
+    sampled = Estimated(value=1.0, standard_error=0.5)
+    assert sampled.claim == "estimated"
+    assert [str(one) for one in (third, bounded, sampled)] == [
+        "1/3 (certified)",
+        "1 ± 0.5 (bounded)",
+        "1 ± 0.5 s.e. (estimated)",
+    ]
+
+
+def test_levels_in_any_order_of_states() -> None:
+    scenario = Scenario.load("yuan2025")
+    mdp = scenario.compile()
+    turn = np.random.default_rng(5).permutation(mdp.n_states)
+    rows = [
+        (turn[s], a, [(p, turn[t], r) for p, t, r in mdp.table.row(pair)])
+        for pair, (s, a) in enumerate(zip(mdp.pair_state, mdp.pair_action, strict=True))
+    ]
+    shuffled = MDP.from_outcomes(rows, start=int(turn[0]), actions=mdp.actions)
+    one, two = solve(mdp, BackwardInduction()), solve(shuffled, BackwardInduction())
+    assert np.abs(one.value - two.value[turn]).max() <= one.error_bound + two.error_bound
+    assert one.policy.tolist() == two.policy[turn].tolist()
