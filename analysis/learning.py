@@ -1,10 +1,8 @@
-"""What learning ends with and passes through, judged by exact values instead of experiments.
+"""What learning ends with, judged by exact values instead of experiments.
 
 The final greedy policy of every run has an exact value, so that its regret V* - V^π is known and
 only the seeds are a sample: over runs, intervals are Wilson's for shares (JASA 22, 1927) and BCa
-bootstrap for means (Efron, JASA 82, 1987). Learning curves are drawn twice: as the authors do, the
-mean return of 40 experiments with the greedy policy of each epoch, and without that noise, the
-exact value of the same policy.
+bootstrap for means (Efron, JASA 82, 1987).
 
 The authors choose their final policy among the five that were greedy most often in the last 100
 episodes, by simulation (Yuan et al. 2025, "Evaluation Metrics"); `selected` does so by exact value.
@@ -17,21 +15,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from analysis.status_policies import BestPolicy, best_policy
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.table import Floats, Integers, Numbers
-from solvers import Bounded, evaluate, solve
+from solvers import Bounded, solve
 from solvers.policy_values import policy_values
 from solvers.q_learning import TrainingRun
-from solvers.sampler import Rows, child, rows_of, scores, stream, tables
+from solvers.sampler import Rows, rows_of
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CANDIDATES = 5
-EXPERIMENTS = 40
 Interval = tuple[float, float]
 
 
@@ -145,7 +141,7 @@ def outcomes(mdp: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> Ou
     >>> found.counts.sum(), bool((found.learning_error <= found.regret).all())
     (np.int64(12), True)
     """
-    rows = _rows(mdp, runs)
+    rows = common_rows(mdp, runs)
     known: dict[bytes, int] = {}
     listed: list[Numbers] = []
 
@@ -181,137 +177,6 @@ def outcomes(mdp: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> Ou
         changed=np.array(changed),
         optimum=solve(mdp).start,
         best=best_policy(mdp, rows.space.names) if partial and bound else None,
-    )
-
-
-# ---- curves --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LearningCurve:
-    """Mean returns of the greedy policies of E epochs, by experiment and exact.
-
-    Attributes
-    ----------
-    sampled, standard_error : (E,)
-        Mean of `experiments` sampled returns, and its standard error.
-    exact, error : (E,)
-        Value of the same policy, up to rounding.
-    cut_short : int
-        Experiments that did not end; they are counted as far as they went.
-    """
-
-    sampled: Floats
-    standard_error: Floats
-    exact: Floats
-    error: Floats
-    experiments: int
-    cut_short: int
-
-
-def learning_curve(
-    mdp: MDP,
-    run: TrainingRun,
-    *,
-    seed: int | SeedSequence,
-    experiments: int = EXPERIMENTS,
-    max_steps: int = 10_000,
-) -> LearningCurve:
-    """Return the curve of one run: each epoch's greedy policy, tried and evaluated exactly.
-
-    Examples
-    --------
-    >>> from mdp import Scenario
-    >>> from solvers.q_learning import QLearning
-    >>> mdp = Scenario.load("yuan2025").compile()
-    >>> curve = learning_curve(mdp, QLearning(epochs=50).train(mdp, seed=0), seed=1)
-    >>> curve.exact.shape, bool(abs(curve.sampled - curve.exact).mean() < 15)
-    ((50,), True)
-    """
-    rows = _rows(mdp, [run])
-    values = policy_values(mdp, rows, run.policies)
-    table = scores(run.policies, mdp.n_actions)
-    return _curve(
-        mdp,
-        rows,
-        table,
-        run.snapshots,
-        values.value[run.snapshots],
-        values.error[run.snapshots],
-        0.0,
-        (experiments, max_steps),
-        seed,
-    )
-
-
-def random_curve(
-    mdp: MDP,
-    epochs: int,
-    *,
-    seed: int | SeedSequence,
-    experiments: int = EXPERIMENTS,
-    max_steps: int = 10_000,
-) -> LearningCurve:
-    """Return the same curve for actions drawn uniformly, the authors' baseline."""
-    rows = rows_of(mdp)
-    exact = evaluate(mdp, "random")
-    which = np.zeros(epochs, dtype=np.int64)
-    return _curve(
-        mdp,
-        rows,
-        np.zeros((1, rows.offered.size)),
-        which,
-        np.full(epochs, exact.mean),
-        np.full(epochs, exact.error_bound),
-        1.0,
-        (experiments, max_steps),
-        seed,
-    )
-
-
-def exact_curves(mdp: MDP, runs: Sequence[TrainingRun]) -> Floats:
-    """Return (R, E) exact values of the greedy policy of every epoch of every run."""
-    rows = _rows(mdp, runs)
-    found = [policy_values(mdp, rows, run.policies).value[run.snapshots] for run in runs]
-    return np.array(found)
-
-
-def _curve(
-    mdp: MDP,
-    rows: Rows,
-    table: Floats,
-    which: Numbers,
-    exact: Floats,
-    error: Floats,
-    chance: float,
-    sizes: tuple[int, int],
-    seed: int | SeedSequence,
-) -> LearningCurve:
-    from solvers import kernels
-
-    experiments, max_steps = sizes
-    if experiments < 2:
-        raise ModelError(
-            f"{experiments} experiments", where="learning curve", fix="make two or more"
-        )
-    returns = np.zeros((len(which), experiments))
-    cut_short = kernels.rollouts(
-        tables(mdp, rows),
-        stream(child(seed, 0)),
-        table,
-        np.ascontiguousarray(which, dtype=np.int64),
-        chance,
-        mdp.discount,
-        max_steps,
-        returns,
-    )
-    return LearningCurve(
-        sampled=returns.mean(axis=1),
-        standard_error=returns.std(axis=1, ddof=1) / np.sqrt(experiments),
-        exact=exact,
-        error=error,
-        experiments=experiments,
-        cut_short=int(cut_short),
     )
 
 
@@ -351,8 +216,8 @@ def mean_interval(values: Floats) -> Interval | None:
     return float(found.low), float(found.high)
 
 
-def _rows(mdp: MDP, runs: Sequence[TrainingRun]) -> Rows:
-    """Return the rows that the runs read, after checking that they are runs on this model."""
+def common_rows(mdp: MDP, runs: Sequence[TrainingRun]) -> Rows:
+    """Return the rows that the runs read; raises ModelError for runs on another model."""
     if not runs:
         raise ModelError("no runs", where="learning", fix="train one")
     rows = rows_of(mdp, runs[0].space.names)

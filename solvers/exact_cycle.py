@@ -24,7 +24,6 @@ from solvers.exact_linear import Equations
 if TYPE_CHECKING:
     from flint import fmpz
 
-FLOAT_STATES = 5_000  # beyond this the first policy is not sought
 STEPS = 100
 PRECISE = 256
 LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
@@ -53,8 +52,6 @@ class Cycle:
 
     def policy(self) -> Integers:
         """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits tell."""
-        if len(self.offsets) > FLOAT_STATES:
-            return self.offsets[:-1].copy()
         return self._sharpened(self._rough())
 
     def _rough(self) -> Integers:
@@ -81,9 +78,10 @@ class Cycle:
         return policy
 
     def _sharpened(self, policy: Integers) -> Integers:
-        """Improve a policy by fixed-point values of PRECISE bits, cheaper than exact ones."""
+        """Improve a policy by fixed-point values, until no pair gains one part in 2^128."""
         longest = max(int(number).bit_length() for number in self.fixed)
         fixed = [number >> max(0, longest - PRECISE) for number in self.fixed]
+        length = min(longest, PRECISE)
         pivot, weight = np.array(self.pivot, dtype=object), self.weight.astype(object)
         first = np.flatnonzero(np.diff(self.row, prepend=-1))
         for _ in range(STEPS):
@@ -95,7 +93,7 @@ class Cycle:
             gain -= pivot * np.repeat(value, np.diff(self.offsets))
             if len(first):
                 gain[self.row[first]] += np.add.reduceat(weight * value[self.column], first)
-            better = self._better(policy, gain // pivot, 1 << PRECISE // 2)
+            better = self._better(policy, gain // pivot, 1 << found[1] + length - PRECISE // 2)
             if better is None:
                 break
             policy = better

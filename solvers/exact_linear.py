@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from mdp.errors import ModelError
 from mdp.table import Integers, Numbers
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 WRAPPING = 2**58
 FARTHEST, STRETCHED = 2.0**62, 2.0**30
 SPARE = 64  # bits beyond those that determine x
-FEW = 40  # equations; so many are solved faster by p-adic lifting
+FEW, MANY = 40, 4_000  # equations that p-adic lifting solves faster, or that are too many for it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +56,8 @@ class Equations:
         ------
         ZeroDivisionError
             Where A is singular.
+        ModelError
+            Where floats fail and the matrix is too large for p-adic lifting.
 
         Examples
         --------
@@ -98,6 +101,11 @@ class Equations:
         from flint import fmpz_mat
 
         size = len(self.pivot)
+        if size > MANY:
+            raise ModelError(
+                f"a cycle of {size} states, too ill-conditioned to be solved exactly",
+                fix="use certify(mdp, bounded=True), which proves bounds in floating point",
+            )
         matrix = np.zeros((size, size), dtype=object)
         matrix[self.row, self.column] = -self.weight
         matrix[np.arange(size), np.arange(size)] = self.pivot

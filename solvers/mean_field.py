@@ -52,6 +52,13 @@ class MeanField:
         Exploration, and the learner's discount.
     policy : (K,) ints
         The greedy policy that is assumed.
+    chain : PolicyChain
+        The ε-greedy policy's.
+    visited : (S,)
+        Its expected visits in an episode; 0 for terminal states.
+    entry, following : (N,) ints
+        Entry of the flat table that each outcome of the chain updates, and the one that it looks
+        at; -1 for none.
     updates : (K, A)
         Expected updates of each entry in an episode.
     q, error : (K, A)
@@ -65,6 +72,7 @@ class MeanField:
     discount: float
     policy: Integers
     chain: PolicyChain
+    visited: Floats
     entry: Integers
     following: Integers
     updates: Floats
@@ -110,7 +118,7 @@ class MeanField:
     def _moves(self) -> Floats:
         """(U, U) expected steps in an episode from one entry to the greedy one that follows."""
         chain, live = self.chain, self.following >= 0
-        flow = _visited(self)[chain.source] * chain.probability
+        flow = self.visited[chain.source] * chain.probability
         size = self.updates.size
         shape = (size, size)
         matrix = sp.csr_array((flow[live], (self.entry[live], self.following[live])), shape)
@@ -130,7 +138,7 @@ class MeanField:
         system = (sp.eye_array(states) - chain.transition).tocsc()
         live = ~self.mdp.terminal
         later = spl.splu(system).solve(np.where(live[:, None], expected.toarray(), 0.0))
-        weight = _visited(self)[chain.source] * chain.probability
+        weight = self.visited[chain.source] * chain.probability
         into = sp.csr_array((weight * delta, (self.entry, outcomes)), (size, len(delta)))
         cross = into[self.used] @ np.where(live[:, None], later, 0.0)[chain.table.next]
         square = np.bincount(self.entry, weight * delta**2, minlength=size)[self.used]
@@ -246,6 +254,7 @@ def mean_field(
         discount=rate,
         policy=greedy,
         chain=chain,
+        visited=visited,
         entry=entry,
         following=following,
         updates=updates.reshape(shape),
@@ -298,9 +307,3 @@ def _acting(mdp: MDP, rows: Rows, greedy: Integers, epsilon: float) -> PolicyCha
     chosen[mdp.pair_action == greedy[rows.key[mdp.pair_state]]] += 1 - epsilon
     chosen[mdp.forced[mdp.pair_state]] = 1.0
     return PolicyChain.of(mdp, chosen)
-
-
-def _visited(found: MeanField) -> Floats:
-    """Return (S,) expected visits in an episode, terminal states left out."""
-    arrivals = visits(found.mdp, found.chain.undiscounted).value
-    return np.where(found.mdp.terminal, 0.0, arrivals)

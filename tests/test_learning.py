@@ -8,14 +8,8 @@ import numpy as np
 import oracle
 import pytest
 
-from analysis.learning import (
-    exact_curves,
-    learning_curve,
-    mean_interval,
-    outcomes,
-    random_curve,
-    share_interval,
-)
+from analysis.learning import mean_interval, outcomes, share_interval
+from analysis.learning_curves import exact_curves, learning_curve, random_curve
 from mdp import MDP, ModelError, Policy, Scenario
 from solvers import evaluate, solve
 from solvers.q_learning import QLearning, TrainingRun

@@ -35,7 +35,7 @@ def by_subtasks(count: int) -> float:
 
 
 def backwards(mdp: MDP, first: int, last: int, after: np.ndarray) -> np.ndarray:
-    """Return the values of states first … first+15, where those from `last` on are worth `after`."""
+    """Return the values of states first … first+15; those from `last` on are worth `after`."""
     value = np.zeros(mdp.n_states)
     value[last : last + len(after)] = after
     for _ in range(5):

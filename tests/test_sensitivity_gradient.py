@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from cases.toolbox import forest
+from cases.toolbox import CASES as TOOLBOX
 from oracle import ACTIONS, END, Oracle, State
 
 from analysis.sensitivity import gradient, moments_gradient, movement_frame
@@ -151,7 +151,7 @@ def test_floats_agree_within_their_bounds() -> None:
 
 def test_published_model_with_cycles() -> None:
     """Fire in the forest: V(0) by hand, and every row that has the fire moves with it."""
-    case = forest(3, F(9, 10), source="")
+    case = next(case for case in TOOLBOX if case.name == "forest-3-9/10")
     mdp = MDP.from_outcomes(
         [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs],
         case.discount,

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from analysis.instability import Prediction
-from analysis.learning import LearningCurve, Outcomes, share_interval
+from analysis.learning import Outcomes, share_interval
+from analysis.learning_curves import LearningCurve
 from analysis.plots.style import LINES, PALETTE, axes_or_new
 from mdp.table import Floats
 
@@ -63,7 +64,7 @@ def plot_value_bands(
     Parameters
     ----------
     values : {label: (R, E)}
-        As `analysis.learning.exact_curves` returns them.
+        As `analysis.learning_curves.exact_curves` returns them.
     window : int
         Epochs to average over.
     """
