@@ -147,6 +147,7 @@ class Template:
             for cost in sorted(set(costs[1:].tolist())):
                 chosen = vectors[1:][costs[1:] == cost]
                 law = _matmul(step[:, :, chosen], self.kernels.skip[chosen])
+                law = law.astype(bottom.dtype)  # as wide as the row's denominator: sums stay below
                 nexts.append(z[:1] if final else z)
                 weights.append(law.sum(axis=2, keepdims=True) if final else law)
                 gains.append([failing + skipping + cost] * len(nexts[-1]))

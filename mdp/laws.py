@@ -89,7 +89,8 @@ def status_kernels(scenario: Scenario) -> Kernels:
         bits=bits,
         step=weight.reshape(vectors, actions, vectors),
         step_denominator=denominator.reshape(vectors, actions),
-        skip=multiply(skip, integers(shared)[:, None]),
+        # As wide as its denominator, below which every sum of a row's weights stays.
+        skip=multiply(skip, integers(shared)[:, None]).astype(integers([bottom]).dtype),
         skip_denominator=bottom,
     )
 

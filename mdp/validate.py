@@ -162,8 +162,11 @@ def _check_rows(mdp: MDP) -> None:
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
         total = exact(sums[pair]) / exact(table.denominator[pair])
+        off = total - 1
+        near = f"1 {'+' if off > 0 else '-'} {shown(abs(off), 3)}"
         raise ModelError(
-            f"transition probabilities sum to {shown(total, 12)}, not 1",
+            f"transition probabilities sum to {near if abs(off) < 1e-9 else shown(total, 12)}, "
+            "not 1",
             where=mdp.where(pair),
             fix="add the missing outcome, or correct a probability in this row",
         )

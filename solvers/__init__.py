@@ -35,7 +35,7 @@ from solvers.solution import (
 from solvers.value_iteration import ValueIteration
 
 if TYPE_CHECKING:
-    from solvers.certificate import certify
+    from solvers.certificate import BoundedCertificate, Certificate, certify
     from solvers.evaluation import evaluate
     from solvers.returns import return_distribution
     from solvers.simulation import simulate
@@ -44,6 +44,8 @@ __all__ = [
     "SOLVERS",
     "BackwardInduction",
     "Bounded",
+    "BoundedCertificate",
+    "Certificate",
     "Certified",
     "Claim",
     "Estimated",
@@ -71,6 +73,8 @@ SOLVERS: dict[str, type[Solver]] = {
     "linear-program": LinearProgram,
 }
 _LATER = {
+    "BoundedCertificate": "solvers.certificate",
+    "Certificate": "solvers.certificate",
     "certify": "solvers.certificate",
     "evaluate": "solvers.evaluation",
     "return_distribution": "solvers.returns",

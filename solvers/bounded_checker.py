@@ -34,8 +34,11 @@ def bounded_violations(found: BoundedCertificate, mdp: MDP) -> list[str]:
         return wrong or ["the policy takes an action that is not available"]
     live = ~mdp.terminal
     open_pairs = live[mdp.pair_state]
-    wrong += [f"{name} is not finite, or not 0 in terminal states" for name, vector in
-              vectors.items() if not np.isfinite(vector).all() or vector[~live].any()]  # fmt: skip
+    wrong += [
+        f"{name} is not finite, or not 0 in terminal states"
+        for name, vector in vectors.items()
+        if not np.isfinite(vector).all() or vector[~live].any()
+    ]
     gain, error = gains(mdp, found.weight, earning=False)
     if not ((found.weight[live] > 0).all() and (gain < -error)[open_pairs].all()):
         wrong.append("the weights do not prove that the Bellman equations have one solution")

@@ -39,8 +39,11 @@ def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
     rows, ends = bellman_rows(mdp), mdp.terminal
     if not _one_solution(rows, found.rank, found.weight):
         wrong.append("nothing proves that the Bellman equations have one solution")
-    wrong += [f"terminal state {s} is not worth 0" for s in np.flatnonzero(ends).tolist()
-              if found.numerator[s]]  # fmt: skip
+    wrong += [
+        f"terminal state {s} is not worth 0"
+        for s in np.flatnonzero(ends).tolist()
+        if found.numerator[s]
+    ]
     wrong += _equations(rows, found)
     pairs = policy_pairs(mdp, found.policy)
     if pairs is None or not found.optimal_pairs[pairs].all():

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdp.bellman import BellmanRows
-from mdp.chain import spans
 from mdp.errors import ModelError
 from mdp.table import Integers
 from solvers.exact_cycle import LARGEST, Cycle, endless
@@ -199,7 +198,7 @@ class _Solver:
         base = self._common({self.group[state] for state in known})
         outer = self._scaled(known, base)
         nothing = dict.fromkeys(inside, base * 0)
-        cycle = self._equations(states, _sums(products, outer | nothing, base))
+        cycle = Cycle.of(self.sides, states, _sums(products, outer | nothing, base))
         policy = cycle.policy()
         while True:
             value, below = cycle.values(policy)
@@ -218,23 +217,6 @@ class _Solver:
         for state, own, of_state in zip(inside, value, losses, strict=True):
             self._settle(state, own, of_state)
         self._close(inside, base * below, lowest=True)
-
-    def _equations(self, states: Integers, fixed: list[fmpz]) -> Cycle:
-        rows = self.sides.rows
-        pairs = spans(rows.pair_offsets[states], rows.pair_offsets[states + 1])
-        entries = spans(rows.offsets[pairs], rows.offsets[pairs + 1])
-        row = np.repeat(np.arange(len(pairs)), rows.offsets[pairs + 1] - rows.offsets[pairs])
-        column = np.searchsorted(states, rows.next[entries])
-        within = states[np.minimum(column, len(states) - 1)] == rows.next[entries]
-        counts = rows.pair_offsets[states + 1] - rows.pair_offsets[states]
-        return Cycle(
-            offsets=np.concatenate([[0], np.cumsum(counts)]),
-            pivot=[self.sides.pivot[pair] for pair in pairs.tolist()],
-            fixed=fixed,
-            row=row[within],
-            column=column[within],
-            weight=rows.weight[entries][within],
-        )
 
     # ---- numbers -----------------------------------------------------------------------------
 

@@ -17,15 +17,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.sparse as sp
 
+from mdp.chain import spans
 from mdp.errors import ModelError
 from mdp.table import Integers, Numbers
 from solvers.exact_linear import Equations
+from solvers.exact_product import RightSides
 
 if TYPE_CHECKING:
     from flint import fmpz
 
-STEPS = 100
-PRECISE = 256
+STEPS = 100  # of policy iteration, before the exact ones
+PRECISE = 256  # bits of fixed-point values
 LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
 
 
@@ -49,6 +51,25 @@ class Cycle:
     row: Integers
     column: Integers
     weight: Numbers
+
+    @classmethod
+    def of(cls, sides: RightSides, states: Integers, fixed: Sequence[fmpz]) -> Cycle:
+        """Return the equations of sorted states, given what the states around contribute."""
+        rows = sides.rows
+        pairs = spans(rows.pair_offsets[states], rows.pair_offsets[states + 1])
+        entries = spans(rows.offsets[pairs], rows.offsets[pairs + 1])
+        row = np.repeat(np.arange(len(pairs)), rows.offsets[pairs + 1] - rows.offsets[pairs])
+        column = np.searchsorted(states, rows.next[entries])
+        inside = states[np.minimum(column, len(states) - 1)] == rows.next[entries]
+        counts = rows.pair_offsets[states + 1] - rows.pair_offsets[states]
+        return cls(
+            offsets=np.concatenate([[0], np.cumsum(counts)]),
+            pivot=[sides.pivot[pair] for pair in pairs.tolist()],
+            fixed=fixed,
+            row=row[inside],
+            column=column[inside],
+            weight=rows.weight[entries][inside],
+        )
 
     def policy(self) -> Integers:
         """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits tell."""

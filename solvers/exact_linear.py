@@ -28,8 +28,9 @@ from mdp.table import Integers, Numbers
 if TYPE_CHECKING:
     from flint import fmpz
 
-WRAPPING = 2**58
-FARTHEST, STRETCHED = 2.0**62, 2.0**30
+LONGEST = 900  # bits of a pivot that floats hold, its remainders too
+WRAPPING = 2**58  # pivots below this leave remainders that 64 bits tell apart
+FARTHEST, STRETCHED = 2.0**62, 2.0**30  # digits and inverses that are too large to go on
 SPARE = 64  # bits beyond those that determine x
 FEW, MANY = 40, 4_000  # equations that p-adic lifting solves faster, or that are too many for it
 
@@ -103,7 +104,7 @@ class Equations:
         size = len(self.pivot)
         if size > MANY:
             raise ModelError(
-                f"a cycle of {size} states, too ill-conditioned to be solved exactly",
+                f"a cycle of {size} states is too ill-conditioned to be solved exactly",
                 fix="use certify(mdp, bounded=True), which proves bounds in floating point",
             )
         matrix = np.zeros((size, size), dtype=object)
@@ -142,6 +143,8 @@ class _Inverse:
         shares = zip(equations.weight.tolist(), row.tolist(), strict=True)
         share = [weight / pivot[i] for weight, i in shares]
         moving = sp.csc_array((share, (row, equations.column)), shape=(size, size))
+        if max(pivot).bit_length() > LONGEST:
+            return None
         try:
             factors = splu((sp.eye_array(size, format="csc") - moving).tocsc())
         except RuntimeError:
@@ -157,7 +160,6 @@ class _Inverse:
     def digits(self, right: Sequence[fmpz], places: int) -> tuple[list[int], int] | None:
         """Return x times 2^places for the next places that are whole digits, and these."""
         pivot, weight = self.equations.pivot, self.equations.weight
-        # A remainder is a few times the pivot; 64 bits tell those of small matrices apart.
         kind: Any = np.uint64 if max(pivot) < WRAPPING else object
         width = 32 if self.stretch < 2**14 else 16
         known = _digits(right, width)

@@ -99,8 +99,8 @@ class RightSides:
         if len(lengths) * (len(columns) + 1) > FILLED * (len(weight) + len(lengths)):
             split = np.cumsum(lengths)[:-1]
             weights = [part.tolist() for part in np.split(weight, split)]
-            states = [part.tolist() for part in np.split(following, split)]
-            listed = zip(constant.tolist(), weights, states, strict=True)
+            targets = [part.tolist() for part in np.split(following, split)]
+            listed = zip(constant.tolist(), weights, targets, strict=True)
             return Product(columns.tolist(), None, list(listed))
         from flint import fmpz_mat
 

@@ -299,7 +299,7 @@ FAULTS: dict[str, tuple[str, Change]] = {
     ),
     "terminal": (
         "terminal",
-        lambda c: {"numerator": put(c.numerator, int(np.flatnonzero(c.mdp.terminal)[0]), 1)},  # type: ignore[union-attr]
+        lambda c: {"numerator": put(c.numerator, int(np.flatnonzero(c.mdp.terminal)[0]), 1)},
     ),
     "shift": ("terminal", shifted),
     "group": ("denominator is missing", lambda c: {"group": np.full_like(c.group, 99)}),
@@ -391,7 +391,9 @@ def test_a_certificate_states_its_claim() -> None:
     found = certified("acyclic")
     assert found.claim is Claim.CERTIFIED
     assert found.start.value == found.start_value == found.value[0]
-    assert repr(found) == "Certificate(5 states, start value ≈ 5.14285714286, the only optimal policy)"
+    assert (
+        repr(found) == "Certificate(5 states, start value ≈ 5.14285714286, the only optimal policy)"
+    )
     with pytest.raises(ValueError, match="read-only"):
         found.policy[0] = 1
 
@@ -404,7 +406,7 @@ def test_another_model_is_another_model() -> None:
 
 def test_settings_that_do_not_belong() -> None:
     with pytest.raises(ModelError, match="for bounds"):
-        certify(MODELS["cycle"], tol=1e-3)  # type: ignore[call-overload]
+        certify(MODELS["cycle"], tol=1e-3)
 
 
 def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver() -> None:

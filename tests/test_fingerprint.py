@@ -22,7 +22,7 @@ def written(numbers: object) -> object:
     """The same numbers as strings "p/q", not in lowest terms."""
     if isinstance(numbers, list):
         return [written(number) for number in numbers]
-    value = F(numbers)  # type: ignore[arg-type]
+    value = F(numbers)
     return f"{3 * value.numerator}/{3 * value.denominator}"
 
 

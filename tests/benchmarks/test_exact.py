@@ -50,7 +50,7 @@ def test_backward_induction(benchmark: Any, subtasks: int, least: float) -> None
     assert slow / fast > least
 
 
-@pytest.mark.parametrize("states, least", [(30, 5), (100, 20)])
+@pytest.mark.parametrize("states, least", [(30, 5), (100, 50)])
 def test_policy_iteration(benchmark: Any, states: int, least: float) -> None:
     draw, rows = random.Random(1), []
     for s in range(states):
