@@ -75,8 +75,10 @@ def train(
 
     Regret is that of the final greedy policies, at the model's discount, over the seeds.
     """
+    from analysis.instability import require_theory
     from analysis.learning import outcomes
-    from analysis.train_report import explained, facts, grids, save, summary
+    from analysis.train_report import explained, save, summary
+    from analysis.train_tables import facts, grids
     from mdp.load import load
     from solvers import solve
     from solvers.training import train_many
@@ -85,6 +87,8 @@ def train(
     settings, first = _settings(loaded, options), whole_of(seed, "--seed", most=2**128)
     count = whole_of(seeds, "--seeds", 1, 10**7)
     workers = None if jobs is None else whole_of(jobs, "--jobs", 1, 1024)
+    if explain:
+        require_theory(settings)
     solve(loaded.mdp)  # a model that cannot be judged is refused before the work
     runs = train_many(
         loaded.mdp, settings, count, seed=first, n_jobs=workers, out=out, progress=True

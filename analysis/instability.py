@@ -120,12 +120,7 @@ def predict(
     >>> found.label, found.gaps.round(2).tolist()
     ('status 0000', [9.31, 4.34, 0.0, 1.52])
     """
-    if settings.method != "q-learning" or settings.rate_power:
-        raise ModelError(
-            f"no theory of {settings.method} with rate_power {settings.rate_power:g}",
-            where="predict",
-            fix="use Q-learning with a rate that does not depend on visits",
-        )
+    require_theory(settings)
     rows = rows_of(mdp, settings.columns)
     first = rows.offered.argmax(axis=1) if policy is None else np.asarray(policy)
     epsilon = float(settings.exploration.values(settings.epochs)[-1])
@@ -181,6 +176,16 @@ def predict(
         switching=over(shares.mean(axis=0), 0.0),
         switching_error=over(shares.std(axis=0, ddof=1) / np.sqrt(replicas), 0.0),
     )
+
+
+def require_theory(settings: QLearning) -> None:
+    """Raise ModelError for settings that `predict` has no theory of."""
+    if settings.method != "q-learning" or settings.rate_power:
+        raise ModelError(
+            f"no theory of {settings.method} with rate_power {settings.rate_power:g}",
+            where="predict",
+            fix="use Q-learning with a rate that does not depend on visits",
+        )
 
 
 def compare(prediction: Floats, counts: Integers) -> Comparison:

@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -267,29 +268,19 @@ def settle(
     mdp: MDP,
     policy: Sequence[int] | Numbers,
     *,
-    epsilon: float,
-    discount: object = "19/20",
-    columns: Sequence[str] | None = None,
-    bootstrap_end: bool = False,
     held: Sequence[int] = (),
     rounds: int = 200,
+    **options: Any,
 ) -> MeanField:
-    """Return the fixed point that greedy steps from `policy` lead to, see `mean_field`.
+    """Return the fixed point that greedy steps from `policy` lead to.
 
-    Where they run in a circle the result is not `consistent`: no fixed point was found. The rows
-    in `held` keep their actions, however poor.
+    The options are those of `mean_field`. Where the steps run in a circle the result is not
+    `consistent`: no fixed point was found. The rows `held` keep their actions, however poor.
     """
     current = np.array(policy, dtype=np.int64)
     kept = list(held)
     for _ in range(rounds):
-        found = mean_field(
-            mdp,
-            current,
-            epsilon=epsilon,
-            discount=discount,
-            columns=columns,
-            bootstrap_end=bootstrap_end,
-        )
+        found = mean_field(mdp, current, **options)
         following = found.greedy.copy()
         following[kept] = current[kept]
         if np.array_equal(following, current):

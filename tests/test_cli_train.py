@@ -9,6 +9,8 @@ from cli_runner import launch, run, strict
 
 from mdp import Policy, Scenario
 from solvers import evaluate
+from solvers.q_learning import QLearning
+from solvers.sampler import child
 
 QUICK = ("train", "yuan2025", "--epochs", "60", "--seeds", "20", "--json")
 
@@ -27,6 +29,17 @@ def test_the_keys_of_the_contract(result: dict) -> None:
     assert counts == sorted(counts, reverse=True)
     assert result["claim"] == "estimated"
     assert result["value_claim"] == "bounded"
+
+
+def test_the_last_episodes_of_the_first_run(result: dict) -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    run = QLearning(epochs=60).train(mdp, child(0, 0))
+    found = result["first_run"]
+    assert found["episodes"] == 100
+    assert found["distinct"] == len(set(run.last.tolist()))
+    assert [top["episodes"] for top in found["top"]] == list(run.last_counts().values())[:5]
+    for top in found["top"]:
+        assert top["value"] == pytest.approx(evaluate(mdp, Policy.of(mdp, top["policy"])).mean)
 
 
 def test_values_and_regrets_are_exact(result: dict) -> None:
@@ -141,6 +154,7 @@ def test_people_get_a_table() -> None:
         (("--learning-discount", "2"), "outside [0, 1]"),
         (("--jobs", "0"), "--jobs"),
         (("--rate", "2"), "between 0 and 1"),
+        (("--explain", "--method", "sarsa"), "no theory"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )

@@ -1,6 +1,5 @@
 """What learning ends with: exact values, curves, intervals, and an implementation of its own."""
 
-import os
 from math import sqrt
 from random import Random
 
@@ -227,7 +226,7 @@ def learn_alone(care: oracle.Oracle, settings: QLearning, seed: int) -> tuple[li
 def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, str]) -> None:
     """On seeds and readings used nowhere else: returns, values and policies, in distribution."""
     learner = QLearning(epochs=40, exploration=Exponential(minimum=0.05, decay=0.1))
-    count = int(os.environ.get("LEARNING_RUNS", "24"))
+    count = 24
     scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=[1, 1])
     ours = train_many(scenario.compile(), learner, 8 * count, seed=90210)
     care = oracle.Oracle(readings, tasks=[1, 1])

@@ -1,0 +1,245 @@
+"""Models with named parameters: what a sensitivity analysis needs to know of them.
+
+A parametric model says which numbers it has, within which ranges, and what the model is at other
+values of them. Along one parameter, the others held, every transition probability and expected
+reward is a polynomial of a known degree between known breakpoints, so that exact derivatives come
+from exact differences of a few compiled models and no second model is needed.
+
+When one probability of a row moves, the others make room: a scenario's rows follow from its rules;
+in any other row, outcomes that are not named keep their proportions,
+
+    p_j(θ) = p_j (1 - Σ θ) / (1 - Σ p),     sums over the named outcomes of the row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from mdp.errors import ModelError, suggest
+from mdp.model import MDP
+from mdp.parameters import Parameter
+from mdp.table import exact
+
+if TYPE_CHECKING:
+    from mdp.scenario import Scenario
+
+DISCOUNT = "discount"
+
+
+@runtime_checkable
+class Parametric(Protocol):
+    """A family of models with the same states and pairs, one for each choice of parameters."""
+
+    @property
+    def name(self) -> str:
+        """What the model is called."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Every parameter with its value and the range that it may take."""
+
+    def at(self, values: Mapping[str, object]) -> MDP:
+        """Return the model at other values of some parameters; the others keep theirs."""
+
+    def degree(self, name: str) -> int:
+        """Degree of rows and expected rewards in one parameter between its breakpoints."""
+
+    def moment_degree(self, name: str) -> int:
+        """Degree of E[r²] and of E[r; next state] in one parameter between its breakpoints."""
+
+    def breakpoints(self, name: str) -> tuple[Fraction, ...]:
+        """Values at which a row may pass from one polynomial to another."""
+
+    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
+        """Models one step below and above in each whole-number setting; none below the least."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Family:
+    """A parametric model made of a function.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+    build : function
+        From {parameter name: Fraction}, all of them, to the model.
+    degrees : {name: degree}
+        1 where left out.
+    breaks : {name: breakpoints}
+        None where left out.
+
+    Examples
+    --------
+    >>> family = Family(
+    ...     parameters=(Parameter(name="p", value=Fraction(1, 2)),),
+    ...     build=lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
+    ... )
+    >>> family.at({"p": "1/3"}).table.row(0)[0]
+    (Fraction(1, 3), 0, Fraction(1, 1))
+    """
+
+    parameters: tuple[Parameter, ...]
+    build: Callable[[Mapping[str, Fraction]], MDP]
+    name: str = "model"
+    degrees: Mapping[str, int] = field(default_factory=dict)
+    breaks: Mapping[str, Sequence[Fraction]] = field(default_factory=dict)
+
+    def at(self, values: Mapping[str, object]) -> MDP:
+        """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
+        return self.build(placed(self, values))
+
+    def degree(self, name: str) -> int:
+        """See `Parametric.degree`."""
+        return self.degrees.get(parameter_of(self, name).name, 1)
+
+    def moment_degree(self, name: str) -> int:
+        """See `Parametric.moment_degree`: a probability times the square of a reward."""
+        return 3 * self.degree(name)
+
+    def breakpoints(self, name: str) -> tuple[Fraction, ...]:
+        """See `Parametric.breakpoints`."""
+        return tuple(self.breaks.get(parameter_of(self, name).name, ()))
+
+    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
+        """See `Parametric.neighbours`: no whole-number settings here."""
+        return {}
+
+
+def parametric(source: Scenario | MDP | Parametric) -> Parametric:
+    """Return a scenario, or a model of which nothing but the discount is named, as a family.
+
+    Examples
+    --------
+    >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], [1], "1/2")).parameters]
+    ['discount']
+    """
+    from mdp.scenario import Scenario
+
+    if isinstance(source, Scenario):
+        from mdp.scenario_family import ScenarioFamily
+
+        return ScenarioFamily(scenario=source)
+    return moving(source, {}) if isinstance(source, MDP) else source
+
+
+def moving(mdp: MDP, entries: Mapping[str, Sequence[tuple[int, int]]]) -> Family:
+    """Return a model with probabilities of its rows as parameters, and its discount.
+
+    Parameters
+    ----------
+    entries : {parameter name: [(pair, next state), …]}
+        The entries that a parameter sets, all of the same probability now.
+
+    Raises
+    ------
+    ModelError
+        Where entries of one parameter differ, or a row has nothing left that could make room.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
+    >>> family = moving(mdp, {"loop": [(0, 0)]})
+    >>> [str(p) for p, _, _ in family.at({"loop": "1/5"}).table.row(0)]
+    ['1/5', '2/5', '2/5']
+    """
+    named: dict[int, dict[int, str]] = {}
+    found = []
+    for name, places in entries.items():
+        values = {_entry(mdp, pair, state) for pair, state in places}
+        if len(values) != 1:
+            raise ModelError(
+                f"{len(values)} different probabilities",
+                where=f"parameter {name}",
+                fix="give entries that have the same probability, at least one",
+            )
+        for pair, state in places:
+            if state in named.setdefault(pair, {}):
+                raise ModelError(
+                    "an entry is set by two parameters, or twice by one",
+                    where=f"parameter {name}, {mdp.where(pair)}",
+                    fix="give each entry to one parameter",
+                )
+            named[pair][state] = name
+        found.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
+    rest = {pair: _rest(mdp, pair, states) for pair, states in named.items()}
+    rate = Parameter(name=DISCOUNT, value=mdp.discount_exact, low=Fraction(0), high=Fraction(1))
+
+    def build(values: Mapping[str, Fraction]) -> MDP:
+        if all(values[p.name] == p.value for p in found):
+            return mdp.with_(discount=values[DISCOUNT])
+        rows = []
+        for pair in range(mdp.n_pairs):
+            outcomes = mdp.table.row(pair)
+            if pair in named:
+                outcomes = _rebalanced(mdp, pair, named[pair], rest[pair], values)
+            rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), outcomes))
+        return MDP.from_outcomes(
+            rows,
+            values[DISCOUNT],
+            start=dict(mdp.start),
+            space=mdp.space,
+            actions=mdp.actions,
+            name=mdp.name,
+        )
+
+    return Family(parameters=(*found, rate), build=build, name=mdp.name or "model")
+
+
+def parameter_of(model: Parametric, name: str) -> Parameter:
+    """Return a parameter by name; raises ModelError, with the nearest name, for unknown ones."""
+    for parameter in model.parameters:
+        if parameter.name == name:
+            return parameter
+    known = [parameter.name for parameter in model.parameters]
+    raise ModelError(
+        f"unknown parameter {name!r}", where=f"model {model.name}", fix=suggest(name, known)
+    )
+
+
+def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
+    """Return every parameter's value, some of them changed, each checked against its range."""
+    everything = {parameter.name: parameter.value for parameter in model.parameters}
+    for name, value in values.items():
+        old = parameter_of(model, name)
+        new = Parameter(name=name, value=exact(value), low=old.low, high=old.high)
+        everything[name] = new.value
+    return everything
+
+
+def _entry(mdp: MDP, pair: int, state: int) -> Fraction:
+    return sum((p for p, following, _ in mdp.table.row(pair) if following == state), Fraction(0))
+
+
+def _rest(mdp: MDP, pair: int, states: Mapping[int, str]) -> Fraction:
+    rest = 1 - sum((_entry(mdp, pair, state) for state in states), Fraction(0))
+    if rest <= 0 or any(_entry(mdp, pair, state) == 0 for state in states):
+        raise ModelError(
+            "an entry of probability 0, or a row in which nothing is left to make room",
+            where=mdp.where(pair),
+            fix="name entries that are positive, and not all of a row",
+        )
+    return rest
+
+
+def _rebalanced(
+    mdp: MDP,
+    pair: int,
+    states: Mapping[int, str],
+    rest: Fraction,
+    values: Mapping[str, Fraction],
+) -> list[tuple[Fraction, int, Fraction]]:
+    left = 1 - sum((values[name] for name in states.values()), Fraction(0))
+    if left < 0:
+        raise ModelError(
+            f"named probabilities sum to {float(1 - left):g}, more than 1",
+            where=mdp.where(pair),
+            fix="choose smaller values",
+        )
+    factor = dict.fromkeys(range(mdp.n_states), left / rest)
+    for state, name in states.items():
+        factor[state] = values[name] / _entry(mdp, pair, state)
+    outcomes = [(p * factor[to], to, gain) for p, to, gain in mdp.table.row(pair)]
+    return [outcome for outcome in outcomes if outcome[0]]
