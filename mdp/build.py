@@ -7,6 +7,7 @@ the row is kept in floats, each being the dyadic rational that it is.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from operator import index
@@ -30,6 +31,8 @@ from mdp.table import (
     integers,
     ones,
 )
+
+MOST_UNNAMED_ACTIONS = 100_000
 
 
 def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **names: Any) -> MDP:
@@ -122,6 +125,7 @@ def from_outcomes(
         gain=gain,
         gain_denominator=gain_denominator,
     )
+    table = _by_outcome(table)
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -172,7 +176,26 @@ def _from_rows(
         gain=gain,
         gain_denominator=gain_denominator,
     )
+    if reward.ndim == 2:
+        table = _by_outcome(table)
     return _assemble(state, action, table, size, discount, start, names)
+
+
+def _by_outcome(table: OutcomeTable) -> OutcomeTable:
+    """Return a table whose rewards belong to outcomes beyond doubt.
+
+    With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
+    unless a float probability is only nearly 1; such outcomes are told as two exact halves.
+    """
+    if len(table.next) != table.pairs or (table.weight == table.denominator).all():
+        return table
+    return replace(
+        table,
+        offsets=2 * table.offsets,
+        next=np.repeat(table.next, 2),
+        weight=np.repeat(table.weight / 2, 2),
+        gain=np.repeat(table.gain, 2),
+    )
 
 
 def _assemble(
@@ -187,6 +210,12 @@ def _assemble(
     words = names.pop("states", ())
     actions = tuple(str(name) for name in names.pop("actions", ()))
     if not actions:
+        if int(action.max(initial=-1)) >= MOST_UNNAMED_ACTIONS:
+            raise ModelError(
+                f"action {int(action.max())} is outside 0 … {MOST_UNNAMED_ACTIONS - 1}",
+                where="pairs",
+                fix="number actions from 0 on, or name them all",
+            )
         actions = tuple(str(number) for number in range(int(action.max(initial=-1)) + 1))
     if words and len(words) > size:
         size = len(words)

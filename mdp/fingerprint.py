@@ -102,7 +102,8 @@ def _double(top: int, bottom: int) -> float:
         rounded = top / bottom
     except OverflowError:
         return np.inf
-    return rounded if Fraction(rounded) == Fraction(top, bottom) else np.inf
+    over, under = rounded.as_integer_ratio()
+    return rounded if over * bottom == top * under else np.inf
 
 
 def _text(value: Fraction) -> str:

@@ -346,7 +346,8 @@ def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
     """Return an initial distribution from a state or from {state: probability}."""
     if isinstance(start, int | np.integer) and not isinstance(start, bool):
         return ((int(start), Fraction(1)),)
-    if isinstance(start, dict):
+    whole = int | np.integer
+    if isinstance(start, dict) and all(isinstance(state, whole) for state in start):
         weights = {int(state): exact(weight) for state, weight in start.items()}
         return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
     raise ModelError(f"{start!r} is not a start", fix="give a state, or {state: probability}")

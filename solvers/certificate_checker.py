@@ -32,6 +32,10 @@ def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
     wrong = not_of(mdp, found.model, found.numerator, found.group, found.gap, found.gap_scale)
     if not wrong and found.optimal_pairs.shape != (mdp.n_pairs,):
         wrong.append(f"it marks {found.optimal_pairs.shape} pairs, the model has {mdp.n_pairs}")
+    wrong += [f"its {name} are of type {array.dtype}" for name, array, kind in (
+        ("marks", found.optimal_pairs, "b"), ("groups", found.group, "i"),
+        ("actions", found.policy, "i"),
+    ) if array.dtype.kind != kind]  # fmt: skip
     if not wrong and not set(found.group.tolist()) <= set(range(len(found.denominator))):
         wrong.append("a state's denominator is missing")
     if wrong or min(found.denominator) <= 0:

@@ -27,6 +27,7 @@ LAZY = {
     "dask": [],
     "distributed": [],
     "gymnasium": ["mdp/environment.py"],
+    "httpx": [],
     "ipywidgets": [],
     "jupyter": [],
     "jupyter_client": [],
@@ -41,6 +42,7 @@ LAZY = {
     "quantecon": [],
     "stormpy": [],
     "umbi": [],
+    "xllamacpp": [],
 }
 
 
