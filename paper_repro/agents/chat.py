@@ -1,0 +1,168 @@
+"""What the two backends with a language model share: the request's body, and reading an answer.
+
+The form is that of chat completions: messages in, choices out, one JSON object as the content.
+A content that is not JSON, or does not fit the schema, is asked for again a few times, with the
+fault named; the broken text itself is not sent back.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from paper_repro.agents.protocol import BackendError, Reply, Request
+from paper_repro.agents.schema import violations
+
+SHAPES = ("json_schema", "json_object", "none")
+
+Post = Callable[[dict[str, Any]], tuple[dict[str, Any], int]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Style:
+    """How a model is asked.
+
+    Attributes
+    ----------
+    temperature : float, or None to leave it to the model
+    max_tokens : longest answer
+    shape : one of `SHAPES`: how the form of the answer is asked for; it is checked in any case
+    tries : how often a request is put before the run stops
+    send_seed : whether the request's seed goes along
+    longest : characters of a text, where a model is to be held shorter than the schema does
+    """
+
+    temperature: float | None = 0.7
+    max_tokens: int = 400
+    shape: str = "json_schema"
+    tries: int = 4
+    send_seed: bool = True
+    longest: int | None = None
+
+
+class Malformed(Exception):
+    """An answer that is not in the asked form; the text says how."""
+
+
+def body(request: Request, style: Style, faults: list[str]) -> dict[str, Any]:
+    """Return the body of a chat completion."""
+    messages = [{"role": role, "content": content} for role, content in request.messages]
+    if faults:
+        messages[-1]["content"] += (
+            f"\n\nAn earlier answer could not be used: {faults[-1]}. "
+            "Answer with the JSON object alone."
+        )
+    found: dict[str, Any] = {"messages": messages, "max_tokens": style.max_tokens}
+    if style.temperature is not None:
+        found["temperature"] = style.temperature
+    if style.send_seed:
+        found["seed"] = (request.seed + len(faults)) % 2**31
+    if style.shape == "json_schema":
+        schema = shortened(request.schema, style.longest)
+        named = {"name": request.purpose, "strict": True, "schema": schema}
+        found["response_format"] = {"type": "json_schema", "json_schema": named}
+    elif style.shape == "json_object":
+        found["response_format"] = {"type": "json_object"}
+    return found
+
+
+def shortened(schema: Mapping[str, Any], longest: int | None) -> dict[str, Any]:
+    """Return a schema whose texts are at most so long; what fits it fits the given one."""
+    properties = {
+        name: part | {"maxLength": min(part["maxLength"], longest)}
+        if longest is not None and part["type"] == "string"
+        else part
+        for name, part in schema["properties"].items()
+    }
+    return {**schema, "properties": properties}
+
+
+def ask(request: Request, style: Style, post: Post, where: str) -> Reply:
+    """Return an answer that fits, asking again where one does not.
+
+    Parameters
+    ----------
+    post : sends a body, returns the decoded answer and the number of attempts it took
+    where : the backend, for messages
+
+    Raises
+    ------
+    BackendError
+        For a refusal, or where every answer was malformed.
+    """
+    faults: list[str] = []
+    attempts = prompt = completion = 0
+    started = time.perf_counter()
+    while len(faults) < style.tries:
+        answer, took = post(body(request, style, faults))
+        attempts += took
+        used = answer.get("usage")
+        if isinstance(used, dict):
+            prompt += _count(used.get("prompt_tokens"))
+            completion += _count(used.get("completion_tokens"))
+        try:
+            data = content_of(answer, request, where)
+        except Malformed as fault:
+            faults.append(str(fault))
+            continue
+        return Reply(
+            data=data,
+            attempts=attempts,
+            prompt_tokens=prompt,
+            completion_tokens=completion,
+            seconds=round(time.perf_counter() - started, 3),
+        )
+    raise BackendError(
+        f"{len(faults)} answers were not in the asked form; the last one: {faults[-1]}",
+        where=f"{where}, {request.purpose}",
+        fix="resume to try again; or take another model, or another --response-format",
+    )
+
+
+def content_of(answer: dict[str, Any], request: Request, where: str) -> dict[str, Any]:
+    """Return the object in an answer; raises Malformed, or BackendError for a refusal."""
+    try:
+        choice = answer["choices"][0]
+        message, why = choice["message"], choice.get("finish_reason")
+        refusal, content = message.get("refusal"), message.get("content")
+    except (KeyError, IndexError, TypeError, AttributeError) as error:
+        raise Malformed("it held no choice with a message") from error
+    if refusal or why == "content_filter":
+        raise BackendError(
+            "the model refused to answer",
+            where=f"{where}, {request.purpose}",
+            fix="resume to try again, take another model, or change the prompts (--prompts)",
+        )
+    if why == "length":
+        raise Malformed("it was cut off at the greatest length")
+    if not isinstance(content, str):
+        raise Malformed("its content was not text")
+    try:
+        data = json.loads(unfenced(content))
+    except (ValueError, RecursionError) as error:
+        raise Malformed("its content was not JSON") from error
+    wrong = violations(data, request.schema)
+    if wrong:
+        raise Malformed("; ".join(wrong[:3]))
+    return dict(data)
+
+
+def unfenced(content: str) -> str:
+    """Return text without a code fence around all of it.
+
+    Examples
+    --------
+    >>> unfenced('```json\\n{"a": 1}\\n```')
+    '{"a": 1}'
+    """
+    text = content.strip()
+    if text.startswith("```") and text.endswith("```") and "\n" in text:
+        return text[text.index("\n") + 1 : -3].strip()
+    return text
+
+
+def _count(value: object) -> int:
+    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0

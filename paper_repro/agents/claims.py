@@ -1,0 +1,133 @@
+"""What Section 4.2 of the paper claims of the two agents, and which of it can be checked here.
+
+Three answers: *exact* claims about the decision model, which are computed; claims that rest on
+the wording of the authors' model, which cannot be checked without that model or its records;
+and claims that need people to judge. Yuan et al. (2025) give no transcript in full.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from mdp import MDP, Policy, Scenario
+from paper_repro.agents.measure import under
+from solvers import evaluate, solve
+
+EXACT, MODEL, PEOPLE = "computed here", "needs the authors' model", "needs people to judge"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """One claim, in our words: what it says, who can check it, and what was found."""
+
+    claim: str
+    place: str
+    kind: str
+    found: str
+
+
+def statements(levels: tuple[float, ...] = (0.99, 0.95, 0.9, 0.8)) -> list[Statement]:
+    """Return the claims of Section 4.2, those about the decision model computed exactly.
+
+    Parameters
+    ----------
+    levels : accuracies of perception per status for which the optimal policy is evaluated
+    """
+    scenario = Scenario.load("yuan2025")
+    mdp = scenario.compile()
+    policy = Policy.from_choices(mdp, solve(mdp).policy)
+    best, random = evaluate(mdp, policy).mean, evaluate(mdp, "random").mean
+    seen = [evaluate(mdp, under(mdp, policy, errors(1 - level, 4))).mean for level in levels]
+    kept = [f"{level:.0%}: {value:.1f}" for level, value in zip(levels, seen, strict=True)]
+    confused = misread(mdp, policy, {"0000": "1000"})
+    return [
+        Statement(
+            claim="An angry person is met with encouragement.",
+            place="Section 4.2, Robot Caregiver; Section 4.1",
+            kind=EXACT,
+            found=_angry(mdp, policy),
+        ),
+        Statement(
+            claim="Despite errors of perception the robot goes on to help effectively.",
+            place="Section 4.2, last paragraph",
+            kind=EXACT,
+            found=f"value with perfect perception {best:.1f}, random actions {random:.1f}; with "
+            f"each status read rightly at a rate of {'; '.join(kept)}. How often the "
+            "authors' model errs is not reported.",
+        ),
+        Statement(
+            claim="A question about what comes next is taken for forgetfulness.",
+            place="Section 4.2 and 4.3, timestep 0 of the recorded example",
+            kind=EXACT,
+            found=f"if 0000 were always read as 1000, and all else rightly, the value would be "
+            f"{confused:.1f} instead of {best:.1f}. That it happened is one example of the "
+            "authors' model.",
+        ),
+        Statement(
+            claim="State, behaviour, action and assistance of each timestep are saved as text.",
+            place="Section 4.2, first paragraph",
+            kind=EXACT,
+            found="conversation.txt holds them, conversation.jsonl everything behind them; a "
+            "recording can be replayed without a model.",
+        ),
+        Statement(
+            claim="Behaviour is realistic and fits the status (cooperative in 0000, withdrawn in "
+            "0001).",
+            place="Section 4.2, Agent PLWD",
+            kind=MODEL,
+            found="the scripted agent fits by construction, which shows nothing about a language "
+            "model; `measure` holds any endpoint against it: a status that cannot be read back "
+            "out of the behaviour was not expressed, or not recognised.",
+        ),
+        Statement(
+            claim="The four prompts of action execution make no marked difference.",
+            place="Section 4.2, Robot Caregiver",
+            kind=MODEL,
+            found="`variants` puts the four answers side by side for any backend. The scripted one "
+            "differs by construction. In the decision model the wording changes nothing.",
+        ),
+        Statement(
+            claim="Answers to confusion and anger are empathetic and in place.",
+            place="Section 4.2, Figure of a simulated interaction",
+            kind=PEOPLE,
+            found="the authors' own observation, by their own account without formal evaluation.",
+        ),
+    ]
+
+
+def errors(rate: float, statuses: int) -> np.ndarray:
+    """Return the confusion matrix in which each status is misread independently at a rate.
+
+    Examples
+    --------
+    >>> errors(0.25, 1).tolist()
+    [[0.75, 0.25], [0.25, 0.75]]
+    """
+    one = np.array([[1 - rate, rate], [rate, 1 - rate]])
+    whole = np.ones((1, 1))
+    for _ in range(statuses):
+        whole = np.kron(whole, one)
+    return whole
+
+
+def misread(mdp: MDP, policy: Policy, mistakes: dict[str, str]) -> float:
+    """Return the value of a policy where some statuses are always taken for others."""
+    confusion = np.eye(mdp.space.column("status").size)
+    for true, seen in mistakes.items():
+        confusion[int(true, 2)] = np.eye(len(confusion))[int(seen, 2)]
+    return evaluate(mdp, under(mdp, policy, confusion)).mean
+
+
+def _angry(mdp: MDP, policy: Policy) -> str:
+    chosen = policy.choices(mdp)
+    angry = [int("".join(bits), 2) for bits in product("01", repeat=4) if bits[2] == "1"]
+    states = np.flatnonzero(np.isin(mdp.space.values("status"), angry))
+    names = sorted({mdp.actions[number] for number in chosen[states]})
+    share = float(np.mean(chosen[states] == mdp.action("supportive")))
+    return (
+        f"the optimal policy chooses supportive assistance in {share:.0%} of the "
+        f"{len(states)} states with anger (choices there: {', '.join(names)})."
+    )

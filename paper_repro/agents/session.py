@@ -1,0 +1,191 @@
+"""One conversation in one folder: recording, text, HTML and run record; resumable and replayable.
+
+conversation.jsonl   everything, written as it goes
+conversation.txt     the same for reading, written as it goes
+conversation.html    the same as a page, written when the run stops
+run.json             versions, commit and date
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from mdp.errors import ModelError
+from mdp.files import write_atomically
+from paper_repro.agents import recording, text_view
+from paper_repro.agents.conversation import Conversation, totals
+from paper_repro.agents.html_view import page
+from paper_repro.agents.protocol import BackendError, Reply, Request
+from paper_repro.agents.recording import Recorder, Recording
+from paper_repro.agents.schema import violations
+
+NAME = "conversation.jsonl"
+
+Progress = Callable[[Mapping[str, Any]], None]
+
+
+def hold(
+    talk: Conversation,
+    out: Path,
+    *,
+    resume: bool = False,
+    limit: int | None = None,
+    progress: Progress = lambda step: None,
+) -> Recording:
+    """Run a conversation into a folder, or go on with the one that it holds.
+
+    Parameters
+    ----------
+    talk : Conversation
+    out : folder, made where it does not exist
+    resume : go on where the recording stops
+    limit : stop after this many timesteps in all; resume goes on from there
+    progress : called with each step once it is on the disk
+
+    Raises
+    ------
+    ModelError
+        Where the folder holds a conversation and `resume` is not asked for, or holds one with
+        other settings; BackendError where no answer came. What was recorded before stays.
+    """
+    path, header = out / NAME, talk.header()
+    kept = _kept(path, header, resume)
+    steps = list(kept.steps) if kept else []
+    if kept and kept.end:
+        return kept
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(
+            f"cannot make the folder: {error.strerror}", where=str(out), fix="name another --out"
+        ) from error
+    text = text_view.heading(header) + "".join(text_view.block(header, step) for step in steps)
+    write_atomically(path.with_suffix(".txt"), text)
+    end = None
+    try:
+        with Recorder(path, keep=kept.whole if kept else 0) as recorder:
+            if kept is None:
+                recorder.add(header)
+            coming = talk.steps(steps)
+            while limit is None or len(steps) < limit:
+                step = next(coming, None)
+                if step is None:
+                    end = totals(steps)
+                    recorder.add(end)
+                    _append(path, text_view.closing(end))
+                    break
+                recorder.add(step)
+                steps.append(step)
+                _append(path, text_view.block(header, step))
+                progress(step)
+    finally:  # what there is, whatever stopped the run
+        whole = Recording(header=header, steps=tuple(steps), end=end, whole=0)
+        write_atomically(path.with_suffix(".html"), page(whole))
+    return whole
+
+
+def render(path: Path, out: Path) -> list[Path]:
+    """Write the text and the page of a recording into a folder, and return their paths."""
+    told = recording.read(path)
+    texts = [text_view.heading(told.header)]
+    texts += [text_view.block(told.header, step) for step in told.steps]
+    texts += [text_view.closing(told.end)] if told.end else []
+    written = [out / f"{path.stem}.txt", out / f"{path.stem}.html"]
+    write_atomically(written[0], "".join(texts))
+    write_atomically(written[1], page(told))
+    return written
+
+
+class Recorded:
+    """A backend that answers from a recording, request by request, and from nothing else."""
+
+    def __init__(self, told: Recording) -> None:
+        self._told = told
+        self._calls = iter([(s["timestep"], call) for s in told.steps for call in s["calls"]])
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description of the backend that was recorded."""
+        return dict(self._told.header["backend"])
+
+    def answer(self, request: Request) -> Reply:
+        """Return the recorded answer; raises BackendError where another question was recorded."""
+        where = "the end of the recording"
+        timestep, call = next(self._calls, (None, None))
+        if call is not None:
+            where = f"timestep {timestep}, {request.purpose}"
+        if call is None or call["request"] != request.digest:
+            raise BackendError(
+                "the recording holds no answer to this request",
+                where=where,
+                fix="replay with the prompts, scenario and version that it was made with",
+            )
+        wrong = violations(call["data"], request.schema)
+        if wrong:
+            raise BackendError(f"a recorded answer does not fit: {wrong[0]}", where=where)
+        kept = {key: value for key, value in call.items() if key not in ("purpose", "request")}
+        return Reply(**kept)
+
+
+def replayed(talk: Conversation, told: Recording) -> list[str]:
+    """Go through a recorded conversation again without a model; return what differs.
+
+    Parameters
+    ----------
+    talk : the same conversation with `Recorded` as its backend
+    told : the recording
+    """
+    differences = []
+    header = talk.header()
+    for key in sorted(set(header) | set(told.header)):
+        if header.get(key) != told.header.get(key):
+            differences.append(f"header: {key}")
+    again: list[dict[str, Any]] = []
+    coming = talk.steps()
+    for step in told.steps:
+        fresh = next(coming, None)
+        if fresh is None:
+            differences.append(f"timestep {step['timestep']}: the scenario was over before it")
+            break
+        again.append(fresh)
+        differences += [
+            f"timestep {step['timestep']}: {key}" for key in step if fresh.get(key) != step[key]
+        ]
+    if told.end and not differences and totals(again) != told.end:
+        differences.append("the totals at the end")
+    return differences
+
+
+def _append(path: Path, text: str) -> None:
+    try:
+        with open(path.with_suffix(".txt"), "a", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise ModelError(
+            f"cannot write the text: {error.strerror}",
+            where=str(path.with_suffix(".txt")),
+            fix="make room, then resume",
+        ) from error
+
+
+def _kept(path: Path, header: Mapping[str, Any], resume: bool) -> Recording | None:
+    """Return what the folder already holds of this conversation."""
+    if not path.exists() or path.stat().st_size == 0:
+        return None
+    if not resume:
+        raise ModelError(
+            "the folder holds a conversation", where=str(path), fix="add --resume, or another --out"
+        )
+    if b"\n" not in path.read_bytes():  # stopped within the header: nothing to keep
+        return None
+    kept = recording.read(path)
+    other = [key for key in header if json.loads(json.dumps(header[key])) != kept.header.get(key)]
+    if other:
+        raise ModelError(
+            f"the recorded conversation has another {', '.join(other)}",
+            where=str(path),
+            fix="resume with the settings of its first line, or name another --out",
+        )
+    return kept
