@@ -18,12 +18,13 @@ import click
 from analysis.cli_check import check
 from analysis.cli_evaluate import evaluate, returns, simulate
 from analysis.cli_model import convert, info
+from analysis.cli_sensitivity import sensitivity
 from analysis.cli_solve import solve
 from analysis.cli_train import train
 from analysis.cli_verify import verify
 
 PROGRAM = "exact-mdp"
-COMMANDS = (info, solve, evaluate, returns, simulate, verify, convert, check, train)
+COMMANDS = (info, solve, evaluate, returns, simulate, verify, convert, check, train, sensitivity)
 
 DONE, FAILED, REFUSED, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
@@ -68,6 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python flushes once more when it ends; let that go nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
+    except MemoryError as error:
+        return _tell(
+            "MemoryError", str(error) or "not enough memory", PROGRAM, "use a smaller model"
+        )
     except (ValueError, RuntimeError) as error:
         return _refuse(error, words)
     return int(status or DONE)

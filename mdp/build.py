@@ -40,8 +40,10 @@ def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **
     stacked, actions, states = _stacked(P)
     pair = np.arange(actions * states)
     state, action = pair // actions, pair % actions
-    rewards = _sparse_or_array(R)
-    if rewards.shape == (states,):
+    rewards = _stacked(R)[0] if _is_sparse_list(R) else _sparse_or_array(R)
+    if rewards.shape == (actions * states, states) and _is_sparse_list(R):
+        reward = rewards
+    elif rewards.shape == (states,):
         reward = np.repeat(rewards, actions)
     elif rewards.shape == (states, actions):
         reward = rewards.reshape(-1)
@@ -232,9 +234,13 @@ def _assemble(
     )
 
 
-def _stacked(P: object) -> tuple[Any, int, int]:
+def _is_sparse_list(values: Any) -> bool:
+    return isinstance(values, Sequence) and any(sp.issparse(matrix) for matrix in values)
+
+
+def _stacked(P: Any) -> tuple[Any, int, int]:
     """Return P as (L, S) rows in pair order, with the numbers of actions and states."""
-    if isinstance(P, Sequence) and any(sp.issparse(matrix) for matrix in P):
+    if _is_sparse_list(P):
         if not all(sp.issparse(matrix) for matrix in P):
             raise ModelError("P mixes sparse and dense matrices", where="P", fix="use one kind")
         actions, shapes = len(P), {matrix.shape for matrix in P}

@@ -44,6 +44,7 @@ READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Every reading with its options, the default first."""
 
 SKIP = "skip"
+MOST_TRANSITIONS = 200_000_000  # about 10 GB while compiling
 SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
 
 
@@ -233,7 +234,7 @@ def as_max_trial(value: object) -> int:
     if isinstance(value, int) and _positive(value):
         return value
     raise ModelError(
-        f"max_trial is {value}, not a positive whole number",
+        f"max_trial is {value!r}, not a positive whole number",
         where="max_trial",
         fix="give the number of trials allowed in a subtask, at least 1",
     )
@@ -268,13 +269,15 @@ def check_scenario(scenario: Scenario) -> None:
     as_discount(scenario.discount)
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
-    total = sum(scenario.tasks) * scenario.trials * 2 ** len(scenario.statuses)
-    if total > 10**8 or len(scenario.statuses) > 10:
+    vectors = 2 ** len(scenario.statuses)
+    states = sum(scenario.tasks) * scenario.trials * vectors
+    most = states * len(scenario.actions) * vectors
+    if most > MOST_TRANSITIONS or len(scenario.statuses) > 10:
         raise ModelError(
-            f"the explicit model would have {total:,} states and dense status blocks of "
-            f"{2 ** len(scenario.statuses):,} rows",
+            f"the explicit model would have {states:,} states and up to {most:,} transitions, "
+            f"more than {MOST_TRANSITIONS:,}, or more than 10 statuses",
             where=f"scenario {scenario.name}",
-            fix="use fewer subtasks, trials or statuses (at most 10)",
+            fix="use fewer subtasks, trials or statuses",
         )
 
 

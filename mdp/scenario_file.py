@@ -123,7 +123,7 @@ def _scenario(content: dict[str, Any], *, default_name: str) -> Scenario:
         actions=actions,
         tasks=as_tasks(content.get("tasks", ())),
         max_trial=as_max_trial(content.get("max_trial", "missing")),
-        discount=as_discount(content.get("discount", 1)),
+        discount=_discount(content.get("discount", 1)),
         readings=readings,
         parameters=tuple(numbers),
         others=others,
@@ -233,6 +233,13 @@ def _table(content: Mapping[str, Any], key: str) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise ModelError(f"{key} is not a table", where=key, fix=f"write it as [{key}]")
     return table
+
+
+def _discount(value: object) -> Fraction:
+    try:
+        return as_discount(value)
+    except ModelError as error:
+        raise ModelError(error.what, where="discount", fix=error.fix) from error
 
 
 def _text(content: dict[str, Any], key: str, default: str) -> str:

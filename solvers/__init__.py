@@ -106,6 +106,9 @@ def solve(mdp: MDP, solver: Solver | str | None = None) -> Solution:
             fix = suggest(solver, [*SOLVERS, "auto"])
             raise ModelError(f"unknown solver {solver!r}", where="solve", fix=fix)
         solver = SOLVERS[solver]()
+    if isinstance(solver, type):
+        name = solver.__name__
+        raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")
     return solver.solve(mdp)
 
 

@@ -133,7 +133,8 @@ def simulate(
     with tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
         while len(running) and step < limit:
             outcome = _drawn(first, cumulative, state[running], generator)
-            returns[running] += factor * gain[outcome]
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                returns[running] += factor * gain[outcome]
             steps[running] += 1
             if event is not None:
                 happened[running] |= event[outcome]
@@ -146,6 +147,10 @@ def simulate(
             f"{len(running)} of {episodes} episodes had not ended after {step} steps",
             where="policy",
             fix="raise max_steps, or leave it out; evaluate() gives the expected number of steps",
+        )
+    if not np.isfinite(returns).all():
+        raise ModelError(
+            "a return is beyond the range of floats", where="rewards", fix="scale them down"
         )
     rest = size * factor / float(1 - mdp.discount_exact) if len(running) else 0.0
     return Simulation(

@@ -14,6 +14,12 @@ from analysis.plots.learning import (
 )
 from analysis.plots.policy import plot_policy_map
 from analysis.plots.returns import plot_return_distribution
+from analysis.plots.sensitivity import (
+    plot_thresholds,
+    plot_tornado,
+    plot_two_way,
+    plot_value_curves,
+)
 from analysis.plots.style import action_styles, save, style
 
 __all__ = [
@@ -26,7 +32,11 @@ __all__ = [
     "plot_regrets",
     "plot_return_distribution",
     "plot_status_transitions",
+    "plot_thresholds",
+    "plot_tornado",
+    "plot_two_way",
     "plot_value_bands",
+    "plot_value_curves",
     "save",
     "style",
 ]

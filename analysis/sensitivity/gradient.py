@@ -180,6 +180,7 @@ class ExactPass:
         self.chain = ExactChain(mdp, policy)
         self.value = self.chain.values(self.chain.reward)
         self.uses = self.chain.uses(self.chain.visits)
+        self.used = [bool(use) for use in self.uses]
 
     @property
     def start_value(self) -> Certified:
@@ -190,7 +191,7 @@ class ExactPass:
     def side(self, change: RowChange, sign: int) -> Certified:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
         if self.certificate is None or self.certificate.unique:
-            earned = earnings(self.chain, change, self.value)
+            earned = earnings(self.chain, change, self.value, self.used)
             total = sum((self.uses[pair] * gain for pair, gain in earned.items()), rational(0))
             return Certified(value=fraction(total))
         mdp, optimal = self.mdp, self.certificate.optimal_pairs
@@ -200,22 +201,32 @@ class ExactPass:
         return Certified(value=sign * proven(tied).start_value)
 
 
-def earnings(chain: ExactChain, change: RowChange, value: Sequence[fmpq]) -> dict[int, fmpq]:
-    """Return ∂r + γ ∂P V + ∂γ P V for every pair where it is not zero by rule."""
+def earnings(
+    chain: ExactChain,
+    change: RowChange,
+    value: Sequence[fmpq],
+    wanted: Sequence[bool] | None = None,
+) -> dict[int, fmpq]:
+    """Return ∂r + γ ∂P V + ∂γ P V of the wanted pairs (L,), where it is not zero by rule."""
     mdp = chain.mdp
+    wanted = [True] * mdp.n_pairs if wanted is None else wanted
     found: dict[int, fmpq] = {}
     zero = rational(0)
     pair, state = np.divmod(change.transition.key, mdp.n_states)
     for row, following, slope in zip(
         pair.tolist(), state.tolist(), change.transition.slope, strict=True
     ):
-        found[row] = found.get(row, zero) + chain.rate * rational(slope) * value[following]
+        if wanted[row]:
+            found[row] = found.get(row, zero) + rational(slope) * value[following]
+    found = {row: chain.rate * gain for row, gain in found.items()}
     for row, slope in zip(change.reward.key.tolist(), change.reward.slope, strict=True):
-        found[row] = found.get(row, zero) + rational(slope)
+        if wanted[row] or mdp.terminal[mdp.pair_state[row]]:
+            found[row] = found.get(row, zero) + rational(slope)
     if change.discount:
         rate = rational(change.discount)
         for row in range(mdp.n_pairs):
-            found[row] = found.get(row, zero) + rate * chain.ahead(row, value)
+            if wanted[row]:
+                found[row] = found.get(row, zero) + rate * chain.ahead(row, value)
     if chain.whole:
         refuse_endless(mdp, [row for row, gain in found.items() if gain], change.name)
     return found

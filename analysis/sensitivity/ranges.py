@@ -1,0 +1,133 @@
+"""The range over which each parameter is varied: ± 20 % unless stated otherwise, or from a file.
+
+A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the dotted name.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from mdp.errors import ModelError
+from mdp.files import read_text
+from mdp.parameters import Parameter
+from mdp.parametric import Parametric, parameter_of
+from mdp.table import exact, shown
+
+RELATIVE = Fraction(1, 5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """From where to where a parameter is varied.
+
+    Examples
+    --------
+    >>> Range(low=Fraction(1), high=Fraction(0))
+    Traceback (most recent call last):
+    ...
+    mdp.errors.ModelError: the range from 1 to 0 is empty
+      where: range
+      fix:   put the smaller number first
+    """
+
+    low: Fraction
+    high: Fraction
+
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            raise ModelError(
+                f"the range from {shown(self.low)} to {shown(self.high)} is empty",
+                where="range",
+                fix="put the smaller number first",
+            )
+
+
+def around(parameter: Parameter, relative: Fraction = RELATIVE) -> Range:
+    """Return a parameter's value ± a share of it, within what it may be.
+
+    Examples
+    --------
+    >>> around(Parameter(name="p", value=Fraction(9, 10), low=Fraction(0), high=Fraction(1)))
+    Range(low=Fraction(18, 25), high=Fraction(1, 1))
+    """
+    if relative <= 0:
+        raise ModelError(
+            f"a share of {shown(relative)}", where="relative range", fix="choose one above 0"
+        )
+    reach = abs(parameter.value) * relative
+    low, high = parameter.value - reach, parameter.value + reach
+    low = low if parameter.low is None else max(low, parameter.low)
+    high = high if parameter.high is None else min(high, parameter.high)
+    return Range(low=low, high=high)
+
+
+def whole(parameter: Parameter) -> Range:
+    """Return everything that a parameter may be; where that is open, its value ± itself."""
+    near = around(parameter, Fraction(1))
+    return Range(
+        low=near.low if parameter.low is None else parameter.low,
+        high=near.high if parameter.high is None else parameter.high,
+    )
+
+
+def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]:
+    """Return stated ranges: {name: (low, high)}, each within what the parameter may be.
+
+    Raises
+    ------
+    ModelError
+        For unknown names (the nearest one is suggested), empty ranges, and ends out of range.
+    """
+    found = {}
+    for name, given in ranges.items():
+        parameter = parameter_of(model, name)
+        where = f"range of {name}"
+        if isinstance(given, Range):
+            given = (given.low, given.high)
+        if not isinstance(given, list | tuple) or len(given) != 2:
+            raise ModelError("not a pair of numbers", where=where, fix="write [low, high]")
+        try:
+            low, high = exact(given[0]), exact(given[1])
+            for end in (low, high):
+                Parameter(name=name, value=end, low=parameter.low, high=parameter.high)
+            if low == high:
+                raise ModelError(
+                    f"the range from {shown(low)} to {shown(high)} is empty",
+                    fix="give two different numbers",
+                )
+            found[name] = Range(low=low, high=high)
+        except ModelError as error:
+            raise ModelError(error.what, where=where, fix=error.fix) from error
+    return found
+
+
+def load_ranges(model: Parametric, path: str | Path) -> dict[str, Range]:
+    """Return the ranges that a TOML file states; raises ModelError for any mistake in it."""
+    try:
+        content = tomllib.loads(read_text(path), parse_float=exact)
+    except ModelError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ModelError(
+            f"broken TOML: {str(error)[:200]}", where=str(path), fix="mend the syntax there"
+        ) from error
+    flat: dict[str, object] = {}
+
+    def visit(prefix: str, value: object) -> None:
+        if isinstance(value, dict):
+            for key, below in value.items():
+                visit(f"{prefix}.{key}" if prefix else key, below)
+        else:
+            flat[prefix] = value
+
+    visit("", content)
+    if not flat:
+        raise ModelError("no range in the file", where=str(path), fix='write "NAME" = [low, high]')
+    try:
+        return checked(model, flat)
+    except ModelError as error:
+        raise ModelError(error.what, where=f"{path}, {error.where}", fix=error.fix) from error

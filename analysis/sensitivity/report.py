@@ -1,0 +1,300 @@
+"""What `exact-mdp sensitivity` tells of gradient, tornado and thresholds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from analysis.cli_common import policy_of
+from analysis.cli_output import Grid, number
+from analysis.sensitivity.gradient import Derivative, gradient
+from analysis.sensitivity.joint import joint_radius
+from analysis.sensitivity.one_way import Bar, tornado
+from analysis.sensitivity.ranges import Range, around, checked, load_ranges, whole
+from analysis.sensitivity.thresholds import Threshold, Thresholds, thresholds
+from analysis.sensitivity.units import unit_of
+from mdp.errors import ModelError
+from mdp.parametric import Parametric, parameter_of, parametric
+from mdp.table import exact
+from solvers import solve
+from solvers.solution import Certified
+
+if TYPE_CHECKING:
+    from mdp.load import Loaded
+
+Report = tuple[dict[str, Any], dict[str, str], list[Grid]]
+SHOWN = 40  # rows of a table for people
+
+
+def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
+    """Return derivatives of the start value."""
+    model = _model(loaded)
+    if options["ranges"] or options["range_file"] or options["relative"] or options["whole"]:
+        raise ModelError(
+            "a gradient has no ranges", where="sensitivity gradient", fix="leave them out"
+        )
+    names = options["parameters"] or None
+    found = gradient(model, _policy(loaded, options), names=names)
+    ends = {True: "re-optimised", False: "fixed"}
+    result = {
+        "start_value": float(found.start_value.value),
+        "claim": found.start_value.claim,
+        "policy": ends[found.reoptimised],
+        "derivatives": {n: _value(d.value) for n, d in found.derivatives.items()},
+        "left": {n: _value(d.left) for n, d in found.derivatives.items()},
+        "right": {n: _value(d.right) for n, d in found.derivatives.items()},
+        "elasticities": {n: d.elasticity for n, d in found.derivatives.items()},
+        "exact_derivatives": {
+            n: d.value.value if isinstance(d.value, Certified) else None
+            for n, d in found.derivatives.items()
+        },
+        "error_bounds": {n: _error(d) for n, d in found.derivatives.items()},
+        "steps": {
+            n: {"one_less": _value(less), "one_more": _value(more)}
+            for n, (less, more) in found.steps.items()
+        },
+    }
+    ordered = sorted(found.derivatives.items(), key=lambda item: -abs(item[1].elasticity or 0.0))
+    rows = [
+        (
+            name,
+            number(float(each.parameter.value)),
+            f"{_value(each.value):.6g}" if each.value else _sides(each),
+            "-" if each.elasticity is None else f"{each.elasticity:.4g}",
+        )
+        for name, each in ordered[:SHOWN]
+    ]
+    grid = Grid(
+        title=_title("derivatives of the start value, per unit of the parameter", found, ordered),
+        headings=("parameter", "today", "derivative", "elasticity"),
+        rows=rows,
+        numeric=frozenset({1, 2, 3}),
+    )
+    facts = {
+        "start value": f"{number(result['start_value'])} ({found.start_value.claim})",
+        "policy": result["policy"],
+    }
+    for name, (less, more) in found.steps.items():
+        below = "-" if less is None else f"{float(less.value):+.6g}"
+        facts[name] = f"one less {below}, one more {float(more.value):+.6g}"
+    return result, facts, [grid]
+
+
+def tornado_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
+    """Return values and regrets at the ends of every range."""
+    model = _model(loaded)
+    spans = _ranges(model, options)
+    ranges = {name: span for name, span in spans.items() if span.low < span.high}
+    policy = _policy(loaded, options)
+    found = tornado(model, policy=policy, names=list(ranges), ranges=ranges)
+    bars = [_bar(bar) for bar in found.bars]
+    result = {
+        "start_value": found.today.optimal.value,
+        "error_bound": found.today.optimal.error,
+        "claim": "bounded",
+        "policy": options["policy"],
+        "policy_value": found.today.fixed.value,
+        "regret": found.today.regret.value,
+        "bars": bars,
+        "without_range": sorted(set(spans) - set(ranges)),
+    }
+    headings = ("parameter", "from", "to", "at low", "at high", "regret")
+    rows = [
+        (
+            bar["parameter"],
+            *(f"{bar[key]:.6g}" for key in ("low", "high", "value_low", "value_high")),
+            f"{bar['regret']:.3g}",
+        )
+        for bar in bars[:SHOWN]
+    ]
+    title = "start value at both ends, policy re-optimised; regret of the policy held fixed"
+    facts = {
+        "start value": f"{number(found.today.optimal.value)} (bounded)",
+        "policy held fixed": f"{options['policy']}, {number(found.today.fixed.value)}",
+    }
+    if result["without_range"]:
+        facts["zero today, without range"] = ", ".join(result["without_range"])
+    numeric = frozenset(range(1, 6))
+    return result, facts, [Grid(title=title, headings=headings, rows=rows, numeric=numeric)]
+
+
+def threshold_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
+    """Return every threshold within the ranges, and the range in which the policy stays."""
+    from tqdm import tqdm
+
+    model = _model(loaded)
+    if options["policy"] != "optimal":
+        raise ModelError(
+            "thresholds are those of the optimal policy", where="--policy", fix="leave it out"
+        )
+    spans = _ranges(model, options)
+    ranges = {name: span for name, span in spans.items() if span.low < span.high}
+    steps = tqdm(ranges.items(), desc="thresholds", disable=None, leave=False)
+    found = {name: thresholds(model, name, span) for name, span in steps}
+    switches = [
+        switch
+        for name, each in found.items()
+        for threshold in each.found
+        for switch in _switches(name, threshold)
+    ]
+    start = solve(loaded.mdp).start
+    result = {
+        "start_value": start.value,
+        "error_bound": start.error,
+        "claim": "certified",
+        "switches": switches,
+        "stable": {name: _stable(each) for name, each in found.items()},
+        "without_range": sorted(set(spans) - set(ranges)),
+    }
+    facts = {"start value": f"{number(start.value, start.error)} (bounded)"}
+    if loaded.scenario is not None and ranges:
+        joint = joint_radius(loaded.scenario, ranges)
+        result["joint"] = {
+            "share": float(joint.share),
+            "widths": {name: float(width) for name, width in joint.widths.items()},
+            "state": joint.state,
+        }
+        facts["all at once"] = (
+            f"the policy stays where each moves by less than {float(joint.share):.3g} of the "
+            "farther end's distance (proven, not tight)"
+        )
+    grids = [
+        Grid(
+            title="the optimal policy stays as it is, other parameters held",
+            headings=("parameter", "today", "from", "to", "searched", "thresholds"),
+            rows=[
+                (
+                    name,
+                    f"{float(each.parameter.value):.6g}",
+                    *(f"{float(end):.6g}" for end in each.stable()),
+                    f"{float(each.range.low):.4g} to {float(each.range.high):.4g}",
+                    str(len(each.found)),
+                )
+                for name, each in found.items()
+            ],
+            numeric=frozenset({1, 2, 3, 5}),
+        )
+    ]
+    if switches:
+        more = f", the first {SHOWN} of {len(switches)}" if len(switches) > SHOWN else ""
+        rows = [
+            (
+                f"{each['parameter']}\n{each['state']}",
+                f"{each['threshold']:.12g}",
+                " or ".join(each["before"]),
+                " or ".join(each["after"]),
+            )
+            for each in switches[:SHOWN]
+        ]
+        headings = ("parameter, state", "threshold", "below", "above")
+        numeric = frozenset({1})
+        title = f"optimal actions that change{more}"
+        grids.append(Grid(title=title, headings=headings, rows=rows, numeric=numeric))
+    return result, facts, grids
+
+
+def _model(loaded: Loaded) -> Parametric:
+    return parametric(loaded.scenario if loaded.scenario is not None else loaded.mdp)
+
+
+def _policy(loaded: Loaded, options: Mapping[str, Any]) -> object:
+    form = options["policy"]
+    return form if form == "optimal" else policy_of(loaded.mdp, form)
+
+
+def _ranges(model: Parametric, options: Mapping[str, Any]) -> dict[str, Range]:
+    """Return the range of each parameter that is asked for."""
+    stated: dict[str, Range] = {}
+    if options["range_file"] is not None:
+        stated |= load_ranges(model, options["range_file"])
+    for text in options["ranges"]:
+        name, equals, ends = text.partition("=")
+        low, colon, high = ends.partition(":")
+        if not equals or not colon:
+            raise ModelError(f"{text!r} is not a range", where="--range", fix="write NAME=LOW:HIGH")
+        stated |= checked(model, {name.strip(): (low.strip(), high.strip())})
+    if options["relative"] is not None and options["whole"]:
+        raise ModelError("both --relative and --whole", where="options", fix="give one of them")
+    names = options["parameters"] or list(stated) or [p.name for p in model.parameters]
+    found = {}
+    for name in names:
+        parameter = parameter_of(model, name)
+        if name in stated:
+            found[name] = stated[name]
+        elif options["whole"]:
+            found[name] = whole(parameter)
+        elif options["relative"] is not None:
+            found[name] = around(parameter, exact(options["relative"]))
+        else:
+            found[name] = around(parameter)
+    return found
+
+
+def _bar(bar: Bar) -> dict[str, Any]:
+    return {
+        "parameter": bar.parameter.name,
+        "unit": unit_of(bar.parameter),
+        "today": float(bar.parameter.value),
+        "low": float(bar.low.at),
+        "high": float(bar.high.at),
+        "value_low": bar.low.optimal.value,
+        "value_high": bar.high.optimal.value,
+        "swing": bar.swing,
+        "fixed_value_low": bar.low.fixed.value,
+        "fixed_value_high": bar.high.fixed.value,
+        "fixed_swing": bar.fixed_swing,
+        "regret_low": bar.low.regret.value,
+        "regret_high": bar.high.regret.value,
+        "regret": bar.regret,
+    }
+
+
+def _switches(name: str, threshold: Threshold) -> list[dict[str, Any]]:
+    return [
+        {
+            "parameter": name,
+            "threshold": threshold.value,
+            "low": threshold.low,
+            "high": threshold.high,
+            "state": switch.label,
+            "columns": dict(switch.columns),
+            "before": list(switch.before),
+            "after": list(switch.after),
+            "reached": switch.reached,
+            "touch": threshold.touch,
+        }
+        for switch in threshold.switches
+    ]
+
+
+def _stable(found: Thresholds) -> dict[str, Any]:
+    low, high = found.stable()
+    near, far = found.stable(reached=True)
+    return {
+        "today": float(found.parameter.value),
+        "unit": unit_of(found.parameter),
+        "low": float(low),
+        "high": float(high),
+        "low_on_reached_states": float(near),
+        "high_on_reached_states": float(far),
+        "radius": float(found.radius),
+        "searched": [float(found.range.low), float(found.range.high)],
+    }
+
+
+def _value(each: Any) -> float | None:
+    return None if each is None else float(each.value)
+
+
+def _error(each: Derivative) -> float:
+    """Return the larger error bound of both sides; 0 for exact ones."""
+    return max(getattr(side, "error", 0.0) for side in (each.left, each.right) if side is not None)
+
+
+def _sides(each: Derivative) -> str:
+    return f"{_value(each.left):.6g} | {_value(each.right):.6g}"
+
+
+def _title(text: str, found: Any, ordered: list[Any]) -> str:
+    more = f", the first {SHOWN} of {len(ordered)}" if len(ordered) > SHOWN else ""
+    return f"{text}{more} (policy {'re-optimised' if found.reoptimised else 'held fixed'})"

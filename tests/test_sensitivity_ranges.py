@@ -1,0 +1,261 @@
+"""Parametric models, one-way and two-way analyses, their figures, and the command."""
+
+import io
+from fractions import Fraction
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from cli_runner import run
+from oracle import Oracle
+
+from analysis.sensitivity import (
+    Range,
+    load_ranges,
+    one_way,
+    thresholds,
+    tornado,
+    two_way,
+    whole,
+)
+from mdp import MDP, ModelError, Scenario
+from mdp.parametric import Parametric, moving, parametric
+from mdp.row_change import pieces, row_change, transition_entries
+
+F = Fraction
+SMALL = {"tasks": [1], "max_trial": 2}
+SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
+
+
+def scenario(**readings: str) -> Scenario:
+    return Scenario.load("yuan2025").with_(readings=readings, **SMALL)
+
+
+# ---- parametric models -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "readings"),
+    [
+        ("base.anger", {"skip_onset": "base"}),
+        ("influence.disengagement.anger", {"influence_on_present": "additive"}),
+        ("assistance.supportive.anger.onset", {}),
+        ("reward.trial", {"trial_cost": "failed-trials"}),
+        ("skip.anger.persistence", {"skip_timestep": "own"}),
+    ],
+)
+def test_polynomials_of_rows_hold_everywhere_between_breakpoints(name, readings) -> None:
+    family = parametric(scenario(**readings))
+    value = next(p.value for p in family.parameters if p.name == name)
+    left, right = pieces(family, name, value)
+    piece = right or left
+    assert piece is not None
+    change = row_change(family, name, piece)
+    low = F(-9) if piece.low is None else piece.low
+    high = F(9) if piece.high is None else piece.high
+    for share in (F(1, 7), F(5, 7), F(1)):
+        place = low + share * (high - low)
+        expected = rows_at(family, name, place)
+        found = rows_at(family, name, value)
+        for k, key in enumerate(change.transition.key.tolist()):
+            powers = enumerate(change.transition.coefficients, start=1)
+            found[key] = found.get(key, F(0)) + sum(
+                column[k] * (place - value) ** power for power, column in powers
+            )
+        assert {key: p for key, p in found.items() if p} == expected
+
+
+def rows_at(family: Parametric, name: str, value: Fraction) -> dict[int, Fraction]:
+    key, top, bottom = transition_entries(family.at({name: value}))
+    return {k: F(int(a), int(b)) for k, a, b in zip(key.tolist(), top, bottom, strict=True)}
+
+
+def test_numbers_of_many_digits_compile_to_distributions() -> None:
+    own = Scenario.load("yuan2025")
+    for name in ("skip.disengagement.persistence", "persistence.disengagement", "base.anger"):
+        mdp = own.with_(parameters={name: F(1234567890123, 10**13)}).compile()
+        assert (np.add.reduceat(mdp.table.weight, mdp.table.offsets[:-1]) > 0).all()
+
+
+def test_rows_make_room_in_proportion() -> None:
+    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
+    family = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]})
+    row = family.at({"a": "1/10", "b": "3/10"}).table.row(0)
+    assert [p for p, _, _ in row] == [F(1, 10), F(3, 10), F(6, 10)]
+    with pytest.raises(ModelError, match="more than 1"):
+        family.at({"a": "9/10", "b": "3/10"})
+    with pytest.raises(ModelError, match="outside"):
+        family.at({"a": 2})
+    with pytest.raises(ModelError, match="make room"):
+        moving(mdp, {"a": [(1, 1)]})
+    with pytest.raises(ModelError, match="2 different"):
+        moving(mdp, {"a": [(0, 0), (0, 1)]})
+    with pytest.raises(ModelError, match="twice by one"):
+        moving(mdp, {"a": [(0, 0), (0, 0)]})
+
+
+# ---- one-way ---------------------------------------------------------------------------------
+
+
+def oracle(own: Scenario, name: str, value: Fraction) -> Oracle:
+    values = {**own.values(), name: value}
+    return Oracle(dict(own.readings), own.tasks, own.max_trial, own.discount, values)
+
+
+def test_bars_are_values_of_an_independent_model() -> None:
+    own = scenario(influence_orientation="column-to-row")
+    names = ["base.confusion", "reward.anger"]
+    found = tornado(own, policy="always:directive", names=names)
+    for bar in found.bars:
+        for end in (bar.low, bar.high):
+            twin = oracle(own, bar.parameter.name, end.at)
+            assert end.optimal.value == pytest.approx(float(twin.value(twin.start)), abs=1e-9)
+            fixed = twin.evaluate(lambda _: {"directive": F(1)}, distribution=False)["mean"]
+            assert end.fixed.value == pytest.approx(float(fixed), abs=1e-9)
+            assert end.regret.value == pytest.approx(end.optimal.value - end.fixed.value)
+    assert [bar.swing for bar in found.bars] == sorted((b.swing for b in found.bars), reverse=True)
+    base = next(bar for bar in found.bars if bar.parameter.name == "base.confusion")
+    assert (base.low.at, base.high.at) == (F(24, 100), F(36, 100))
+    assert found.frame()["unit"].tolist() == [
+        "probability" if bar.parameter.name.startswith("base") else "reward" for bar in found.bars
+    ]
+
+
+def test_curves_start_to_part_at_a_threshold() -> None:
+    own, name = scenario(), "reward.assist.non-directive"
+    low, high = thresholds(own, name, (-10, 0)).stable(reached=True)
+    assert -10 < low < -3
+    assert high == 0
+    curve = one_way(own, name, (low, high), points=5)
+    assert max(point.regret.value for point in curve.points) < 1e-9
+    below = one_way(own, name, (-10, low), points=5)
+    assert below.points[0].regret.value > 1e-3
+    assert len(curve.frame()) == 5
+
+
+def test_ranges_from_a_file(tmp_path: Path) -> None:
+    family = parametric(scenario())
+    file = tmp_path / "ranges.toml"
+    file.write_text('"base.anger" = [0.02, "1/10"]\n[reward]\nanger = [-6, -4]\n', "utf-8")
+    found = load_ranges(family, file)
+    assert found["base.anger"] == Range(low=F(1, 50), high=F(1, 10))
+    assert set(found) == {"base.anger", "reward.anger"}
+    for text, message in (
+        ('"base.angre" = [0, 1]', r"unknown parameter 'base\.angre'"),
+        ('"base.anger" = [0.2, 0.1]', "empty"),
+        ('"base.anger" = [0.2, 0.2]', "empty"),
+        ('"base.anger" = [0.2, 1.1]', "outside"),
+        ('"base.anger" = 0.2', "not a pair"),
+        ('"base.anger" = [0.2', "broken TOML"),
+        ("", "no range"),
+    ):
+        file.write_text(text, "utf-8")
+        with pytest.raises(ModelError, match=message):
+            load_ranges(family, file)
+    assert whole(family.parameters[0]) == Range(low=F(0), high=F(1))
+
+
+# ---- two-way ---------------------------------------------------------------------------------
+
+
+def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
+    own, x = scenario(), "assistance.directive.confusion.persistence"
+    found = two_way(own, x, "base.confusion", bounds={x: (0, 1)}, points=5)
+    assert found.policy.shape == (5, 5)
+    today = thresholds(own, x, (0, 1))
+    middle = found.choices[2]  # base.confusion as it is today
+    for column in range(4):
+        moved = np.flatnonzero(middle[column] != middle[column + 1]).tolist()
+        inside = [t for t in today.found if found.x_values[column] < t.value]
+        inside = [t for t in inside if t.value < found.x_values[column + 1]]
+        assert set(moved) <= {switch.state for t in inside for switch in t.switches}
+    frame = found.frame()
+    assert len(frame) == 25
+    assert (frame["regret (reward)"] >= 0).all()
+    assert found.value[2, 0] >= found.fixed_value[2, 0] - 1e-9
+    with pytest.raises(ModelError, match="twice"):
+        two_way(own, x, x)
+    with pytest.raises(ModelError, match=r"a range of base\.anger"):
+        two_way(own, x, "base.confusion", bounds={"base.anger": (0, 1)})
+
+
+def test_figures() -> None:
+    mpl.use("agg")
+    from matplotlib import pyplot as plt
+
+    from analysis import plots
+
+    own, x = scenario(), "assistance.directive.confusion.persistence"
+    found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
+    bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
+    surface = two_way(own, x, "base.anger", bounds={x: (0, 1)}, points=3)
+    with plots.style():
+        figure, axes = plt.subplots(2, 3, figsize=(15, 8))
+        assert plots.plot_tornado(bars, ax=axes[0, 0]) is axes[0, 0]
+        assert "regret" in plots.plot_tornado(bars, show="regret", ax=axes[0, 1]).get_xlabel()
+        plots.plot_value_curves(one_way(own, x, (0, 1), points=3), ax=axes[0, 2])
+        plots.plot_thresholds(found, ax=axes[1, 0])
+        plots.plot_two_way(surface, ax=axes[1, 1])
+        plots.plot_two_way(surface, state=4, ax=axes[1, 2])
+        figure.savefig(io.BytesIO(), format="svg")
+        plt.close(figure)
+
+
+# ---- the command -----------------------------------------------------------------------------
+
+
+def test_command_gradient() -> None:
+    found = run("sensitivity", "yuan2025", "gradient", *SET, "--json").result
+    assert found["claim"] == "certified"
+    assert set(found["derivatives"]) == {p.name for p in parametric(scenario()).parameters}
+    assert found["derivatives"]["reward.task-complete"] == 1
+    assert found["exact_derivatives"]["reward.task-complete"] == "1"
+    assert found["steps"]["max_trial"]["one_more"] is not None
+    fixed = run("sensitivity", "yuan2025", "gradient", *SET, "--policy", "random", "--json").result
+    assert fixed["policy"] == "fixed"
+    assert fixed["start_value"] < found["start_value"]
+
+
+def test_command_tornado_and_threshold(tmp_path: Path) -> None:
+    file = tmp_path / "ranges.toml"
+    file.write_text('"reward.assist.non-directive" = [-10, 0]', "utf-8")
+    words = ("sensitivity", "yuan2025", "tornado", *SET, "--ranges", file)
+    found = run(*words, "--json").result
+    (bar,) = found["bars"]
+    assert (bar["low"], bar["high"]) == (-10, 0)
+    assert bar["value_low"] < found["start_value"] < bar["value_high"]
+    assert "reward.assist.non-directive" in run(*words).out
+    words = ("sensitivity", "yuan2025", "threshold", *SET, "--ranges", file)
+    found = run(*words, "--json").result
+    assert found["switches"]
+    for switch in found["switches"]:
+        assert switch["before"] != switch["after"]
+        assert Fraction(switch["high"]) - Fraction(switch["low"]) <= F(1, 10**12)
+    stable = found["stable"]["reward.assist.non-directive"]
+    assert stable["low"] <= -3 <= stable["high"]
+    assert run(*words).status == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("gradient --parameter base.angre", "unknown parameter"),
+        ("gradient --relative 0.1", "no ranges"),
+        ("tornado --range base.anger=0.1", "not a range"),
+        ("tornado --range base.anger=0.3:0.1", "empty"),
+        ("tornado --range base.anger=0:1.5", "outside"),
+        ("tornado --range base.angre=0:1", "unknown parameter"),
+        ("tornado --relative 0", "share"),
+        ("threshold --relative 0.1 --whole", "both"),
+        ("threshold --policy random", "optimal policy"),
+        ("threshold --ranges nowhere.toml", "nowhere.toml"),
+        ("gradients", "gradients"),
+    ],
+)
+def test_command_refuses(words: str, message: str) -> None:
+    done = run("sensitivity", "yuan2025", *words.split(), *SET)
+    assert done.status == 2
+    assert done.out == ""
+    assert message in done.err
+    assert "fix:" in done.err

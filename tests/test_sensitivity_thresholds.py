@@ -1,0 +1,260 @@
+"""Thresholds against closed forms and a fine scan by an independent model."""
+
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from cases.puterman import two_state
+from cases.toolbox import CASES as TOOLBOX
+from flint import fmpq_poly
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import END, Oracle
+
+from analysis.sensitivity import joint_radius, stability_frame, threshold_frame, thresholds
+from analysis.sensitivity.roots import roots, sign, simple, variations
+from mdp import MDP, ModelError, Parameter, Scenario
+from mdp.parametric import Family, moving
+from solvers import certify
+
+F = Fraction
+SMALL = {"tasks": [1], "max_trial": 2}
+WIDTH = F(1, 10**12)
+
+
+def rational_poly(numbers: list[Fraction]) -> fmpq_poly:
+    from flint import fmpq
+
+    poly = fmpq_poly([1])
+    for number in numbers:
+        poly *= fmpq_poly([fmpq(-number.numerator, number.denominator), 1])
+    return poly
+
+
+@given(st.lists(st.fractions(-2, 2, max_denominator=20), max_size=6))
+@settings(max_examples=60)
+def test_roots_are_all_found_once(numbers: list[Fraction]) -> None:
+    poly = rational_poly(numbers)
+    found = list(roots(simple(poly), F(-1), F(1)))
+    inside = sorted({number for number in numbers if -1 < number < 1})
+    assert len(found) == len(inside)
+    for root, number in zip(found, inside, strict=True):
+        near = root.narrowed(F(1, 10**9))
+        assert near.low <= number <= near.high
+        assert near.high - near.low <= F(1, 10**9)
+    assert variations(simple(poly), F(-1), F(1)) >= len(inside)
+    assert sign(poly, F(3)) == 1
+
+
+def test_puterman_leaves_at_ten_elevenths() -> None:
+    case = two_state(F(1, 2))
+    rows = [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs]
+    found = thresholds(MDP.from_outcomes(rows, F(1, 2)), "discount", (0, F(999, 1000)))
+    (one,) = found.found
+    assert one.low <= F(10, 11) <= one.high
+    assert one.high - one.low <= WIDTH
+    (switch,) = one.switches
+    assert (switch.state, switch.before, switch.after) == (0, ("1",), ("0",))
+    assert found.stable() == (0, one.low)
+    assert found.radius == one.low - F(1, 2)
+
+
+def test_published_forest_fire_against_a_scan() -> None:
+    case = next(case for case in TOOLBOX if case.name == "forest-3-9/10")
+    rows = [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs]
+    mdp = MDP.from_outcomes(rows, case.discount)
+    family = moving(mdp, {"fire": [(mdp.pair(state, 0), 0) for state in range(3)]})
+    found = thresholds(family, "fire", (F(1, 100), F(99, 100)))
+    assert found.found
+    scan(family, "fire", found, F(1, 100), F(99, 100), 60)
+
+
+def scan(family, name, found, low, high, steps) -> None:
+    """Between neighbouring thresholds the optimal pairs are the same everywhere."""
+    cuts = [t for t in found.found if not t.touch]
+    ends = [low, *(end for t in cuts for end in (t.low, t.high)), high]
+    for a, b in list(pairwise(ends))[::2]:
+        grid = [a + (b - a) * F(k, 3) for k in range(4)]
+        sets = [certify(family.at({name: value})).optimal_pairs for value in grid]
+        assert (sets[1] == sets[2]).all()
+    for k in range(steps):
+        left = low + (high - low) * F(k, steps)
+        right = low + (high - low) * F(k + 1, steps)
+        one, two = (certify(family.at({name: value})).optimal_pairs for value in (left, right))
+        inside = [t for t in cuts if left <= t.high and t.low <= right]
+        assert (one == two).all() or inside
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "readings"),
+    [
+        ("assistance.directive.confusion.persistence", (F(1, 2), 1), {}),
+        ("reward.anger", (-2, 0), {"skip_onset": "base"}),
+        ("influence.disengagement.anger", (0, 1), {"influence_on_present": "additive"}),
+        (
+            "base.confusion",
+            (0, 1),
+            {"skip_onset": "base", "influence_orientation": "column-to-row"},
+        ),
+        ("discount", ("1/10", 1), {"skip_timestep": "own"}),
+    ],
+)
+def test_care_model_against_a_scan_of_an_independent_model(name, bounds, readings) -> None:
+    own = Scenario.load("yuan2025").with_(readings=readings, **SMALL)
+    mdp = own.compile()
+    found = thresholds(own, name, bounds)
+    low, high = found.range.low, found.range.high
+    labels = {state: mdp.space.label(state) for state in range(mdp.n_states)}
+
+    def best(value: Fraction) -> dict[str, frozenset[str]]:
+        values = {**own.values(), "discount": own.discount, name: value}
+        discount = values.pop("discount")
+        oracle = Oracle(dict(own.readings), own.tasks, own.max_trial, discount, values)
+        return {
+            labels[number_of(mdp, state)]: oracle.optimal_actions(state)
+            for state in every_state(oracle)
+        }
+
+    cuts = [t for t in found.found if not t.touch]
+    grid = [low + (high - low) * F(2 * k + 1, 12) for k in range(6)]
+    answers = [best(value) for value in grid]
+    for (left, one), (right, two) in pairwise(zip(grid, answers, strict=True)):
+        inside = [t for t in cuts if left < t.low and t.high < right]
+        moved = {s for s in one if one[s] != two[s]}
+        assert moved <= {switch.label for t in inside for switch in t.switches}
+        for label in moved:
+            own_switches = [s for t in inside for s in t.switches if s.label == label]
+            assert set(own_switches[0].before) == one[label]
+            assert set(own_switches[-1].after) == two[label]
+        if not inside:
+            assert one == two
+    for threshold in found.found:
+        assert threshold.high - threshold.low <= WIDTH
+
+
+def number_of(mdp: MDP, state) -> int:
+    k, t, _, s = state
+    place = {"subtask": k, "trial": t, "status": int("".join(map(str, s)), 2)}
+    return mdp.space.index(**place)
+
+
+def every_state(oracle: Oracle):
+    from itertools import product
+
+    for t, s in product(range(oracle.trials), product((0, 1), repeat=4)):
+        state = (0, t, 1, s)
+        if state != END and len(oracle.actions(state)) > 1:
+            yield state
+
+
+def choice(p: Fraction, *worth: Fraction) -> MDP:
+    rows = [(0, action, [(1, 1, value)]) for action, value in enumerate(worth)]
+    return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+
+
+def lone(build, degree: int = 1, breaks=()) -> Family:
+    parameter = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
+    return Family(
+        parameters=(parameter,),
+        build=lambda at: build(at["p"]),
+        degrees={"p": degree},
+        breaks={"p": breaks},
+    )
+
+
+def test_a_touching_root_changes_nothing_but_is_told() -> None:
+    family = lone(lambda p: choice(p, F(0), -((p - F(1, 3)) ** 2)), degree=2)
+    found = thresholds(family, "p", (0, 1))
+    (touch,) = found.found
+    assert touch.touch
+    assert touch.low <= F(1, 3) <= touch.high
+    assert found.stable() == (0, 1)
+
+
+def test_two_thresholds_closer_than_the_bracket_are_both_found() -> None:
+    tiny = F(1, 10**15)
+    family = lone(lambda p: choice(p, F(0), (p - F(1, 3)), 2 * (p - F(1, 3)) - tiny))
+    found = thresholds(family, "p", (0, 1))
+    assert [t.switches[0].before + t.switches[0].after for t in found.found] == [
+        ("0", "1"),
+        ("1", "2"),
+    ]
+    assert found.found[0].high <= F(1, 3) + tiny <= found.found[1].high
+
+
+def test_three_actions_that_cross_at_one_point() -> None:
+    third = F(1, 3)
+    family = lone(lambda p: choice(p, F(0), p - third, 2 * (p - third)))
+    (one,) = thresholds(family, "p", (0, 1)).found
+    assert (one.switches[0].before, one.switches[0].after) == (("0",), ("2",))
+
+
+def test_a_tie_today_has_radius_zero_and_identical_actions_stay_tied() -> None:
+    family = lone(lambda p: choice(p, F(1, 2), p, p))
+    found = thresholds(family, "p", (F(1, 4), F(3, 4)))
+    (one,) = found.found
+    assert one.switches[0].after == ("1", "2")
+    assert found.stable() == (F(1, 2), F(1, 2))
+    assert found.radius == 0
+
+
+def test_a_switch_at_a_breakpoint() -> None:
+    half = F(1, 2)
+    family = lone(lambda p: choice(p, F(0), max(F(0), p - half) - F(0)), breaks=(half,))
+    (one,) = thresholds(family, "p", (0, 1)).found
+    assert one.low == half
+    assert one.high - half <= WIDTH
+    assert (one.switches[0].before, one.switches[0].after) == (("0", "1"), ("1",))
+
+
+def test_frames_and_radius() -> None:
+    own = Scenario.load("yuan2025").with_(**SMALL)
+    names = ["reward.anger", "base.anger"]
+    found = {name: thresholds(own, name) for name in names}
+    assert stability_frame(found)["parameter"].tolist() == names
+    assert {"threshold", "before", "after"} <= set(threshold_frame(found).columns) | {"threshold"}
+    assert all(each.radius >= 0 for each in found.values())
+    assert np.isfinite(stability_frame(found)["stable from"]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "message"),
+    [
+        ("base.angre", None, "unknown parameter"),
+        ("base.anger", (F(1, 2), F(1, 4)), "empty"),
+        ("base.anger", (F(1, 4), F(1, 4)), "empty"),
+        ("base.anger", (0, 2), "outside"),
+    ],
+)
+def test_mistakes_are_refused(name, bounds, message) -> None:
+    with pytest.raises(ModelError, match=message):
+        thresholds(Scenario.load("yuan2025").with_(**SMALL), name, bounds)
+
+
+@pytest.mark.parametrize(
+    "readings", [{}, {"skip_onset": "base", "influence_on_present": "additive"}]
+)
+def test_nothing_changes_within_the_joint_radius(readings) -> None:
+    own = Scenario.load("yuan2025").with_(readings=readings, discount=F(9, 10), **SMALL)
+    found = joint_radius(own)
+    assert 0 < found.share < 1
+    today = certify(own.compile()).policy
+    rng = np.random.default_rng(4)
+    everything = {**own.values(), "discount": own.discount}
+    for _ in range(6):
+        moved = {}
+        for name, width in found.widths.items():
+            step = found.share * width * F(int(rng.choice([-1, 1])) * 999, 1000)
+            value = everything[name] + step
+            moved[name] = value if name.startswith("reward.") else min(F(1), max(F(0), value))
+        assert (certify(own.with_(parameters=moved).compile()).policy == today).all()
+
+
+def test_the_joint_radius_is_inside_that_of_a_single_parameter() -> None:
+    own, name = Scenario.load("yuan2025").with_(**SMALL), "reward.assist.non-directive"
+    joint = joint_radius(own, {name: (-10, 0)})
+    single = thresholds(own, name, (-10, 0)).radius
+    assert joint.share * joint.widths[name] <= single
+    with pytest.raises(ModelError, match="unknown parameter"):
+        joint_radius(own, {"base.angre": (0, 1)})
