@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli_common import POLICY_HELP, check_outputs, model_options
+from analysis.cli_common import POLICY_HELP, check_outputs, model_options, perception_option
 from analysis.cli_output import Grid, number, show
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ LISTED_STATES = 1000  # models with more states are left to Python for the regre
 @click.option(
     "--no-explain", is_flag=True, help="Leave out what the policy's columns cannot express."
 )
+@perception_option
 @model_options
 def check(
     model: str,
@@ -46,6 +47,7 @@ def check(
     junit: str | None,
     certify: bool,
     no_explain: bool,
+    perception: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -66,7 +68,9 @@ def check(
     loaded = load(model, sets=sets, discount=discount)
     audit = compare.check(
         loaded.mdp,
-        policy_of(loaded.mdp, learned) if learned == "optimal" else learned,
+        policy_of(loaded.mdp, learned, perception)
+        if learned == "optimal" or perception
+        else learned,
         max_regret=max_regret,
         max_relative_regret=max_relative_regret,
         exact_values=True if certify else None,
@@ -76,7 +80,7 @@ def check(
         _report(
             junit, loaded.name, learned, audit, perf_counter() - started, explain=why is not None
         )
-    result = {"model": loaded.name, "learned": learned} | _result(audit)
+    result = {"model": loaded.name, "learned": learned, "perception": perception} | _result(audit)
     result |= _reasons(audit, why)
     show(result, as_json=as_json, facts=_facts(result), grids=_grids(result))
     return PASSED if audit.passed else FAILED

@@ -38,15 +38,32 @@ def model_options(function: Function) -> Function:
     return function
 
 
-def policy_of(mdp: MDP, form: str) -> Policy:
-    """Return the policy that a command names; the optimum is solved for."""
+perception_option = click.option(
+    "--perception",
+    metavar="FILE",
+    help="The policy acts on a perceived status: a confusion matrix as .csv, or .toml with "
+    "sensitivity and specificity.",
+)
+
+
+def policy_of(mdp: MDP, form: str, perception: str | None = None) -> Policy:
+    """Return the policy that a command names, acting on what is perceived where that is given.
+
+    The optimum is solved for; under a perception it is the optimum of whoever sees the truth.
+    """
     from mdp.policy import Policy
 
     if form == "optimal":
         from solvers import solve
 
-        return Policy.from_choices(mdp, solve(mdp).policy)
-    return Policy.of(mdp, form)
+        policy = Policy.from_choices(mdp, solve(mdp).policy)
+    else:
+        policy = Policy.of(mdp, form)
+    if perception is None:
+        return policy
+    from mdp.perception import perceived, read
+
+    return perceived(mdp, policy, read(perception, mdp))
 
 
 def float_of(text: str | None, option: str) -> float | None:

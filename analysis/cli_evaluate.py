@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from analysis.cli_common import POLICY_HELP, model_options, policy_of, whole_of
+from analysis.cli_common import POLICY_HELP, model_options, perception_option, policy_of, whole_of
 from analysis.cli_output import Grid, at_most, decimal, number, show
 
 MOST_EPISODES = 10**9
@@ -25,11 +25,13 @@ LISTED_RETURNS = 1000  # longer distributions are left to --json
     default=True,
     help="Whether to work out the quantiles, which can take long in large models.",
 )
+@perception_option
 @model_options
 def evaluate(
     model: str,
     policy: str,
     quantiles: bool,
+    perception: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -39,12 +41,13 @@ def evaluate(
     from mdp.load import load
 
     loaded = load(model, sets=sets, discount=discount)
-    found = solvers.evaluate(loaded.mdp, policy_of(loaded.mdp, policy))
+    found = solvers.evaluate(loaded.mdp, policy_of(loaded.mdp, policy, perception))
     shares = found.quantiles if quantiles else None
     missing = "left out" if not quantiles else found.quantiles_missing
     result: dict[str, Any] = {
         "model": loaded.name,
         "policy": policy,
+        "perception": perception,
         "discount": loaded.mdp.discount,
         "claim": found.claim,
         "mean": found.mean,
@@ -63,6 +66,7 @@ def evaluate(
     facts = {
         "model": loaded.name,
         "policy": policy,
+        **({"perception": perception} if perception else {}),
         "discount": number(loaded.mdp.discount),
         "claim": f"{found.claim}, the mean within {at_most(found.error_bound)}",
         "mean": number(found.mean, found.error_bound),
@@ -90,9 +94,16 @@ def evaluate(
 @click.argument("model")
 @click.argument("policy")
 @click.option("--exact", is_flag=True, help="Give the probabilities as rationals, too.")
+@perception_option
 @model_options
 def returns(
-    model: str, policy: str, exact: bool, sets: tuple[str, ...], discount: str | None, as_json: bool
+    model: str,
+    policy: str,
+    exact: bool,
+    perception: str | None,
+    sets: tuple[str, ...],
+    discount: str | None,
+    as_json: bool,
 ) -> None:
     """Compute the probability of every return that POLICY can have in MODEL, at discount 1."""
     import solvers
@@ -100,7 +111,7 @@ def returns(
     from solvers.returns import return_distribution
 
     loaded = load(model, sets=sets, discount=discount)
-    chosen = policy_of(loaded.mdp, policy)
+    chosen = policy_of(loaded.mdp, policy, perception)
     found = return_distribution(loaded.mdp, chosen, exact=exact)
     moments = solvers.evaluate(loaded.mdp, chosen)
     values, chances = [decimal(value) for value in found.values], found.probabilities.tolist()
@@ -108,6 +119,7 @@ def returns(
     result: dict[str, Any] = {
         "model": loaded.name,
         "policy": policy,
+        "perception": perception,
         "discount": loaded.mdp.discount,
         "claim": found.claim,
         "mean": moments.mean,
@@ -151,12 +163,14 @@ def returns(
 @click.option(
     "--seed", default="0", metavar="S", help="Seed of the random numbers; 0 unless given."
 )
+@perception_option
 @model_options
 def simulate(
     model: str,
     policy: str,
     episodes: str,
     seed: str,
+    perception: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -167,11 +181,12 @@ def simulate(
 
     count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
     loaded = load(model, sets=sets, discount=discount)
-    found = sample(loaded.mdp, policy_of(loaded.mdp, policy), count, first)
+    found = sample(loaded.mdp, policy_of(loaded.mdp, policy, perception), count, first)
     low, high = found.estimate.interval
     result: dict[str, Any] = {
         "model": loaded.name,
         "policy": policy,
+        "perception": perception,
         "discount": loaded.mdp.discount,
         "claim": found.claim,
         "mean": found.mean,
@@ -189,6 +204,7 @@ def simulate(
     facts = {
         "model": loaded.name,
         "policy": policy,
+        **({"perception": perception} if perception else {}),
         "discount": number(loaded.mdp.discount),
         "episodes": f"{found.episodes:,}, seed {first}",
         "mean": f"{number(found.mean, error / 10)} ({found.claim}, standard error {error:.2g})",

@@ -189,7 +189,8 @@ def _by_outcome(table: OutcomeTable) -> OutcomeTable:
     With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
     unless a float probability is only nearly 1; such outcomes are told as two exact halves.
     """
-    if len(table.next) != table.pairs or (table.weight == table.denominator).all():
+    exact_rows = table.weight.dtype != np.float64 or (table.weight == 1).all()
+    if len(table.next) != table.pairs or exact_rows:
         return table
     return replace(
         table,

@@ -113,6 +113,8 @@ class QLearning:
             raise _refused("snapshot_episode", self.snapshot_episode, "0 keeps no snapshot")
         if not (np.isfinite(self.initial) and np.isfinite(self.rate_power)):
             raise _refused("initial or rate_power", self.initial, "give finite numbers")
+        if self.rate_power < 0:
+            raise _refused("rate_power", self.rate_power, "rates must not grow: give 0 or more")
         object.__setattr__(self, "discount", as_discount(self.discount))
         checked("exploration", self.exploration, self.epochs)
         checked("learning rate", self.rate, self.epochs)

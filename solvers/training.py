@@ -1,9 +1,10 @@
 """Many runs of a learner, side by side, resumable, the same whatever the number of workers.
 
 Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so that it depends neither on
-how many runs there are nor on who does them. Runs are done in blocks of `BLOCK`; a finished block
-is written to its own file at once, whole or not at all, and read instead of done again when the
-training is called once more. Workers are threads: the compiled loop needs no interpreter lock.
+how many runs there are nor on who does them. Runs are done in blocks of `BLOCK`, which is a single
+run, so that an interruption loses no finished one; a finished block is written to its own file at
+once, whole or not at all, and read instead of done again when the training is called once more.
+Workers are threads: the compiled loop needs no interpreter lock.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from mdp.table import Numbers
 from solvers.q_learning import QLearning, Trainer, TrainingRun
 from solvers.sampler import as_sequence, child
 
-BLOCK = 16
+BLOCK = 1
 RECORD = "training.json"
 
 

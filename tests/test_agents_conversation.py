@@ -19,11 +19,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mdp import ModelError
+from mdp.perception import perceived
 from paper_repro.agents import DISCLAIMER, recording
 from paper_repro.agents.__main__ import main
 from paper_repro.agents.claims import errors
 from paper_repro.agents.conversation import Conversation, totals
-from paper_repro.agents.measure import bits, under
+from paper_repro.agents.measure import bits
 from paper_repro.agents.modules import VARIANTS, Place
 from paper_repro.agents.protocol import BackendError, Reply, Request
 from paper_repro.agents.recording import Recording
@@ -182,7 +183,7 @@ def test_draws_follow_their_probabilities() -> None:
 def test_the_mean_return_is_the_exact_one_under_the_same_errors() -> None:
     noise, episodes = 0.2, 80
     one = conversation(Scripted(noise=noise), policy="reported:non-directive", history=0)
-    exact = evaluate(one.world.mdp, under(one.world.mdp, one.world.policy, errors(noise, 4)))
+    exact = evaluate(one.world.mdp, perceived(one.world.mdp, one.world.policy, errors(noise, 4)))
     returns = [
         float(Fraction(list(replace(one, seed=seed).steps())[-1]["return"]))
         for seed in range(episodes)

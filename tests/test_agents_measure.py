@@ -16,6 +16,7 @@ from oracle import STATUSES, Oracle
 from scipy.stats import binom
 
 from mdp import ModelError, Policy, Scenario
+from mdp.perception import perceived
 from paper_repro import reported
 from paper_repro.agents.__main__ import main
 from paper_repro.agents.claims import EXACT, errors, misread, statements
@@ -28,7 +29,6 @@ from paper_repro.agents.measure import (
     matrix,
     rates,
     to_csv,
-    under,
     vector,
 )
 from paper_repro.agents.scripted import Scripted
@@ -85,14 +85,14 @@ def test_perfect_perception_changes_nothing() -> None:
     mdp = Scenario.load("yuan2025").with_(readings={"skip_timestep": "own"}).compile()
     for form in ("random", PLAN):
         policy = Policy.of(mdp, form)
-        blind = under(mdp, policy, np.eye(16)).weights(mdp)
+        blind = perceived(mdp, policy, np.eye(16)).weights(mdp)
         assert np.array_equal(blind, policy.weights(mdp))
 
 
 def test_a_constant_policy_does_not_mind_any_error() -> None:
     mdp = Scenario.load("yuan2025").compile()
     policy = Policy.of(mdp, "always:directive")
-    confused = under(mdp, policy, np.full((16, 16), 1 / 16))
+    confused = perceived(mdp, policy, np.full((16, 16), 1 / 16))
     assert evaluate(mdp, confused).mean == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
 
 

@@ -74,7 +74,7 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
     done = run(*QUICK, "--out", tmp_path, "--seeds", 2, "--epsilon", "decaying")
     names = {path.name for path in tmp_path.iterdir()}
     written = {"summary.json", "policy.csv", "q.npy", "run.json"}
-    assert names == written | {"training.json", "runs-000000.npz"}
+    assert names == written | {"training.json", "runs-000000.npz", "runs-000001.npz"}
     assert {Path(path).name for path in done.result["written"]} == written
     assert strict((tmp_path / "summary.json").read_text()) == done.result
     record = json.loads((tmp_path / "run.json").read_text())

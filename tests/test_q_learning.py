@@ -19,7 +19,7 @@ from solvers.policy_values import policy_values
 from solvers.q_learning import METHODS, TIES, QLearning, Trainer, distinct
 from solvers.sampler import as_policy, child, rows_of, scores, stream, tables
 from solvers.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant, Exponential, Harmonic
-from solvers.training import BLOCK, train_many
+from solvers.training import train_many
 
 CARE = Scenario.load("yuan2025")
 OTHERS = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}
@@ -348,8 +348,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_workers_and_number_of_runs_change_nothing(care: MDP, tmp_path: Path) -> None:
-    alone = train_many(care, SMALL, 2 * BLOCK + 3, seed=0, n_jobs=1, out=tmp_path / "one")
-    many = train_many(care, SMALL, 2 * BLOCK + 3, seed=0, n_jobs=3, out=tmp_path / "three")
+    alone = train_many(care, SMALL, 7, seed=0, n_jobs=1, out=tmp_path / "one")
+    many = train_many(care, SMALL, 7, seed=0, n_jobs=3, out=tmp_path / "three")
     assert contents(tmp_path / "one") == contents(tmp_path / "three")
     few = train_many(care, SMALL, 2, seed=0)
     for a, b in [*zip(alone, many, strict=True), *zip(alone, few, strict=False)]:
@@ -367,20 +367,22 @@ def test_finished_runs_are_kept_and_used_again(
     once = Trainer.run
 
     def interrupted(self: Trainer, seed: object):
-        if len(done) == BLOCK + 5:
+        if len(done) == 5:
             raise KeyboardInterrupt
         done.append(seed)
         return once(self, seed)
 
     monkeypatch.setattr(Trainer, "run", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        train_many(care, SMALL, 3 * BLOCK, seed=1, out=tmp_path)
-    assert sorted(path.name for path in tmp_path.glob("*.npz")) == ["runs-000000.npz"]
+        train_many(care, SMALL, 8, seed=1, out=tmp_path)
+    assert sorted(path.name for path in tmp_path.glob("*.npz")) == [
+        f"runs-{number:06d}.npz" for number in range(5)
+    ]
     done.clear()
     monkeypatch.setattr(Trainer, "run", lambda self, seed: done.append(seed) or once(self, seed))
-    runs = train_many(care, SMALL, 3 * BLOCK, seed=1, out=tmp_path)
-    assert len(done) == 2 * BLOCK
-    fresh = train_many(care, SMALL, 3 * BLOCK, seed=1)
+    runs = train_many(care, SMALL, 8, seed=1, out=tmp_path)
+    assert len(done) == 3
+    fresh = train_many(care, SMALL, 8, seed=1)
     for a, b in zip(runs, fresh, strict=True):
         assert a.q.tobytes() == b.q.tobytes()
         assert (a.steps, a.cut_short, a.space) == (b.steps, b.cut_short, b.space)
@@ -388,8 +390,8 @@ def test_finished_runs_are_kept_and_used_again(
         assert np.array_equal(a.last, b.last)
         assert np.array_equal(a.returns, b.returns)
     done.clear()
-    more = train_many(care, SMALL, 3 * BLOCK + 1, seed=1, out=tmp_path)
-    assert (len(more), len(done)) == (3 * BLOCK + 1, 1)
+    more = train_many(care, SMALL, 9, seed=1, out=tmp_path)
+    assert (len(more), len(done)) == (9, 1)
 
 
 @pytest.mark.parametrize(

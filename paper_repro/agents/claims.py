@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from mdp import MDP, Policy, Scenario
-from paper_repro.agents.measure import under
+from mdp.perception import perceived
 from solvers import evaluate, solve
 
 EXACT, MODEL, PEOPLE = "computed here", "needs the authors' model", "needs people to judge"
@@ -40,7 +40,7 @@ def statements(levels: tuple[float, ...] = (0.99, 0.95, 0.9, 0.8)) -> list[State
     mdp = scenario.compile()
     policy = Policy.from_choices(mdp, solve(mdp).policy)
     best, random = evaluate(mdp, policy).mean, evaluate(mdp, "random").mean
-    seen = [evaluate(mdp, under(mdp, policy, errors(1 - level, 4))).mean for level in levels]
+    seen = [evaluate(mdp, perceived(mdp, policy, errors(1 - level, 4))).mean for level in levels]
     kept = [f"{level:.0%}: {value:.1f}" for level, value in zip(levels, seen, strict=True)]
     confused = misread(mdp, policy, {"0000": "1000"})
     return [
@@ -118,7 +118,7 @@ def misread(mdp: MDP, policy: Policy, mistakes: dict[str, str]) -> float:
     confusion = np.eye(mdp.space.column("status").size)
     for true, seen in mistakes.items():
         confusion[int(true, 2)] = np.eye(len(confusion))[int(seen, 2)]
-    return evaluate(mdp, under(mdp, policy, confusion)).mean
+    return evaluate(mdp, perceived(mdp, policy, confusion)).mean
 
 
 def _angry(mdp: MDP, policy: Policy) -> str:

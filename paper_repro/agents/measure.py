@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from mdp import MDP, Policy
 from mdp.errors import ModelError
+from mdp.perception import perceived
 from paper_repro.agents.modules import Modules, Place
 from paper_repro.agents.protocol import Backend
 from paper_repro.agents.world import seed_of
@@ -99,8 +100,8 @@ def labelled(
 def count(pairs: Iterable[tuple[int, int]], statuses: int) -> Counts:
     """Return (2^n, 2^n) how often each true vector was perceived as each other."""
     table = np.zeros((2**statuses, 2**statuses), dtype=np.int64)
-    for true, perceived in pairs:
-        table[true, perceived] += 1
+    for true, seen in pairs:
+        table[true, seen] += 1
     return table
 
 
@@ -173,16 +174,6 @@ def interval(right: int, total: int, level: float = LEVEL) -> tuple[float, float
     return low, high
 
 
-def under(mdp: MDP, policy: Policy, confusion: Floats) -> Policy:
-    """Return the policy that acts on perceived statuses, as a mixed policy of the true state."""
-    by_action = np.zeros((mdp.n_states, mdp.n_actions))
-    by_action[mdp.pair_state, mdp.pair_action] = policy.weights(mdp)
-    regular, size = mdp.space.regular, len(confusion)
-    places = by_action[:regular].reshape(-1, size, mdp.n_actions)  # the status moves fastest
-    by_action[:regular] = (confusion @ places).reshape(regular, mdp.n_actions)
-    return Policy(space=mdp.space, actions=mdp.actions, table=by_action)
-
-
 def cost(
     mdp: MDP, policy: Policy, counts: Counts, *, prior: float, draws: int, seed: int
 ) -> dict[str, Any]:
@@ -201,9 +192,9 @@ def cost(
             fix=f"give one of {mdp.space.column('status').size}",
         )
     perfect = evaluate(mdp, policy)
-    measured = evaluate(mdp, under(mdp, policy, matrix(counts, prior)))
+    measured = evaluate(mdp, perceived(mdp, policy, matrix(counts, prior)))
     rng = np.random.default_rng(seed)
-    values = [evaluate(mdp, under(mdp, policy, _draw(counts, rng))).mean for _ in range(draws)]
+    values = [evaluate(mdp, perceived(mdp, policy, _draw(counts, rng))).mean for _ in range(draws)]
     spread = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist() if values else None
     mean = float(np.mean(values)) if values else None
     return {
