@@ -222,6 +222,12 @@ def _at(where: str, make: Callable[[], T]) -> T:
 
 
 def _as_csv(policy: Policy) -> str:
+    if not policy.columns:
+        raise ModelError(
+            "the policy reads no column of the state",
+            where="CSV",
+            fix="name it as always:ACTION instead",
+        )
     mixed = not policy.deterministic
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

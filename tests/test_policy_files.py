@@ -180,3 +180,10 @@ def test_the_header_names_what_is_read(tmp_path: Path) -> None:
     Policy.by(MDP_1, ["status"], [3] * 16).write(tmp_path / "status.csv")
     lines = (tmp_path / "status.csv").read_text(encoding="utf-8").splitlines()
     assert lines[:2] == ["status,action", "0000,directive"]
+
+
+def test_a_policy_that_reads_nothing_is_not_written(tmp_path: Path) -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    with pytest.raises(ModelError, match="reads no column"):
+        Policy.of(mdp, "always:none").write(tmp_path / "always.csv")
+    assert not list(tmp_path.iterdir())

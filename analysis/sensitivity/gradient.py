@@ -78,8 +78,9 @@ class Gradient:
     ----------
     start_value : Certified or Bounded
     derivatives : {parameter name: Derivative}
-    steps : {setting: (one less, one more)}
-        Differences of the start value for whole-number settings such as max_trial.
+    steps : {setting: (backward, forward)}
+        Differences of the start value for whole-number settings such as max_trial: what the last
+        unit adds, and what one more would.
     reoptimised : bool
         Whether the policy follows the parameter, or is held fixed.
     """

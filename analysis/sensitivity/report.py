@@ -75,8 +75,8 @@ def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
         "policy": result["policy"],
     }
     for name, (less, more) in found.steps.items():
-        below = "-" if less is None else f"{float(less.value):+.6g}"
-        facts[name] = f"one less {below}, one more {float(more.value):+.6g}"
+        last = "" if less is None else f"the last one adds {float(less.value):+.6g}, "
+        facts[name] = f"{last}one more adds {float(more.value):+.6g}"
     return result, facts, [grid]
 
 
