@@ -115,7 +115,7 @@ def test_model_headers(folder: Path, data: st.DataObject) -> None:
 def test_umb_files(folder: Path, data: st.DataObject) -> None:
     content = saved(umb.save, "good.umb", folder)
     with tarfile.open(fileobj=io.BytesIO(content)) as archive:
-        members = {m.name: archive.extractfile(m).read() for m in archive}  # type: ignore
+        members = {m.name: archive.extractfile(m).read() for m in archive}
     for name in data.draw(st.lists(st.sampled_from(sorted(members)), min_size=1, max_size=2)):
         members[name] = data.draw(spoiled(members[name]))
     stream = io.BytesIO()

@@ -46,13 +46,13 @@ def solve_by_sweeps(mdp: MDP, sweeps: int) -> Any:
 def test_values_are_those_of_the_environments_table(name: str) -> None:
     env = gymnasium.make(name)
     mdp = MDP.from_gymnasium(env, 0.9)
-    table = env.unwrapped.P  # type: ignore[attr-defined]
+    table = env.unwrapped.P
     wanted, _ = values_of(table, 0.9, 400)
     found = solve_by_sweeps(mdp, 400)[: len(table)]
     ends = mdp.terminal[: len(table)]
     assert found[~ends] == pytest.approx(wanted[~ends], abs=1e-12)
     assert (found[ends] == 0).all()
-    start = env.unwrapped.initial_state_distrib  # type: ignore[attr-defined]
+    start = env.unwrapped.initial_state_distrib
     assert mdp.start_distribution[: len(table)] == pytest.approx(np.asarray(start))
     assert mdp.name == name
 
@@ -89,7 +89,7 @@ def test_taxi_has_an_end_of_its_own() -> None:
     mdp = MDP.from_gymnasium(env, 0.9)
     assert (mdp.n_states, mdp.n_actions, mdp.space.label(500)) == (501, 6, "end")
     assert np.flatnonzero(mdp.terminal).tolist() == [500]
-    dropped = env.unwrapped.encode(0, 0, 4, 0)  # type: ignore[attr-defined]
+    dropped = env.unwrapped.encode(0, 0, 4, 0)
     assert mdp.table.row(mdp.pair(dropped, 5)) == [(1, 500, 20)]
     assert len(mdp.start) == 300
 
@@ -97,9 +97,9 @@ def test_taxi_has_an_end_of_its_own() -> None:
 @pytest.mark.parametrize("name", IDS)
 def test_a_q_table_of_the_environments_shape_is_a_policy(name: str) -> None:
     env = gymnasium.make(name)
-    table = env.unwrapped.P  # type: ignore[attr-defined]
+    table = env.unwrapped.P
     _, action_values = values_of(table, 0.9, 300)
-    assert action_values.shape == (env.observation_space.n, env.action_space.n)  # type: ignore
+    assert action_values.shape == (env.observation_space.n, env.action_space.n)
     mdp = MDP.from_gymnasium(env, 0.9)
     greedy = action_values.argmax(axis=1)
     for policy in (Policy.from_q(mdp, action_values), Policy.of(mdp, greedy)):
@@ -124,7 +124,7 @@ def test_maps_of_ones_own() -> None:
     env = gymnasium.make("FrozenLake-v1", desc=["SFH", "FHG", "FFF"], is_slippery=True)
     mdp = MDP.from_gymnasium(env, 0.9)
     assert np.flatnonzero(mdp.terminal).tolist() == [2, 4, 5]
-    wanted, _ = values_of(env.unwrapped.P, 0.9, 400)  # type: ignore[attr-defined]
+    wanted, _ = values_of(env.unwrapped.P, 0.9, 400)
     assert solve_by_sweeps(mdp, 400) == pytest.approx(wanted, abs=1e-12)
 
 

@@ -1,4 +1,8 @@
-"""The project's own gate: Q-learning ends near the exact optimum, a broken policy is refused."""
+"""The project's own gate: Q-learning ends near the exact optimum, a broken policy is refused.
+
+The limits were set after looking at these seeds, to notice a change; they are no statement about
+other seeds. Over 1,000 seeds of training as the paper does, 5 % lose more than 10.7.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +32,12 @@ def test_training_as_the_paper_does_ends_within_six_per_cent(care: MDP, seed: in
     assert_policy_optimal(care, AS_THE_PAPER.train(care, seed).q, max_regret=8.0)
 
 
-@pytest.mark.parametrize("seed", range(1, 7))
-def test_rates_that_fall_with_visits_end_within_one_per_cent(care: MDP, seed: int) -> None:
-    assert_policy_optimal(care, BY_VISITS.train(care, seed).q, max_regret=1.4)
+def test_rates_that_fall_with_visits_end_within_one_per_cent_but_for_one_seed(care: MDP) -> None:
+    passed = {
+        seed: check(care, BY_VISITS.train(care, seed).q, max_regret=1.4).passed
+        for seed in range(12)
+    }
+    assert [seed for seed, within in passed.items() if not within] == [0]  # it loses 4.54
 
 
 def test_a_broken_policy_is_refused(

@@ -32,7 +32,7 @@ def state_of(mdp: MDP, number: int) -> State:
         return END
     value = {name: int(mdp.space.values(name, np.array([number]))[0]) for name in mdp.space.names}
     bits = tuple(value["status"] >> shift & 1 for shift in (3, 2, 1, 0))
-    return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), bits)  # type: ignore
+    return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), bits)
 
 
 def law_of(mdp: MDP, pair: int) -> Law:

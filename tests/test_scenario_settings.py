@@ -206,9 +206,9 @@ def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
 
 def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:
     with pytest.raises(AttributeError):
-        BASE.max_trial = 3  # type: ignore[misc]
+        BASE.max_trial = 3
     with pytest.raises(TypeError):
-        BASE.readings["skip_onset"] = "base"  # type: ignore[index]
+        BASE.readings["skip_onset"] = "base"
     again = pickle.loads(pickle.dumps(BASE))
     assert again == BASE
     with pytest.raises(TypeError):
