@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mdp.chances import chances
 from mdp.table import Integers, Numbers, common, integers, multiply
 
 if TYPE_CHECKING:
@@ -35,58 +36,25 @@ class Kernels:
 
 def status_kernels(scenario: Scenario) -> Kernels:
     """Return the laws of the status vector under every action and on a skip."""
-    values = scenario.values()
-    count = len(scenario.statuses)
-    vectors = 2**count
-    bits = (np.arange(vectors)[:, None] >> np.arange(count - 1, -1, -1)) & 1
+    found = chances(scenario)
+    vectors, actions, count, _ = found.step.shape
+    values = [parameter.value for parameter in scenario.parameters]
 
-    influence = [[Fraction(0)] * count for _ in range(count)]
-    by_row = scenario.readings["influence_orientation"] == "row-to-column"
-    for i, target in enumerate(scenario.statuses):
-        for j, origin in enumerate(scenario.statuses):
-            if i != j:
-                first, second = (origin, target) if by_row else (target, origin)
-                influence[i][j] = values[f"influence.{first}.{second}"]
+    def chance(terms: list[int]) -> Fraction:
+        return min(
+            Fraction(1), sum((values[k] for k in terms if k < len(found.names)), Fraction(0))
+        )
 
-    def onset(i: int, present: list[int]) -> Fraction:
-        added = sum(influence[i][j] for j in range(count) if present[j])
-        return min(Fraction(1), values[f"base.{scenario.statuses[i]}"] + added)
-
-    def stays(i: int, present: list[int]) -> Fraction:
-        kept = values[f"persistence.{scenario.statuses[i]}"]
-        if scenario.readings["influence_on_present"] == "additive":
-            kept += sum(influence[i][j] for j in range(count) if present[j])
-        return min(Fraction(1), kept)
-
-    def step(action: str, i: int, present: list[int]) -> Fraction:
-        rule = "persistence" if present[i] else "onset"
-        assisted = values.get(f"assistance.{action}.{scenario.statuses[i]}.{rule}")
-        if assisted is not None:
-            return assisted
-        return stays(i, present) if present[i] else onset(i, present)
-
-    def skipped(i: int, present: list[int]) -> Fraction:
-        rule = scenario.readings["skip_onset"]
-        if rule == "reset" or not (present[i] or rule == "base"):
-            return Fraction(0)
-        if not present[i]:
-            return onset(i, present)
-        status = scenario.statuses[i]
-        if status not in scenario.others:
-            return values[f"skip.{status}.persistence"]
-        other = scenario.statuses.index(scenario.others[status])
-        return values[f"skip.{status}.{'with-other' if present[other] else 'alone'}"]
-
-    listed = bits.tolist()
     weight, denominator = _products(
-        [[step(a, i, s) for i in range(count)] for s in listed for a in scenario.actions]
+        [[chance(terms) for terms in row] for row in found.step.reshape(-1, count, count).tolist()]
     )
-    actions = len(scenario.actions)
-    skip, skip_denominators = _products([[skipped(i, s) for i in range(count)] for s in listed])
+    skip, skip_denominators = _products(
+        [[chance(terms) for terms in row] for row in found.skip.tolist()]
+    )
     shared, _ = common([Fraction(1, int(d)) for d in skip_denominators])
     bottom = shared[0] * int(skip_denominators[0])
     return Kernels(
-        bits=bits,
+        bits=found.bits,
         step=weight.reshape(vectors, actions, vectors),
         step_denominator=denominator.reshape(vectors, actions),
         # As wide as its denominator, below which every sum of a row's weights stays.
