@@ -77,6 +77,13 @@ class Audit:
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
 
+    def __repr__(self) -> str:
+        lost = f"regret {_number(self.regret.at_start)}"
+        return (
+            f"Audit({'passed' if self.passed else 'failed'}: {lost} of "
+            f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements)"
+        )
+
     @property
     def claim(self) -> Claim:
         """Certified, or bounded."""

@@ -68,6 +68,12 @@ class Outcomes:
     optimum: Bounded
     best: BestPolicy | None
 
+    def __repr__(self) -> str:
+        return (
+            f"Outcomes({self.runs} runs, {len(self.policies)} policies, mean regret "
+            f"{self.regret.mean():.4g}, {self.optimal_fraction:.1%} optimal)"
+        )
+
     @property
     def runs(self) -> int:
         """Number of runs, R."""

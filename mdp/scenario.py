@@ -97,6 +97,18 @@ class Scenario:
             object.__setattr__(self, mapping, MappingProxyType(dict(getattr(self, mapping))))
         check_scenario(self)
 
+    def __repr__(self) -> str:
+        other = [
+            f"{name}={option}"
+            for name, option in self.readings.items()
+            if option != READINGS[name][0]
+        ]
+        return (
+            f"Scenario({self.name}: {len(self.statuses)} statuses, {len(self.actions)} actions, "
+            f"tasks {list(self.tasks)}, max_trial {self.max_trial}, discount {self.discount}"
+            f"{''.join(f', {text}' for text in other)})"
+        )
+
     def __getstate__(self) -> dict[str, Any]:
         return {
             key: dict(value) if isinstance(value, MappingProxyType) else value
