@@ -29,7 +29,7 @@ export JUPYTER_RUNTIME_DIR := $(abspath $(VENV))/var/jupyter/runtime
 
 .PHONY: help
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
 
 # ---------------------------------------------------------------- use
 
@@ -41,12 +41,22 @@ reproduce: $(STAMP) ## reproduce the paper's results (OUT=results)
 	$(PY) -m paper_repro --out $(OUT)
 
 .PHONY: notebooks
-notebooks: $(STAMP) ## run every notebook into OUT/notebooks
+notebooks: $(STAMP) ## open the notebooks in JupyterLab
+	$(BIN)/jupytext-config set-default-viewer python
+	env -u MPLBACKEND $(BIN)/jupyter lab --notebook-dir notebooks \
+	    --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate
+
+# Pages that load nothing from elsewhere: no viewer's scripts are asked for.
+.PHONY: notebook-pages
+notebook-pages: $(STAMP) ## run every notebook into OUT/notebooks, as notebook and as a page
 	@mkdir -p $(OUT)/notebooks
 	@set -e; for source in $(wildcard notebooks/*.py); do \
-	    name=$$(basename $$source .py); echo "$$source -> $(OUT)/notebooks/$$name.ipynb"; \
-	    $(BIN)/jupytext --quiet --to ipynb --set-kernel python3 --execute \
+	    name=$$(basename $$source .py); echo "$$source -> $(OUT)/notebooks/$$name.html"; \
+	    env -u MPLBACKEND $(BIN)/jupytext --quiet --to ipynb --set-kernel python3 --execute \
 	        --output $(OUT)/notebooks/$$name.ipynb $$source; \
+	    $(BIN)/jupyter nbconvert --log-level ERROR --to html --embed-images \
+	        --HTMLExporter.require_js_url= --HTMLExporter.mathjax_url= \
+	        --HTMLExporter.mermaid_js_url= $(OUT)/notebooks/$$name.ipynb; \
 	done
 
 # ---------------------------------------------------------------- checks

@@ -1,0 +1,124 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 3. What Q-learning learns
+#
+# **After this notebook you can** train a Q-learner on the care model as the paper does, say exactly
+# what each learned policy is worth, and tell apart two kinds of loss: what a table over statuses
+# cannot express, and what was learned badly.
+#
+# The learner sees samples only. We know the model, so that nothing about its result has to be
+# estimated by further sampling, except the variation from seed to seed.
+
+# %%
+import matplotlib.pyplot as plt
+import pandas as pd
+
+from analysis import check
+from analysis.learning import outcomes
+from analysis.learning_curves import exact_curves, learning_curve
+from analysis.plots import plot_distinct, plot_learning_curves, plot_value_bands, style
+from mdp import Scenario
+from solvers import solve
+from solvers.q_learning import QLearning
+from solvers.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from solvers.training import train_many
+
+mdp = Scenario.load("yuan2025").compile()
+optimum = solve(mdp).start_value
+
+# %% [markdown]
+# ## Train, as the paper does
+#
+# 6,000 epochs of 30 episodes, a table over the 16 statuses, learning rate 0.05, and two ways to
+# explore. Twenty seeds of each; the full reproduction takes a thousand.
+
+# %%
+schedules = {"constant ε": PAPER_CONSTANT, "decaying ε": PAPER_DECAYING}
+runs = {
+    label: train_many(mdp, QLearning(exploration=exploration), 20, seed=0, n_jobs=2)
+    for label, exploration in schedules.items()
+}
+
+# %% [markdown]
+# ## One run, drawn as in the paper and without its noise
+#
+# A point of the paper's learning curve is the mean return of 40 episodes with the greedy policy of
+# that epoch: the thin pale line. Each dot is the exact value of the same policy, and the heavy line
+# their moving average. Most of what looks like instability is the noise of 40 episodes, but not all
+# of it: the dots lie on several levels, one for each policy that the learner passes through.
+
+# %%
+curves = {label: learning_curve(mdp, each[0], seed=1) for label, each in runs.items()}
+with style():
+    figure, axes = plt.subplots(1, 2, figsize=(10, 3.4), dpi=80, sharey=True)
+    for ax, (label, curve) in zip(axes, curves.items(), strict=True):
+        plot_learning_curves({label: curve}, optimum=optimum, ax=ax)
+    axes[0].set_ylim(100, 155)
+    plt.show()
+
+# %% [markdown]
+# ## Twenty runs
+#
+# The band holds the middle nine tenths of the exact values at each epoch.
+
+# %%
+with style():
+    figure, ax = plt.subplots(figsize=(8, 3.6), dpi=80)
+    bands = {label: exact_curves(mdp, each) for label, each in runs.items()}
+    plot_value_bands(bands, optimum=optimum, ax=ax)
+    plt.show()
+
+# %% [markdown]
+# ## Where they end
+#
+# The exact regret of the final policies, and the share of runs that end with an optimal one.
+
+# %%
+found = {label: outcomes(mdp, each) for label, each in runs.items()}
+table = pd.DataFrame(
+    {
+        label: {
+            "mean regret": each.regret.mean(),
+            "largest regret": each.regret.max(),
+            "optimal runs": each.optimal_fraction,
+            "distinct final policies": len(each.policies),
+        }
+        for label, each in found.items()
+    }
+)
+print(table.round(3).to_string())
+
+# %% [markdown]
+# The paper reports three policies in the last hundred episodes with constant ε and two with
+# decaying ε. How many there are differs from run to run:
+
+# %%
+with style():
+    figure, ax = plt.subplots(figsize=(6, 3), dpi=80)
+    plot_distinct(found, ax=ax)
+    plt.show()
+
+# %% [markdown]
+# ## An audit of one learned table
+#
+# `check` holds a policy or a Q-table against the exact optimum: what it loses, in which states, and
+# whether a table over statuses could have done better. In a CI job the same is
+# `exact-mdp check yuan2025 q_table.npy --max-regret 0.5`.
+
+# %%
+audit = check(mdp, runs["constant ε"][0].q, max_regret=0.5)
+print(audit)
+for each in audit.disagreements[:4]:
+    print(f"{each.label}: {each.learned} instead of {', '.join(each.optimal)}, gap {each.gap:.3f}")

@@ -1,0 +1,54 @@
+"""The notebooks run from top to bottom, say first what they are for, and are plain text."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import jupytext
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
+LIMIT = 1_000_000  # characters of output that a reader may be made to load
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
+def test_says_first_what_the_reader_will_be_able_to_do(source: Path) -> None:
+    first = jupytext.read(source).cells[0]
+    assert first.cell_type == "markdown"
+    assert f"# {int(source.name[:2])}. " in first.source
+    assert "**After this notebook you can**" in first.source
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
+def test_is_prose_and_short_cells(source: Path) -> None:
+    cells = jupytext.read(source).cells
+    code = [cell.source for cell in cells if cell.cell_type == "code"]
+    assert len(cells) >= 1.5 * len(code)  # every cell of code has something said of it
+    assert all("def test" not in text and "sys.path" not in text for text in code)
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
+def test_runs_from_top_to_bottom(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    for name in ("IPYTHONDIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    notebook = jupytext.read(source)
+    NotebookClient(
+        notebook,
+        timeout=300,  # of a cell, against endless ones: no speed is asserted
+        kernel_name="python3",
+        resources={"metadata": {"path": str(tmp_path)}},
+    ).execute()
+    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
+    assert not [o for o in outputs if o.output_type == "error"]
+    assert not [o for o in outputs if o.get("name") == "stderr"], "a warning is shown to readers"
+    assert any("image/png" in str(o.get("data", {})) for o in outputs)
+    assert len(nbformat.writes(notebook)) < LIMIT
+    assert not [p for p in tmp_path.iterdir() if p.suffix], "files are left behind"
