@@ -11,7 +11,6 @@
 #     name: python3
 # ---
 
-
 # %% [markdown]
 # # 4. Which numbers decide the policy
 #
@@ -35,8 +34,8 @@ scenario = Scenario.load("yuan2025")
 # ## Derivatives, exact
 #
 # One backward and one forward pass give the derivative of the optimal start value by every number
-# (the envelope theorem). They are rationals, not finite differences. Elasticity is the change in per
-# cent that follows from a change of the number by one per cent.
+# (the envelope theorem). They are rationals, not finite differences. Elasticity is the change in
+# per cent that follows from a change of the number by one per cent.
 
 # %%
 frame = gradient(scenario).frame().set_index("parameter")
