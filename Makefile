@@ -92,8 +92,9 @@ types: $(STAMP) ## mypy over mdp and solvers
 	$(PY) -m mypy
 
 .PHONY: bench
-bench: $(BENCH_STAMP) ## the benchmarks, with the solvers compared with
+bench: $(BENCH_STAMP) ## the benchmarks; rewrites tests/benchmarks/RESULTS.md
 	$(PY) -m pytest -m bench --benchmark-enable
+	$(PY) tests/benchmarks/compare.py
 
 # ---------------------------------------------------------------- upkeep
 

@@ -1,0 +1,227 @@
+"""Solvers side by side: each is given the same arrays and returns values and what it waited for.
+
+What is timed is what a user waits for: handing over the arrays, finding structure, solving, and
+bounding where there are bounds. What only this comparison needs is not: Python lists for mdpsolver,
+and Storm's matrix, which is filled entry by entry from Python.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from workloads import Workload
+
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Values (S,) and seconds; `bound` is a proven error where the solver gives one."""
+
+    value: NDArray[np.float64]
+    seconds: float
+    bound: float | None = None
+    note: str = ""
+
+
+Contender = Callable[[Workload], Callable[[], Answer]]
+"""Prepares a workload, untimed, and returns what is to be timed."""
+
+
+def _ours(method: str | None) -> Contender:
+    def prepare(work: Workload) -> Callable[[], Answer]:
+        from mdp import MDP
+        from solvers import ModifiedPolicyIteration, PolicyIteration, ValueIteration, solve
+
+        chosen: dict[str | None, Any] = {
+            None: None,
+            "mpi": ModifiedPolicyIteration(tol=TOLERANCE),
+            "pi": PolicyIteration(),
+            "vi": ValueIteration(tol=TOLERANCE),
+        }
+        solver = chosen[method]
+        if method is None and not work.name.startswith("layered"):
+            solver = ModifiedPolicyIteration(tol=TOLERANCE)
+
+        def run() -> Answer:
+            started = perf_counter()
+            mdp = MDP.from_pairs(
+                work.state, work.action, work.transition, work.reward, discount=work.discount
+            )
+            solution = solve(mdp, solver)
+            bound = solution.error_bound
+            seconds = perf_counter() - started
+            return Answer(value=solution.value, seconds=seconds, bound=bound, note=solution.method)
+
+        return run
+
+    return prepare
+
+
+def _quantecon(method: str, **options: Any) -> Contender:
+    def prepare(work: Workload) -> Callable[[], Answer]:
+        from quantecon.markov import DiscreteDP
+        from scipy.sparse import csr_matrix
+
+        def run() -> Answer:
+            started = perf_counter()
+            matrix = csr_matrix(work.transition)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                model = DiscreteDP(
+                    work.reward, matrix, work.discount, s_indices=work.state, a_indices=work.action
+                )
+                found = model.solve(method=method, epsilon=TOLERANCE, max_iter=10**6, **options)
+            return Answer(value=found.v, seconds=perf_counter() - started)
+
+        return run
+
+    return prepare
+
+
+def _mdpsolver(work: Workload) -> Callable[[], Answer]:
+    import mdpsolver
+
+    matrix, cuts = work.transition, np.append(work.first, len(work.reward))
+    rows = [
+        (
+            matrix.data[matrix.indptr[l] : matrix.indptr[l + 1]].tolist(),
+            matrix.indices[matrix.indptr[l] : matrix.indptr[l + 1]].tolist(),
+        )
+        for l in range(len(work.reward))
+    ]
+    spans = [range(a, b) for a, b in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)]
+    rewards = [[float(work.reward[l]) for l in span] for span in spans]
+    chances = [[rows[l][0] for l in span] for span in spans]
+    columns = [[rows[l][1] for l in span] for span in spans]
+
+    def run() -> Answer:
+        started = perf_counter()
+        model = mdpsolver.model()
+        model.mdp(
+            discount=work.discount, rewards=rewards, tranMatProbs=chances, tranMatColumns=columns
+        )
+        model.solve(tolerance=TOLERANCE)
+        seconds = perf_counter() - started
+        return Answer(value=np.array(model.getValueVector()), seconds=seconds)
+
+    return run
+
+
+def _storm(work: Workload) -> Callable[[], Answer]:
+    """Discounting becomes a step to an end of its own, with probability 1 - γ."""
+    import stormpy
+
+    matrix, cuts, states = work.transition, np.append(work.first, len(work.reward)), work.states
+    builder = stormpy.datastructures.SparseMatrixBuilder(
+        rows=0, columns=states + 1, entries=0, force_dimensions=False,
+        has_custom_row_grouping=True, row_groups=0,
+    )  # fmt: skip
+    left = 1 - work.discount
+    data, columns = (matrix.data * work.discount).tolist(), matrix.indices.tolist()
+    ends = matrix.indptr.tolist()
+    for state in range(states):
+        builder.new_row_group(int(cuts[state]))
+        for pair in range(int(cuts[state]), int(cuts[state + 1])):
+            for place in range(ends[pair], ends[pair + 1]):
+                builder.add_next_value(pair, columns[place], data[place])
+            if left:
+                builder.add_next_value(pair, states, left)
+    builder.new_row_group(len(work.reward))
+    builder.add_next_value(len(work.reward), states, 1.0)
+    labels = stormpy.models.StateLabeling(states + 1)
+    labels.add_label("init")
+    labels.add_label_to_state("init", 0)
+    labels.add_label("end")
+    labels.add_label_to_state("end", states)
+    if not left:  # the last state of the care model is its end
+        labels.add_label_to_state("end", states - 1)
+    rewards = stormpy.models.SparseRewardModel(
+        optional_state_action_reward_vector=[*work.reward.tolist(), 0.0]
+    )
+    model = stormpy.models.SparseMdp(
+        stormpy.models.SparseModelComponents(
+            transition_matrix=builder.build(), state_labeling=labels, reward_models={"r": rewards}
+        )
+    )
+    (formula,) = stormpy.parse_properties('R{"r"}max=? [F "end"]')
+    environment = stormpy.Environment()
+    solver = environment.solver().min_max()
+    solver.method = stormpy.environments.MinMaxMethod.TOPOLOGICAL
+    solver.precision = stormpy.Rational(TOLERANCE)
+
+    def run() -> Answer:
+        started = perf_counter()
+        found = stormpy.model_checking(model, formula, environment=environment)
+        seconds = perf_counter() - started
+        return Answer(value=np.array(found.get_value_vector())[:states], seconds=seconds)
+
+    return run
+
+
+def _linear_program(work: Workload) -> Callable[[], Answer]:
+    from mdp import MDP
+    from solvers import LinearProgram, solve
+
+    def run() -> Answer:
+        started = perf_counter()
+        mdp = MDP.from_pairs(
+            work.state, work.action, work.transition, work.reward, discount=work.discount
+        )
+        solution = solve(mdp, LinearProgram())
+        bound = solution.error_bound
+        return Answer(value=solution.value, seconds=perf_counter() - started, bound=bound)
+
+    return run
+
+
+def _highs(method: str) -> Contender:
+    def prepare(work: Workload) -> Callable[[], Answer]:
+        from scipy.optimize import linprog
+        from scipy.sparse import csr_array
+
+        def run() -> Answer:
+            started = perf_counter()
+            pairs = len(work.reward)
+            one = csr_array((np.ones(pairs), (np.arange(pairs), work.state)))
+            found = linprog(
+                np.full(work.states, 1 / work.states),
+                A_ub=work.discount * work.transition - one,
+                b_ub=-work.reward,
+                bounds=(None, None),
+                method=method,
+            )
+            return Answer(value=found.x, seconds=perf_counter() - started)
+
+        return run
+
+    return prepare
+
+
+OURS = "exact-mdp"
+GENERAL: dict[str, Contender] = {
+    OURS: _ours(None),
+    "quantecon MPI": _quantecon("mpi"),
+    "quantecon MPI, k=100": _quantecon("mpi", k=100),
+    "mdpsolver MPI": _mdpsolver,
+}
+CONTENDERS: dict[str, dict[str, Contender]] = {
+    "garnet γ=0.95": GENERAL,
+    "garnet γ=0.99": GENERAL,
+    "queue γ=0.9999": GENERAL,
+    "grid γ=0.9999": GENERAL,
+    "inventory γ=0.9999": GENERAL,
+    "layered γ=0.99": GENERAL,
+    "layered γ=1": {OURS: _ours(None), "Storm, topological": _storm},
+    "linear program": {
+        OURS + " LP": _linear_program,
+        "HiGHS, interior point": _highs("highs-ipm"),
+        "HiGHS, dual simplex": _highs("highs-ds"),
+    },
+}

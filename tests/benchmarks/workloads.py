@@ -1,0 +1,191 @@
+"""Models to be timed, as plain arrays that every solver can be given.
+
+A workload is pairs of state and action with sparse rows, expected rewards and a discount; the
+states of each pair are sorted. Nothing here imports the project, except for the care model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Workload:
+    """A model as arrays: L pairs, S states."""
+
+    name: str
+    size: int
+    discount: float
+    state: NDArray[np.int64]
+    action: NDArray[np.int64]
+    transition: csr_array
+    reward: NDArray[np.float64]
+
+    @property
+    def states(self) -> int:
+        return int(self.transition.shape[1])
+
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """(S,) the first pair of each state."""
+        return np.searchsorted(self.state, np.arange(self.states))
+
+    @property
+    def bytes(self) -> int:
+        """Size of the arrays that a sweep has to read: probabilities, columns, rewards."""
+        matrix = self.transition
+        return (
+            matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes + self.reward.nbytes
+        )
+
+    def save(self, path: Path) -> None:
+        matrix = self.transition
+        np.savez(
+            path, state=self.state, action=self.action, data=matrix.data, indices=matrix.indices,
+            indptr=matrix.indptr, reward=self.reward, discount=self.discount, size=self.size,
+            name=self.name, states=self.states,
+        )  # fmt: skip
+
+    @classmethod
+    def load(cls, path: Path) -> Workload:
+        with np.load(path) as file:
+            parts = dict(file)
+        shape = (len(parts["reward"]), int(parts["states"]))
+        return cls(
+            name=str(parts["name"]),
+            size=int(parts["size"]),
+            discount=float(parts["discount"]),
+            state=parts["state"],
+            action=parts["action"],
+            transition=csr_array((parts["data"], parts["indices"], parts["indptr"]), shape=shape),
+            reward=parts["reward"],
+        )
+
+
+def _workload(
+    name: str, size: int, discount: float, state, action, transition: csr_array, reward
+) -> Workload:
+    transition.sum_duplicates()
+    transition.eliminate_zeros()
+    if transition.nnz < 2**31 - 1:  # as SciPy does by itself where it can
+        transition.indices = transition.indices.astype(np.int32)
+        transition.indptr = transition.indptr.astype(np.int32)
+    return Workload(
+        name=name,
+        size=size,
+        discount=discount,
+        state=np.asarray(state, dtype=np.int64),
+        action=np.asarray(action, dtype=np.int64),
+        transition=transition,
+        reward=np.asarray(reward, dtype=np.float64),
+    )
+
+
+def garnet(states: int, discount: float, seed: int = 1) -> Workload:
+    """Four actions, ten random successors each (Archibald, McKinnon and Thomas, 1995)."""
+    rng = np.random.default_rng(seed)
+    actions, successors = 4, 10
+    pairs = states * actions
+    cuts = np.sort(rng.random((pairs, successors - 1)), axis=1)
+    weights = np.diff(cuts, axis=1, prepend=0.0, append=1.0)
+    columns = rng.integers(states, size=(pairs, successors), dtype=np.int32)
+    rows = np.arange(0, pairs * successors + 1, successors)
+    matrix = csr_array((weights.ravel(), columns.ravel(), rows), shape=(pairs, states))
+    state, action = np.divmod(np.arange(pairs), actions)
+    return _workload(
+        f"garnet γ={discount}", states, discount, state, action, matrix, rng.random(pairs)
+    )
+
+
+def queue(states: int, discount: float = 0.9999) -> Workload:
+    """A queue with five service rates: the faster, the dearer; slow to mix."""
+    rates = np.array([0.1, 0.3, 0.5, 0.55, 0.6])
+    arrival = 0.5
+    state = np.repeat(np.arange(states), len(rates))
+    action = np.tile(np.arange(len(rates)), states)
+    served = np.where(state > 0, rates[action], 0.0)
+    up = np.where(state < states - 1, arrival * (1 - served), 0.0)
+    down = (1 - arrival) * served
+    stay = 1 - up - down
+    rows = np.concatenate([np.arange(len(state))] * 3)
+    columns = np.concatenate([np.minimum(state + 1, states - 1), np.maximum(state - 1, 0), state])
+    matrix = csr_array((np.concatenate([up, down, stay]), (rows, columns)))
+    reward = -(state / states) - 0.5 * rates[action] ** 2
+    return _workload("queue γ=0.9999", states, discount, state, action, matrix, reward)
+
+
+def grid(side: int, discount: float = 0.9999) -> Workload:
+    """A square grid, four directions, a slip to either side with 0.1; a corner ends it."""
+    place = np.arange(side * side)
+    row, column = np.divmod(place, side)
+    moves = np.array([(-1, 0), (0, 1), (1, 0), (0, -1)])
+    goal = side * side - 1
+
+    def reached(direction: int):
+        after = np.clip(row + moves[direction, 0], 0, side - 1) * side + np.clip(
+            column + moves[direction, 1], 0, side - 1
+        )
+        return np.where(place == goal, goal, after)
+
+    parts = []
+    for direction in range(4):
+        pair = place * 4 + direction
+        for turn, chance in ((0, 0.8), (1, 0.1), (3, 0.1)):
+            parts.append((pair, reached((direction + turn) % 4), np.full(len(place), chance)))
+    rows, columns, chances = (np.concatenate(each) for each in zip(*parts, strict=True))
+    matrix = csr_array((chances, (rows, columns)), shape=(side * side * 4, side * side))
+    reward = np.repeat(np.where(place == goal, 0.0, -1.0), 4)
+    state, action = np.divmod(np.arange(side * side * 4), 4)
+    return _workload("grid γ=0.9999", side, discount, state, action, matrix, reward)
+
+
+def inventory(capacity: int, discount: float = 0.9999, most: int = 20) -> Workload:
+    """Order up to a capacity, uniform demand below `most`; fixed and unit costs, lost sales."""
+    level, order = np.meshgrid(np.arange(capacity + 1), np.arange(most), indexing="ij")
+    kept = level + order <= capacity
+    state, action = level[kept], order[kept]
+    demand = np.arange(most)
+    stock = (state + action)[:, None]
+    after = np.maximum(stock - demand, 0)
+    sold = np.minimum(stock, demand).mean(axis=1)
+    reward = (4 * sold - 2 * action - 3.0 * (action > 0) - 0.02 * stock[:, 0]) / 100
+    rows = np.repeat(np.arange(len(state)), most)
+    chances = np.full(len(rows), 1 / most)
+    matrix = csr_array((chances, (rows, after.ravel())), shape=(len(state), capacity + 1))
+    return _workload("inventory γ=0.9999", capacity, discount, state, action, matrix, reward)
+
+
+def layered(subtasks: int, discount: float = 0.99) -> Workload:
+    """The care model with one task of so many subtasks: 16 statuses, 5 trials."""
+    from mdp import Scenario
+
+    scenario = Scenario.load("yuan2025").with_(tasks=[subtasks], discount=str(discount))
+    mdp = scenario.compile()
+    name = f"layered γ={discount:g}"
+    return _workload(
+        name,
+        subtasks,
+        discount,
+        mdp.pair_state,
+        mdp.pair_action,
+        csr_array(mdp.transition).copy(),
+        mdp.reward,
+    )
+
+
+FULL: dict[str, list[Callable[[], Workload]]] = {
+    "garnet γ=0.95": [lambda n=n: garnet(n, 0.95) for n in (10**3, 10**4, 10**5, 10**6)],
+    "garnet γ=0.99": [lambda n=n: garnet(n, 0.99) for n in (10**3, 10**4, 10**5, 10**6)],
+    "layered γ=0.99": [lambda n=n: layered(n) for n in (10, 100, 1000, 10_000)],
+    "layered γ=1": [lambda n=n: layered(n, 1) for n in (10, 100, 1000, 10_000)],
+    "queue γ=0.9999": [lambda n=n: queue(n) for n in (100, 1000, 10_000)],
+    "grid γ=0.9999": [lambda n=n: grid(n) for n in (30, 100, 300)],
+    "inventory γ=0.9999": [lambda n=n: inventory(n) for n in (100, 1000, 10_000)],
+}
+QUICK = {name: sizes[:2] for name, sizes in FULL.items()}
