@@ -9,8 +9,6 @@ Workers are threads: the compiled loop needs no interpreter lock.
 
 from __future__ import annotations
 
-import io
-import json
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -21,11 +19,11 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from mdp.errors import ModelError
-from mdp.files import read_text, write_atomically
 from mdp.fingerprint import fingerprint
 from mdp.model import MDP
 from mdp.space import StateSpace
 from mdp.table import Numbers
+from solvers.pieces import damaged, open_folder, read_piece, write_piece
 from solvers.q_learning import QLearning, Trainer, TrainingRun
 from solvers.sampler import as_sequence, child
 
@@ -94,7 +92,7 @@ def train_many(
                 bar.update(len(found))
         for block, found in _train(trainer, root, waiting, n_jobs):
             if folder is not None:
-                write_atomically(folder / _name(block), _packed(found))
+                write_piece(folder / _name(block), _packed(found))
             done[block.start] = found
             bar.update(len(found))
     return [run for block in blocks for run in done[block.start]]
@@ -138,31 +136,7 @@ def _folder(folder: Path, mdp: MDP, settings: QLearning, root: SeedSequence) -> 
         "spawn_key": list(root.spawn_key),
         "runs_per_file": BLOCK,
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ModelError(
-            f"cannot make the folder: {error.strerror}", where=str(folder), fix="choose another"
-        ) from error
-    path = folder / RECORD
-    if not path.exists():
-        write_atomically(path, json.dumps(record, indent=2) + "\n")
-        return folder
-    try:
-        found = json.loads(read_text(path))
-    except ValueError as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError("broken JSON", where=str(path), fix="choose another folder") from error
-    if found != record:
-        known = found if isinstance(found, dict) else {}
-        unlike = [key for key, value in record.items() if known.get(key) != value]
-        raise ModelError(
-            f"the folder holds a training that differs in {', '.join(unlike) or 'its record'}",
-            where=str(folder),
-            fix="choose another folder, or delete this one",
-        )
-    return folder
+    return open_folder(folder, record, name=RECORD, what="training")
 
 
 def _name(block: range) -> str:
@@ -171,35 +145,27 @@ def _name(block: range) -> str:
 
 _PER_RUN = ("q", "snapshots", "last", "returns")
 _NUMBERS = ("steps", "cut_short")
-_STORED = (*_PER_RUN, *_NUMBERS, "policies", "distinct")
 
 
-def _packed(runs: Sequence[TrainingRun]) -> bytes:
-    """Return a block as an .npz archive: `policies` one run behind the other, the rest stacked."""
+def _packed(runs: Sequence[TrainingRun]) -> dict[str, Numbers]:
+    """Return a block as arrays: `policies` one run behind the other, the rest stacked."""
     arrays = {name: np.stack([getattr(run, name) for run in runs]) for name in _PER_RUN}
     arrays |= {name: np.array([getattr(run, name) for run in runs]) for name in _NUMBERS}
     arrays["policies"] = np.concatenate([run.policies for run in runs])
     arrays["distinct"] = np.array([len(run.policies) for run in runs])
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
+    return arrays
 
 
 def _read(folder: Path, block: range, trainer: Trainer) -> list[TrainingRun] | None:
     """Return the runs of a block from its file; None where there is none, or one with fewer."""
     path = folder / _name(block)
-    if not path.exists():
+    arrays = read_piece(path)
+    if arrays is None:
         return None
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            arrays = {
-                name: archive[name] for name in (*_PER_RUN, *_NUMBERS, "policies", "distinct")
-            }
         runs = list(_unpacked(arrays, trainer.rows.space))
-    except Exception as error:  # archives can be damaged in many ways, and each raises its own
-        raise ModelError(
-            "the file is damaged", where=str(path), fix="delete it: its runs are then done again"
-        ) from error
+    except Exception as error:  # arrays that are missing, or do not fit together
+        raise damaged(path) from error
     return runs[: len(block)] if len(runs) >= len(block) else None
 
 

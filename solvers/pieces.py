@@ -1,0 +1,113 @@
+"""A folder of finished pieces of a long computation: a record of what it is, a file for each piece.
+
+The record is JSON and says everything that the pieces depend on: the model, the settings, the seed.
+A folder is used again only by a computation with the same record, so that pieces of two different
+ones cannot be mixed. Record and pieces are written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from mdp.errors import ModelError
+from mdp.files import read_text, write_atomically
+from mdp.table import Numbers
+
+Arrays = dict[str, Numbers]
+
+
+def open_folder(
+    folder: str | Path, record: Mapping[str, object], *, name: str, what: str = "pieces"
+) -> Path:
+    """Return the folder, made where it is missing, after checking that it is of this record.
+
+    Parameters
+    ----------
+    record : mapping
+        JSON values; what the pieces depend on.
+    name : str
+        The record's file.
+    what : str
+        What the folder holds, for messages.
+
+    Raises
+    ------
+    ModelError
+        Where the folder cannot be made, or its record is broken or another one.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = open_folder(folder, {"seed": 0}, name="run.json")
+    ...     open_folder(folder, {"seed": 1}, name="run.json")
+    Traceback (most recent call last):
+    ...
+    mdp.errors.ModelError: the folder holds pieces whose record differs in seed
+      where: ...
+      fix:   choose another folder, or delete this one
+    """
+    folder = Path(folder)
+    text = json.dumps(record, indent=2)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(
+            f"cannot make the folder: {error.strerror}", where=str(folder), fix="choose another"
+        ) from error
+    path = folder / name
+    if not path.exists():
+        write_atomically(path, text + "\n")
+        return folder
+    try:
+        found = json.loads(read_text(path))
+    except ValueError as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError("broken JSON", where=str(path), fix="choose another folder") from error
+    wanted = json.loads(text)
+    if found != wanted:
+        known = found if isinstance(found, dict) else {}
+        joined = ", ".join(key for key, value in wanted.items() if known.get(key) != value)
+        raise ModelError(
+            f"the folder holds {what} whose record differs{f' in {joined}' if joined else ''}",
+            where=str(folder),
+            fix="choose another folder, or delete this one",
+        )
+    return folder
+
+
+def write_piece(path: Path, arrays: Mapping[str, Numbers]) -> None:
+    """Write arrays, of no Python objects, as an .npz file; equal arrays give equal bytes."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    write_atomically(path, buffer.getvalue())
+
+
+def read_piece(path: Path) -> Arrays | None:
+    """Return the arrays of a piece; None where it is not there.
+
+    Raises
+    ------
+    ModelError
+        Where the file is damaged.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except Exception as error:  # archives can be damaged in many ways, and each raises its own
+        raise damaged(path) from error
+
+
+def damaged(path: Path) -> ModelError:
+    """Return the error for a piece's file that cannot be used."""
+    return ModelError(
+        "the file is damaged", where=str(path), fix="delete it: its runs are then done again"
+    )
