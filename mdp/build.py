@@ -85,8 +85,9 @@ def from_pairs(
             where="reward",
             fix="give one reward for each pair",
         )
-    order = np.lexsort((action, state))
-    if np.any(order[1:] < order[:-1]):
+    ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
+    if not (ahead | (level & (action[1:] >= action[:-1]))).all():
+        order = np.lexsort((action, state))
         state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
     return _from_rows(state, action, rows, rewards, discount, start, names)
 
@@ -155,11 +156,11 @@ def _from_rows(
     if sp.issparse(rows):
         rows = rows.astype(np.float64)
         rows.sum_duplicates()
-        rows.eliminate_zeros()
+        if rows.nnz and rows.data.min() <= 0:
+            rows.eliminate_zeros()
         offsets, following = rows.indptr.astype(np.int64), rows.indices
         weight: Numbers = rows.data
         denominator = ones(len(state))
-        pair = np.repeat(np.arange(len(state)), np.diff(offsets))
     else:
         kept = np.array(rows != 0, dtype=bool)
         pair, following = np.nonzero(kept)
@@ -169,6 +170,7 @@ def _from_rows(
         # A copy: the model freezes its arrays, and the caller's stay the caller's.
         gain, gain_denominator = _grouped(np.array(reward), np.arange(len(state) + 1))
     else:
+        pair = np.repeat(np.arange(len(state)), np.diff(offsets))
         gain, gain_denominator = _grouped(np.asarray(reward[pair, following]), offsets)
     table = OutcomeTable(
         offsets=offsets,

@@ -99,9 +99,10 @@ class MDP:
         fill(self, "reward", self.table.expected_gain())
         if not np.all(np.isfinite(self.reward)):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
-        if self.components.size == 0:
+        if self.components.size == 0 and len(self.component_names) == 1:
             fill(self, "components", self.reward[:, None])
-        _check_components(self)
+        else:
+            _check_components(self)
         for array in self._arrays():
             array.setflags(write=False)
 
@@ -177,15 +178,22 @@ class MDP:
     @cached_property
     def terminal(self) -> NDArray[np.bool_]:
         """(S,) True where every action stays put for ever and earns nothing."""
-        lengths = np.diff(self.transition.indptr)
-        first = self.transition.indices[self.transition.indptr[:-1]]
-        stays = (lengths == 1) & (first == self.pair_state)
-        worth = np.zeros(self.n_pairs, dtype=bool)
-        if len(self.table.gain) == self.n_pairs:
-            worth[:] = self.table.gain != 0
+        indptr = self.transition.indptr
+        stays = np.diff(indptr) == 1
+        alone = np.flatnonzero(stays)
+        stays[alone] = self.transition.indices[indptr[alone]] == self.pair_state[alone]
+        # Of a pair that only stays, every outcome stays; others need not be looked at.
+        alone = np.flatnonzero(stays)
+        table = self.table
+        if len(table.gain) == self.n_pairs:
+            stays[alone] = table.gain[alone] == 0
         else:
-            worth[self.table.pair[self.table.gain != 0]] = True
-        return np.asarray(np.logical_and.reduceat(stays & ~worth, self.pair_offsets[:-1]))
+            counts = table.offsets[alone + 1] - table.offsets[alone]
+            before = np.cumsum(counts) - counts
+            places = np.arange(counts.sum()) + np.repeat(table.offsets[alone] - before, counts)
+            if len(alone):
+                stays[alone] = ~np.logical_or.reduceat(table.gain[places] != 0, before)
+        return np.asarray(np.logical_and.reduceat(stays, self.pair_offsets[:-1]))
 
     def pairs_of(self, state: int) -> range:
         """Return the pairs of one state."""
@@ -355,13 +363,12 @@ def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
 
 def _transition(table: OutcomeTable, states: int) -> sp.csr_array:
     """Return the (L, S) matrix: outcomes with the same next state added up, rounded once."""
-    fresh = np.empty(len(table.next), dtype=bool)
-    fresh[1:] = table.next[1:] != table.next[:-1]
-    fresh[table.offsets[:-1]] = True
-    if fresh.all():
+    same = table.next[1:] == table.next[:-1]
+    same[table.offsets[1:-1] - 1] = False  # from one pair to the next
+    if not same.any():
         data, indices, indptr = table.probabilities(), table.next, table.offsets
     else:
-        first = np.flatnonzero(fresh)
+        first = np.flatnonzero(np.concatenate([[True], ~same]))
         merged = OutcomeTable(
             offsets=np.searchsorted(first, table.offsets).astype(np.int64),
             next=table.next[first],
@@ -389,7 +396,8 @@ def _check_components(mdp: MDP) -> None:
     with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
         total = mdp.components.sum(axis=1)
         scale = np.abs(mdp.components).sum(axis=1) + np.abs(mdp.reward)
-    wrong = ~(np.abs(total - mdp.reward) <= 1e-12 * scale)
+    lost = (shape[1] + 1) * 2.0**-1074  # below the range of floats, rounding is no longer relative
+    wrong = ~(np.abs(total - mdp.reward) <= 1e-12 * scale + lost)
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
         raise ModelError(

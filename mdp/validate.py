@@ -54,8 +54,8 @@ def _check_pairs(mdp: MDP) -> None:
         raise ModelError(
             "two actions have the same name", where="actions", fix="give each its own name"
         )
-    if len(state) > 1:
-        key = (state[1:] - state[:-1], action[1:] - action[:-1])
+    key = (state[1:] - state[:-1], action[1:] - action[:-1])
+    if not ((key[0] > 0) | ((key[0] == 0) & (key[1] > 0))).all():
         same = (key[0] == 0) & (key[1] == 0)
         if same.any():
             pair = int(np.flatnonzero(same)[0])
@@ -72,8 +72,8 @@ def _check_pairs(mdp: MDP) -> None:
             )
     # Sorted as they are, the states that have a pair show the first that has none; nothing is
     # counted by state, whose number may be a typing error beyond all memory.
-    present = state[np.flatnonzero(np.diff(state, prepend=-1))]
-    if len(present) < mdp.n_states:
+    if state[0] != 0 or state[-1] != mdp.n_states - 1 or key[0].max(initial=0) > 1:
+        present = state[np.flatnonzero(np.diff(state, prepend=-1))]
         gaps = np.flatnonzero(present != np.arange(len(present)))
         missing = int(gaps[0]) if len(gaps) else len(present)
         raise ModelError(
@@ -116,9 +116,9 @@ def _check_numbers(mdp: MDP) -> None:
     for name in ("weight", "gain", "denominator", "gain_denominator"):
         array = getattr(table, name)
         if array.dtype == np.float64:
-            bad = ~np.isfinite(array)
-            if bad.any():
-                index = int(np.flatnonzero(bad)[0])
+            # NaN is its own least and greatest number.
+            if len(array) and not (np.isfinite(array.min()) and np.isfinite(array.max())):
+                index = int(np.flatnonzero(~np.isfinite(array))[0])
                 what = "probability" if name == "weight" else "reward"
                 raise ModelError(
                     f"a {what} is {array[index]}",
@@ -145,9 +145,8 @@ def _check_rows(mdp: MDP) -> None:
             where=mdp.where(int(np.flatnonzero(empty)[0])),
             fix="add the outcomes of this pair",
         )
-    negative = table.weight <= 0
-    if negative.any():
-        index = int(np.flatnonzero(negative)[0])
+    if not table.weight.min() > 0:
+        index = int(np.flatnonzero(table.weight <= 0)[0])
         pair = _pair_of(table, index, len(table.next))
         raise ModelError(
             f"a probability is {_shown(table, index, pair)}",
@@ -170,9 +169,9 @@ def _check_rows(mdp: MDP) -> None:
             where=mdp.where(pair),
             fix="add the missing outcome, or correct a probability in this row",
         )
-    inside = np.ones(len(table.next), dtype=bool)
-    inside[table.offsets[:-1]] = False
-    if (inside[1:] & (table.next[1:] < table.next[:-1])).any():
+    falls = table.next[1:] < table.next[:-1]
+    falls[table.offsets[1:-1] - 1] = False  # from one pair to the next
+    if falls.any():
         raise ModelError(
             "outcomes of a pair are not sorted by next state",
             where="outcome table",
@@ -208,8 +207,8 @@ def _check_start(mdp: MDP) -> None:
 
 
 def _in_range(values: Integers, size: int, what: str, where: str) -> None:
-    bad = (values < 0) | (values >= size)
-    if bad.any():
+    if len(values) and not (values.min() >= 0 and values.max() < size):
+        bad = (values < 0) | (values >= size)
         raise ModelError(
             f"{what} {values[np.flatnonzero(bad)[0]]} is outside 0 … {size - 1}",
             where=where,

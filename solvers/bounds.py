@@ -30,12 +30,16 @@ import numpy as np
 from mdp.chain import require_termination, topological_levels
 from mdp.model import MDP
 from mdp.table import Floats, Integers
-from solvers.gains import Gain, gains
+from solvers.gains import COMPILED, Gain, gains, greedy, rounding_facts
 from solvers.linear import LinearSystem, policy_chain
-from solvers.rounding import SLACK, UNIT
+from solvers.rounding import SLACK, TINY, UNIT
 from solvers.solution import SolverError, Status
+from solvers.sweeps import Sweeps
+
+__all__ = ["Bounds", "Gain", "Weights", "bounds", "gains", "greedy", "levels", "margin_weights"]
 
 WEIGHT_ITERATIONS = 1000
+LONGEST_WALK = 1000
 _LEVELS: WeakKeyDictionary[MDP, Integers | None] = WeakKeyDictionary()
 
 
@@ -46,6 +50,10 @@ class Weights:
     value: Floats
     least: Floats
     most: Floats
+
+    def ratio(self, gain: Floats) -> Floats:
+        """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
+        return np.asarray(gain / np.where(gain > 0, self.least, self.most))
 
 
 _WEIGHTS: WeakKeyDictionary[MDP, Weights] = WeakKeyDictionary()
@@ -111,46 +119,45 @@ def bounds(mdp: MDP, value: Floats, pairs: Integers | None = None) -> Bounds:
     True
     """
     weights = margin_weights(mdp)
-    gain = gains(mdp, value)
-    if pairs is None:
-        pairs = greedy(mdp, gain)
     live = ~mdp.terminal
     if np.any(value[~live]):
         raise ValueError("terminal states are worth 0")
-    if not live.any():
-        return Bounds(value=value, weight=weights.value, pairs=pairs, low=0.0, high=0.0)
-    open_pairs = live[mdp.pair_state]
-    most = _ratio(gain.value + gain.error, weights)[open_pairs]
-    least = -_ratio(gain.error - gain.value, weights)[pairs[live]]
-    low, high = float(least.min()), float(most.max())
-    if not np.isfinite(high - low):
-        raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+    found = Sweeps(mdp, weights).improve(value)
+    low, high = found.low, found.high
+    if pairs is None:
+        pairs = found.pairs
+    elif live.any():
+        gain = gains(mdp, value)
+        low = float((-weights.ratio(gain.error - gain.value)[pairs[live]]).min())
     # Outward by more than the few roundings of the lines above.
     low, high = low - 4 * UNIT * abs(low), high + 4 * UNIT * abs(high)
     return Bounds(value=value, weight=weights.value, pairs=pairs, low=low, high=high)
 
 
-def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
-    """Return (S,) the first pair of each state that no other beats by more than rounding.
-
-    Parameters
-    ----------
-    keep : (S,) ints, optional
-        Pairs to keep, too, where no other beats them by more than rounding.
-    """
-    first = mdp.pair_offsets[:-1]
-    best = np.maximum.reduceat(gain.value - gain.noise, first)[mdp.pair_state]
-    good = gain.value + gain.noise >= best
-    numbers = np.where(good, np.arange(mdp.n_pairs), mdp.n_pairs)
-    chosen = np.minimum.reduceat(numbers, first)
-    return chosen if keep is None else np.where(good[keep], keep, chosen)
-
-
 def levels(mdp: MDP) -> Integers | None:
     """Return `topological_levels`, computed once for each model."""
     if mdp not in _LEVELS:
-        _LEVELS[mdp] = topological_levels(mdp)
+        _LEVELS[mdp] = None if _comes_back(mdp) else topological_levels(mdp)
     return _LEVELS[mdp]
+
+
+def _comes_back(mdp: MDP) -> bool:
+    """Return whether a short walk meets a state again, which is soon so in most cyclic models."""
+    terminal, matrix = mdp.terminal, mdp.transition
+    if not terminal.any():
+        return True
+    state, seen = int(np.argmin(terminal)), set[int]()
+    while len(seen) < LONGEST_WALK and not terminal[state]:
+        if state in seen:
+            return True
+        seen.add(state)
+        begin, end = mdp.pair_offsets[state], mdp.pair_offsets[state + 1]
+        after = matrix.indices[matrix.indptr[begin] : matrix.indptr[end]]
+        after = after[~terminal[after]]
+        if not len(after):
+            return False
+        state = int(after[0])
+    return False
 
 
 def margin_weights(mdp: MDP) -> Weights:
@@ -201,10 +208,30 @@ def _expected_steps(mdp: MDP) -> Floats:
     raise SolverError(Status.NO_BOUND, "the end is too many steps away")
 
 
+def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, Floats]:
+    """Return bounds (L,), (L,) of the margins w - γ P w."""
+    if mdp.n_transitions < COMPILED:
+        margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
+        return -margin.value - margin.error, -margin.value + margin.error
+    from solvers.kernels import bellman, blocks
+
+    matrix, facts = mdp.transition, rounding_facts(mdp)
+    rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
+    rounded = (facts.leak, facts.leak_error, facts.merged)
+    tiny = TINY * (1 + float(np.abs(weight).max()))
+    least, most = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
+    blocks.run_blocks(
+        blocks.block_ends(matrix.indptr),
+        lambda _, first, last: bellman.margins(
+            first, last, *rows, *rounded, mdp.discount, weight, tiny, least, most
+        ),
+    )
+    return least, most
+
+
 def _verified(mdp: MDP, weight: Floats) -> Weights:
     live = ~mdp.terminal
-    margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
-    least, most = -margin.value - margin.error, -margin.value + margin.error
+    least, most = _margins(mdp, weight)
     open_pairs = live[mdp.pair_state]
     if not (
         np.all(np.isfinite(weight)) and (weight[live] > 0).all() and (least[open_pairs] > 0).all()
@@ -212,8 +239,3 @@ def _verified(mdp: MDP, weight: Floats) -> Weights:
         raise SolverError(Status.NO_BOUND, "the end is too many steps away")
     least[~open_pairs] = most[~open_pairs] = 1.0
     return Weights(value=weight, least=least, most=most)
-
-
-def _ratio(gain: Floats, weights: Weights) -> Floats:
-    """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
-    return np.asarray(gain / np.where(gain > 0, weights.least, weights.most))

@@ -1,11 +1,9 @@
 """When to stop, and what to say at the end; shared by all solvers.
 
-An iteration V ← T V is watched through c and c', the greatest and the least over the states of
-max (q - V) / m, with the weights w and margins m of `solvers.bounds`. V* is estimated to be within
-(c - c') w / 2 of the middle, V + (c + c') w / 2. Bounds around the middle, with rounding errors,
-are computed once this estimate meets the tolerance, and again each time it has fallen to a half. An
-estimate of the size of rounding errors that falls no longer says that double precision is at its
-limit; one that stays large for many sweeps says nothing, as news of the end travels one step in
+A pass over V = h + c w gives sound bounds h + low w ≤ V^π ≤ V* ≤ h + high w (`solvers.sweeps`), so
+V* is within (high - low) w / 2 of the middle, which is what is returned once that is small enough.
+A bound of the size of rounding errors that falls no longer says that double precision is at its
+limit; one that stays large for many passes says nothing, as news of the end travels one step in
 each.
 """
 
@@ -20,10 +18,11 @@ import numpy as np
 
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds import Bounds, bounds, margin_weights
-from solvers.rounding import gamma
+from mdp.table import Floats
+from solvers.bounds import Bounds, margin_weights
+from solvers.rounding import SLACK, UNIT
 from solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from solvers.sweeps import Pass, Sweeps
 
 RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20
@@ -47,19 +46,18 @@ class Watch:
     ----------
     tol : float or None
         Greatest absolute error; 1e-9 · max(1, |V|) where None.
+    sweeps : Sweeps
+    weight : float
+        The greatest weight.
     half : float
-        Estimated error of the last iterate, once it is moved to the middle.
+        Bound on the error of the middle between the last bounds, its own rounding not counted.
     """
 
     def __init__(self, mdp: MDP, tol: float | None) -> None:
-        self.mdp, self.tol = mdp, tol
-        self.half = np.inf
-        self._weights = margin_weights(mdp)
-        self._weight = float(self._weights.value.max(initial=0.0))
-        self._live = np.flatnonzero(~mdp.terminal)
-        terms = int(np.diff(mdp.transition.indptr).max())
-        self._noise = 2 * float(gamma(terms + 8) / self._weights.least.min()) * self._weight
-        self._best = self._next = np.inf
+        self.tol = tol
+        self.sweeps = Sweeps(mdp, margin_weights(mdp), strict=tol is not None)
+        self.weight = float(self.sweeps.weights.value.max(initial=0.0))
+        self.half = self._best = np.inf
         self._idle, self._stalled = 0, False
 
     def limit(self, value: Floats) -> float:
@@ -68,57 +66,42 @@ class Watch:
             return self.tol
         return RELATIVE_TOLERANCE * max(1.0, float(np.abs(value).max()))
 
-    def spread(self, value: Floats, q: Floats, pairs: Integers | None = None) -> float:
-        """Return the estimated error of `value` (S,), once it is moved to the middle.
-
-        Parameters
-        ----------
-        q : (L,) or (S,)
-            Values of all pairs, or of the policy's `pairs` (S,) alone.
-        """
-        low, high = self._range(value, q, pairs)
-        return (high - low) / 2 * self._weight
-
-    def _range(self, value: Floats, q: Floats, pairs: Integers | None) -> tuple[float, float]:
-        chosen = slice(None) if pairs is None else pairs
-        gain = q - value[self.mdp.pair_state[chosen]]
-        ratio = gain / np.where(gain > 0, self._weights.least[chosen], self._weights.most[chosen])
-        if pairs is None:
-            ratio = np.maximum.reduceat(ratio, self.mdp.pair_offsets[:-1])
-        ratio = ratio[self._live] if len(self._live) else np.zeros(1)
-        return float(ratio.min()), float(ratio.max())
-
-    def ready(self, value: Floats, q: Floats) -> bool:
-        """Take note of values and those of all pairs; return whether to compute bounds."""
-        self.half = self.spread(value, q)
-        if not np.isfinite(self.half):
-            raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+    def ready(self, found: Pass, value: Floats) -> bool:
+        """Take note of a pass over h = `value` (S,); return whether it may be the last."""
+        self.half = (found.high - found.low) / 2 * self.weight
         self._idle = 0 if self.half < self._best else self._idle + 1
         self._best = min(self._best, self.half)
         quiet = self.half == 0 or self._idle >= PATIENCE
-        self._stalled = quiet and self.half <= self._noise * float(np.abs(q).max())
-        return self._stalled or self.half <= min(self.limit(value), self._next)
+        self._stalled = quiet and self.half <= 4 * found.floor * self.weight
+        return self._stalled or self.half <= self.limit(self._middle(found, value))
 
-    def middle(self, value: Floats, q: Floats) -> Floats:
-        """Return the middle (S,) between the estimated bounds."""
-        low, high = self._range(value, q, None)
-        return np.asarray(value + (low + high) / 2 * self._weights.value)
-
-    def verdict(self, value: Floats) -> tuple[Status, Bounds] | None:
+    def verdict(self, found: Pass, value: Floats) -> tuple[Status, Bounds] | None:
         """Return how it ended, or None where more sweeps are needed."""
-        q = self.mdp.backup(value)
-        found = bounds(self.mdp, self.middle(value, q))
-        if found.error <= self.limit(found.value):
-            return Status.CONVERGED, found
-        if self._stalled and self.spread(value, q) <= self._noise * float(np.abs(q).max()):
-            return Status.PRECISION, found
-        self._next = self.half / 2
-        return None
+        end = self.bounds(found, value)
+        if end.error <= self.limit(end.value):
+            return Status.CONVERGED, end
+        return (Status.PRECISION, end) if self._stalled else None
 
-    def given_up(self, value: Floats) -> tuple[Status, Bounds]:
-        """Return how it ended where the iteration limit came first."""
-        middle = self.middle(value, self.mdp.backup(value))
-        return Status.ITERATION_LIMIT, bounds(self.mdp, middle)
+    def bounds(self, found: Pass, value: Floats) -> Bounds:
+        """Return the bounds of a pass over h = `value` (S,), around their middle."""
+        weight = self.sweeps.weights.value
+        middle = self._middle(found, value)
+        live = weight > 0
+        centre = (found.low + found.high) / 2
+        # The middle is rounded three times, and the lines below a few times more.
+        lost = 2 * UNIT * (np.abs(middle) + 2 * abs(centre) * weight)[live] / weight[live]
+        rounding = float(lost.max(initial=0.0)) + 8 * UNIT * abs(centre)
+        return Bounds(
+            value=middle,
+            weight=weight,
+            pairs=found.pairs,
+            low=(found.low - centre) * SLACK - rounding,
+            high=(found.high - centre) * SLACK + rounding,
+        )
+
+    def _middle(self, found: Pass, value: Floats) -> Floats:
+        centre = (found.low + found.high) / 2
+        return np.asarray(value + centre * self.sweeps.weights.value)
 
 
 def conclude(

@@ -7,8 +7,9 @@ all have this form. The chain must leak: at discount 1 the rows of terminal stat
 have to be empty (`policy_chain` does that).
 
 Solving: where an order of the states is known along which the chain only falls, by substitution;
-otherwise by sparse elimination (up to 500 states), or by BiCGSTAB, which does not fill the matrix,
-with elimination only where that does not converge. Steps of iterative refinement follow.
+otherwise by sparse elimination (up to 500 states, or where all transitions are to near numbers), or
+by BiCGSTAB, which does not fill the matrix, with elimination only where that does not converge.
+Steps of iterative refinement follow.
 
 Bounding: let k be at least |c + γ P x - x|, its rounding errors included. If e ≥ 0 satisfies
 e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is nonnegative. So the error solves the same
@@ -29,11 +30,13 @@ import scipy.sparse as sp
 
 from mdp.model import MDP
 from mdp.table import Floats, Integers
+from solvers.gains import COMPILED
 from solvers.rounding import SLACK, TINY, UNIT, gamma
 from solvers.solution import SolverError, Status
 
 DIRECT_STATES = 500
 KRYLOV_STEPS = 400
+MOST_FILL = 4
 REFINEMENTS = 5
 
 
@@ -151,6 +154,12 @@ class LinearSystem:
             size = smaller
         return value
 
+    def roughly(self, constant: Floats) -> Floats:
+        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller."""
+        if self._once == self._iteration:
+            return self._iteration(constant, rtol=1e-2)
+        return self._once(constant)
+
     def _residual(self, constant: Floats, value: Floats) -> Floats:
         return np.asarray(constant + self.discount * (self.transition @ value) - value)
 
@@ -168,7 +177,7 @@ class LinearSystem:
     def _once(self) -> Callable[[Floats], Floats]:
         if self.order is not None:
             return self._substitution
-        if self.transition.shape[0] <= DIRECT_STATES:
+        if self.transition.shape[0] <= DIRECT_STATES or self._banded:
             return self._sparse
         return self._iteration
 
@@ -201,29 +210,47 @@ class LinearSystem:
 
         return solve
 
-    def _iteration(self, constant: Floats) -> Floats:
+    def _iteration(self, constant: Floats, rtol: float = 1e-11) -> Floats:
         """BiCGSTAB, and for good sparse elimination once that fails to converge."""
-        from scipy.sparse.linalg import bicgstab
-
         size = float(np.abs(constant).max())
         if "_sparse" not in self.__dict__ and 0 < size < np.inf:
-            found, failed = bicgstab(
-                self._matrix,
-                constant / size,  # its tests for breakdown are absolute
-                rtol=1e-11,
-                maxiter=KRYLOV_STEPS,
-                M=sp.diags_array(1 / self._matrix.diagonal()),
-            )
-            if not failed and np.all(np.isfinite(found)):
+            found = self._krylov(constant / size, rtol)  # tests for breakdown are absolute
+            if found is not None and np.all(np.isfinite(found)):
                 return np.asarray(found * size)
         return self._sparse(constant)
+
+    def _krylov(self, constant: Floats, rtol: float) -> Floats | None:
+        if self.transition.nnz >= COMPILED:
+            from solvers.kernels import krylov
+
+            chain, value = self.transition, np.empty_like(constant)
+            rows, room = (chain.indptr, chain.indices, chain.data), np.empty((6, len(value)))
+            taken = krylov.bicgstab(
+                *rows, float(self.discount), constant, rtol, KRYLOV_STEPS, value, room
+            )
+            return value if taken >= 0 else None
+        from scipy.sparse.linalg import bicgstab
+
+        inverse = sp.diags_array(1 / self._matrix.diagonal())
+        found, failed = bicgstab(self._matrix, constant, rtol=rtol, maxiter=KRYLOV_STEPS, M=inverse)
+        return None if failed else np.asarray(found)
+
+    @cached_property
+    def _banded(self) -> bool:
+        """Whether elimination in the given order fills in next to nothing."""
+        chain = self.transition
+        row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
+        width = int(np.abs(chain.indices - row).max(initial=0))
+        return bool(2 * width * chain.shape[0] <= MOST_FILL * chain.nnz)
 
     @cached_property
     def _sparse(self) -> Callable[[Floats], Floats]:
         from scipy.sparse.linalg import splu
 
+        # Rows dominated by their diagonal need no exchanges, so a band stays one.
+        ordering = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0} if self._banded else {}
         try:
-            factor: Any = splu(self._matrix.tocsc())
+            factor: Any = splu(self._matrix.tocsc(), **ordering)
         except RuntimeError as error:
             raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
         return lambda constant: np.asarray(factor.solve(constant))

@@ -4,9 +4,10 @@
 
 One sweep for a fixed policy costs the A-th part of a full one (Puterman and Shin, Management
 Science 24, 1978). It goes on until the policy's own spread has fallen to a tenth; where `sweeps`
-sweeps do not bring that about, the chain mixes slowly and the policy is evaluated by solving its
-linear equations instead. The bounds are those of value iteration; before they are computed the
-values of the last policy are polished until rounding stops them, so that ties show as ties.
+sweeps will not bring that about, the chain mixes slowly and the policy is evaluated by solving its
+linear equations instead, see `solvers.partial_evaluation`. Every full sweep gives sound bounds.
+Unless a tolerance is asked for, the values of the last policy are polished until rounding stops
+them, so that ties show as ties.
 """
 
 from __future__ import annotations
@@ -17,10 +18,9 @@ from time import perf_counter
 import numpy as np
 
 from mdp.model import MDP
-from mdp.table import Floats, Integers
 from solvers.conclusion import Watch, check_settings, conclude
-from solvers.linear import LinearSystem, policy_chain
-from solvers.solution import Solution
+from solvers.partial_evaluation import Iterate
+from solvers.solution import Solution, Status
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,39 +67,20 @@ class ModifiedPolicyIteration:
         """
         started = perf_counter()
         watch = Watch(mdp, self.tol)
-        value, iteration = np.zeros(mdp.n_states), 0
-        while iteration < self.max_iterations:
+        iterate, iteration = Iterate(watch.sweeps, np.zeros(mdp.n_states)), 0
+        polished = self.tol is not None
+        while True:
             iteration += 1
-            q = mdp.backup(value)
-            if ready := watch.ready(value, q):
-                q = mdp.backup(watch.middle(value, q))
-            value, pairs = _best(mdp, q)
-            value = self._evaluated(mdp, pairs, value, watch, polish=ready)
-            if ready and (end := watch.verdict(value)):
-                status, found = end
+            found = iterate.improve()
+            ready = watch.ready(found, iterate.value)
+            if ready and polished and (end := watch.verdict(found, iterate.value)):
+                status, reached = end
                 break
-        else:
-            status, found = watch.given_up(value)
-        return conclude(mdp, self, found, status=status, iterations=iteration, started=started)
-
-    def _evaluated(
-        self, mdp: MDP, pairs: Integers, value: Floats, watch: Watch, *, polish: bool
-    ) -> Floats:
-        chain, reward = policy_chain(mdp, pairs)
-        goal, best = 0.0 if polish else watch.half / 10, np.inf
-        for _ in range(self.sweeps):
-            after = reward + mdp.discount * (chain @ value)
-            spread = watch.spread(value, after, pairs)
-            value = after
-            if spread <= goal or (polish and spread >= best):
-                return value
-            best = min(best, spread)
-        return LinearSystem(chain, mdp.discount).approximate(reward)
-
-
-def _best(mdp: MDP, q: Floats) -> tuple[Floats, Integers]:
-    """Return the greatest value of each state's pairs (S,) and the first of those pairs (S,)."""
-    first = mdp.pair_offsets[:-1]
-    best = np.maximum.reduceat(q, first)
-    numbers = np.where(q == best[mdp.pair_state], np.arange(mdp.n_pairs), mdp.n_pairs)
-    return best, np.minimum.reduceat(numbers, first)
+            if iteration == self.max_iterations:
+                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate.value)
+                break
+            polished = ready or self.tol is not None
+            goal = 0.0 if ready else (found.high - found.low) / 20
+            iterate.take(found)
+            iterate.evaluate(found.pairs, goal, self.sweeps)
+        return conclude(mdp, self, reached, status=status, iterations=iteration, started=started)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mdp.model import MDP
 from mdp.table import Floats, Integers
@@ -69,10 +70,17 @@ class PolicyIteration:
         return conclude(mdp, self, found, status=status, iterations=iterations, started=started)
 
 
-def improved(mdp: MDP, pairs: Integers, limit: int) -> tuple[Bounds, int, bool]:
-    """Return bounds around the values reached from `pairs` (S,), the iterations, and if stable."""
+def improved(
+    mdp: MDP, pairs: Integers, limit: int, *, used: NDArray[np.bool_] | None = None
+) -> tuple[Bounds, int, bool]:
+    """Return bounds around the values reached from `pairs` (S,), the iterations, and if stable.
+
+    Pairs that any policy on the way took are marked in `used` (L,).
+    """
     seen: set[bytes] = set()
     for iteration in range(1, limit + 1):
+        if used is not None:
+            used[pairs] = True
         value = evaluated(mdp, pairs)
         gain = gains(mdp, value)
         seen.add(pairs.tobytes())

@@ -16,7 +16,8 @@ import numpy as np
 
 from mdp.model import MDP
 from solvers.conclusion import Watch, check_settings, conclude
-from solvers.solution import Solution
+from solvers.partial_evaluation import Iterate
+from solvers.solution import Solution, Status
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +61,15 @@ class ValueIteration:
         """
         started = perf_counter()
         watch = Watch(mdp, self.tol)
-        value, first, iteration = np.zeros(mdp.n_states), mdp.pair_offsets[:-1], 0
-        while iteration < self.max_iterations:
+        iterate, iteration = Iterate(watch.sweeps, np.zeros(mdp.n_states)), 0
+        while True:
             iteration += 1
-            q = mdp.backup(value)
-            if watch.ready(value, q) and (end := watch.verdict(value)):
-                status, found = end
+            found = iterate.improve()
+            if watch.ready(found, iterate.value) and (end := watch.verdict(found, iterate.value)):
+                status, reached = end
                 break
-            value = np.maximum.reduceat(q, first)
-        else:
-            status, found = watch.given_up(value)
-        return conclude(mdp, self, found, status=status, iterations=iteration, started=started)
+            if iteration == self.max_iterations:
+                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate.value)
+                break
+            iterate.take(found)
+        return conclude(mdp, self, reached, status=status, iterations=iteration, started=started)

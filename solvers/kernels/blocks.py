@@ -1,0 +1,68 @@
+"""Work in blocks, on as many threads as there are cores; the loops let go of Python's lock."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from mdp.table import Numbers
+
+SMALLEST = 250_000
+PER_THREAD = 8
+
+
+def cores() -> int:
+    """Return how many cores this process may use, two at most: memory feeds no more of them."""
+    if hasattr(os, "sched_getaffinity"):
+        return min(2, len(os.sched_getaffinity(0)))
+    return min(2, os.cpu_count() or 1)
+
+
+def block_ends(work: Numbers, threads: int | None = None) -> list[int]:
+    """Return 0, …, N: where to cut N items into blocks of about the same work.
+
+    Parameters
+    ----------
+    work : (N+1,)
+        Work of all items before each, such as the transitions of all states before a state.
+    threads : int, optional
+        Threads that the blocks are for; by default as many as `cores` and as are worth it.
+
+    Examples
+    --------
+    >>> block_ends(np.arange(0, 3_000_001, 1_000), threads=1)
+    [0, 3000]
+    """
+    total = int(work[-1])
+    if threads is None:
+        threads = max(1, min(cores(), total // SMALLEST))
+    count = 1 if threads == 1 else PER_THREAD * threads
+    inner = np.searchsorted(work, [total * i // count for i in range(1, count)])
+    return [0, *sorted({int(i) for i in inner} - {0, len(work) - 1}), len(work) - 1]
+
+
+def run_blocks(ends: Sequence[int], work: Callable[[int, int, int], None]) -> None:
+    """Call `work(number, first, last)` for each block; more than one run on all `cores`."""
+    blocks = enumerate(pairwise(ends))
+    failures: list[BaseException] = []
+
+    def take() -> None:
+        # The iterator is the queue: `next` on it is one step under Python's lock.
+        try:
+            while (block := next(blocks, None)) is not None:
+                work(block[0], *block[1])
+        except BaseException as error:
+            failures.append(error)
+
+    others = [threading.Thread(target=take) for _ in range(cores() - 1 if len(ends) > 2 else 0)]
+    for thread in others:
+        thread.start()
+    take()
+    for thread in others:
+        thread.join()
+    if failures:
+        raise failures[0]

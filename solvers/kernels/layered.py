@@ -1,0 +1,98 @@
+"""Backward induction over the rows of a sparse model, with its rounding errors, in one pass.
+
+What is computed, and why the errors bound what they do, is said in `solvers.backward_induction`.
+"""
+
+from __future__ import annotations
+
+from mdp.table import Floats, Numbers
+from solvers.kernels.compiling import compiled
+
+UNIT = 2.0**-53 * (1 + 2.0**-10)
+INFINITY = float("inf")
+
+
+@compiled
+def backward(
+    order: Numbers,
+    pair_offsets: Numbers,
+    indptr: Numbers,
+    indices: Numbers,
+    data: Floats,
+    reward: Floats,
+    discount: float,
+    terminal: Numbers,
+    centred: bool,
+    extra: int,
+    value: Floats,
+    chosen: Numbers,
+    level: Numbers,
+    above: Floats,
+    below: Floats,
+    q: Floats,
+    doubt: Floats,
+) -> int:
+    """Fill value, chosen, level (S,) and the rounding errors by level above, below (S+1,).
+
+    Parameters
+    ----------
+    order : (S,) or (0,) ints
+        States, each behind all that it leads to; from the last number to the first if empty.
+    centred : bool
+        Whether rows sum to 1, so that differences from the first successor's value will do.
+    extra : int
+        How often each probability was rounded.
+    q, doubt : (at least the greatest number of pairs of a state,)
+        Room to work in.
+
+    Returns
+    -------
+    int
+        The greatest level.
+    """
+    states, deepest = len(pair_offsets) - 1, 0
+    for number in range(states):
+        state = order[number] if len(order) > 0 else states - 1 - number
+        begin, end = pair_offsets[state], pair_offsets[state + 1]
+        if terminal[state]:
+            value[state], chosen[state], level[state] = 0.0, begin, 0
+            continue
+        height, best, worst = 0, -INFINITY, 0.0
+        for pair in range(begin, end):
+            first, last = indptr[pair], indptr[pair + 1]
+            base = value[indices[first]] if centred else 0.0
+            total, flow = 0.0, 0.0
+            for i in range(first, last):
+                following = indices[i]
+                term = data[i] * (value[following] - base)
+                total += term
+                flow += abs(term)
+                height = max(height, level[following])
+            ahead = discount * (base + total)
+            rounding = (last - first + extra + 8) * UNIT * (discount * flow)
+            rounding += 6 * UNIT * (abs(ahead) + abs(reward[pair]))
+            q[pair - begin] = reward[pair] + ahead
+            doubt[pair - begin] = rounding
+            best = max(best, reward[pair] + ahead)
+            worst = max(worst, rounding)
+        height += 1
+        noise, bar = 16 * UNIT * abs(best), -INFINITY
+        for i in range(end - begin):
+            bar = max(bar, q[i] - (2 * doubt[i] + noise))
+        taken = 0
+        while taken < end - begin - 1 and q[taken] + (2 * doubt[taken] + noise) < bar:
+            taken += 1
+        value[state], chosen[state], level[state] = best, begin + taken, height
+        above[height] = max(above[height], worst)
+        below[height] = max(below[height], doubt[taken] + (best - q[taken]))
+        deepest = max(deepest, height)
+    return deepest
+
+
+@compiled
+def ladder(step: Floats, rate: float, total: Floats) -> None:
+    """Fill total (K,) with total[k] = max(total[k-1], rate · total[k-1] + step[k]), 0 first."""
+    total[0] = 0.0
+    for k in range(1, len(step)):
+        before = total[k - 1]
+        total[k] = max(before, rate * before + step[k])

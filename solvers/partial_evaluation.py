@@ -1,0 +1,124 @@
+"""Bring values close to those of a policy: by sweeps where its chain mixes, or by linear equations.
+
+    V ← T_π V,   or, with d = T_π V - V,   V ← V + (I - γ P_π)⁻¹ d
+
+Sweeps go on until the error within the policy falls to a goal. Where the rate at which it falls
+says that they would take too many, what is missing is found from the linear equations instead,
+solved only roughly each time: d is computed anew from V, so that the errors of one correction are
+the next one's task (iterative refinement; Dembo, Eisenstat and Steihaug, SIAM J. Numer. Anal. 19,
+1982, on how exactly to solve).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mdp.table import Floats, Integers
+from solvers.linear import LinearSystem, policy_chain
+from solvers.sweeps import Pass, Sweeps
+
+FIRST_SWEEPS = 12
+CORRECTIONS = 30
+RELAXATIONS = 10
+
+
+@dataclass(eq=False)
+class Iterate:
+    """Values V = h + c w that are being improved.
+
+    Attributes
+    ----------
+    sweeps : Sweeps
+    value : (S,)
+        h.
+    shift : float
+        c, which is 0 but where a shift of all values is only a shift.
+    settled : bool
+        Whether values have been carried along a slowly mixing model once.
+    """
+
+    sweeps: Sweeps
+    value: Floats
+    shift: float = 0.0
+    settled: bool = False
+
+    def improve(self) -> Pass:
+        """Return a pass over all pairs."""
+        return self.sweeps.improve(self.value, self.shift)
+
+    def take(self, found: Pass) -> None:
+        """Move on to T V."""
+        self._move(found.step, (found.low + found.high) / 2 - self.shift)
+
+    def _move(self, step: Floats, middle: float) -> None:
+        self.value += step
+        if self.sweeps.uniform:
+            self.shift += self.sweeps.mdp.discount * middle
+
+    def evaluate(self, pairs: Integers, goal: float, most: int) -> None:
+        """Move close to the values of the policy's `pairs` (S,).
+
+        Parameters
+        ----------
+        goal : float
+            Error within the policy, in units of w, at which to stop; 0 for as little as possible.
+        most : int
+            Sweeps that are too many.
+        """
+        errors: list[float] = []
+        while len(errors) < most:
+            step, low, high = self.sweeps.follow(self.value, self.shift, pairs)
+            error = (high - low) / 2
+            if goal == 0 and errors and not error < min(errors):
+                return
+            self._move(step, (low + high) / 2)
+            if not error > goal:
+                return
+            errors.append(error)
+            if _slow(errors, goal, most):
+                break
+        if self.sweeps.compiled and goal > 0:
+            pairs = self._settled()
+        self._correct(pairs, goal)
+        if self.sweeps.compiled and goal > 0:
+            self._relax(1)
+
+    def _settled(self) -> Integers:
+        """Return a policy (S,) that suits values carried along the whole model, by relaxation."""
+        if not self.settled:
+            # From below, good news is carried on as it is; from above, it would be averaged away.
+            low = self.improve().low
+            self.value += (low - self.shift) * self.sweeps.weights.value
+            self._relax(RELAXATIONS)
+            self.settled = True
+        return self.improve().pairs
+
+    def _relax(self, count: int) -> None:
+        for _ in range(count):
+            self.sweeps.relax(self.value, self.shift, backward=False)
+            self.sweeps.relax(self.value, self.shift, backward=True)
+
+    def _correct(self, pairs: Integers, goal: float) -> None:
+        chain, _ = policy_chain(self.sweeps.mdp, pairs)
+        system, error = LinearSystem(chain, self.sweeps.mdp.discount), np.inf
+        for _ in range(CORRECTIONS):
+            step, low, high = self.sweeps.follow(self.value, self.shift, pairs)
+            before, error = error, (high - low) / 2
+            if not error > goal or not error < before / 2:
+                return
+            if self.sweeps.uniform:
+                middle = (low + high) / 2
+                self.shift += middle
+                step -= middle * self.sweeps.margin[pairs]
+            self.value += system.roughly(step)
+
+
+def _slow(errors: list[float], goal: float, most: int) -> bool:
+    """Return whether errors that go on falling as they do miss the goal within `most` sweeps."""
+    if len(errors) < FIRST_SWEEPS:
+        return False
+    rate = (errors[-1] / errors[-6]) ** (1 / 5)
+    goal = max(goal, 1e-12 * errors[0])
+    return bool(errors[-1] * rate ** (most - len(errors)) > goal)
