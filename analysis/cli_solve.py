@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -12,6 +12,7 @@ from analysis.cli_output import Grid, at_most, number, ratio, show
 if TYPE_CHECKING:
     from analysis.optimum import Optimum
     from mdp.load import Loaded
+    from mdp.model import MDP
     from mdp.space import StateSpace
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
@@ -30,6 +31,11 @@ SHOWN_DIGITS = 1000  # longer exact values are left to --json
 )
 @click.option("--tol", metavar="X", help="Greatest absolute error of a value.")
 @click.option("--certify", is_flag=True, help="Compute and prove the exact optimum.")
+@click.option(
+    "--operator",
+    is_flag=True,
+    help="Solve a scenario without its matrix, by backward induction: for large ones.",
+)
 @click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
 @click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
 @click.option(
@@ -45,13 +51,15 @@ def solve(
     method: str,
     tol: str | None,
     certify: bool,
+    operator: bool,
     policy_out: str | None,
     out: str | None,
     certificate: str | None,
 ) -> None:
     """Find an optimal policy of MODEL and its value, with an error bound that is sound.
 
-    With --certify the optimum is also computed in rational arithmetic, and proved.
+    With --certify the optimum is also computed in rational arithmetic, and proved. With --operator
+    whether the optimum is stationary is left open, and no model hash is recorded.
     """
     from analysis.cli_save import save
     from analysis.optimum import optimum
@@ -59,7 +67,11 @@ def solve(
 
     endings = ((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     check_outputs(*endings)
-    loaded = load(model, sets=sets, discount=discount)
+    if operator:
+        method = _by_operator(method, {"--certify": certify, "--certificate": certificate})
+        loaded = _as_operator(model, sets, discount)
+    else:
+        loaded = load(model, sets=sets, discount=discount)
     found = optimum(loaded.mdp, method, float_of(tol, "--tol"), certify=certify)
     written = save(loaded, found, policy_out, out, certificate)
     result = _result(loaded, found)
@@ -67,7 +79,35 @@ def solve(
     show(result, as_json=as_json, facts=_facts(result), grids=_grids(result, loaded))
 
 
+def _by_operator(method: str, others: dict[str, object]) -> str:
+    """Return the method for an operator; raises ModelError where options ask for a matrix."""
+    from mdp.errors import ModelError
+    from solvers import SOLVERS
+
+    wanted = [name for name, value in others.items() if value]
+    if method in SOLVERS and method != "backward-induction":
+        wanted.append(f"--method {method}")
+    if wanted:
+        raise ModelError(
+            f"{wanted[0]} needs the explicit model",
+            where="--operator",
+            fix=f"leave out {wanted[0]}, or --operator",
+        )
+    return "backward-induction" if method == "auto" else method
+
+
+def _as_operator(model: str, sets: tuple[str, ...], discount: str | None) -> Loaded:
+    from mdp.load import Loaded, load_scenario
+
+    scenario = load_scenario(model, sets=sets, discount=discount)
+    # What follows reads of a model only what operators have too.
+    mdp = cast("MDP", scenario.operator())
+    return Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
+
+
 def _result(loaded: Loaded, found: Optimum) -> dict[str, Any]:
+    from mdp.model import MDP
+
     mdp, proof, solution = loaded.mdp, found.certificate, found.solution
     result: dict[str, Any] = {
         "model": loaded.name,
@@ -88,7 +128,7 @@ def _result(loaded: Loaded, found: Optimum) -> dict[str, Any]:
         "solver": solution.solver if solution else None,
     }
     names = mdp.space.names
-    if "status" in names:
+    if "status" in names and isinstance(mdp, MDP):
         from analysis.stationary import status_policy
 
         result["stationary"] = status_policy(mdp, found.optimal) is not None
@@ -145,6 +185,8 @@ def _facts(result: dict[str, Any]) -> dict[str, str]:
 
 
 def _grids(result: dict[str, Any], loaded: Loaded) -> list[Grid]:
+    if len(result["policy"] or ()) > LISTED_STATES:
+        return []
     if result["policy"] is not None:
         digits = f" (digits: {', '.join(loaded.scenario.statuses)})" if loaded.scenario else ""
         title = f"optimal action at subtask 0, trial 0, by status{digits}"

@@ -39,7 +39,8 @@ def run_record(
     return {
         "command": list(command),
         "model": model,
-        "model_hash": fingerprint(mdp),
+        # An operator has no rows to hash.
+        "model_hash": fingerprint(mdp) if isinstance(mdp, MDP) else None,
         "solver": solver,
         "seed": seed,
         "versions": {"python": platform.python_version()} | _versions(),

@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdp.laws import Kernels
-from mdp.scenario import SKIP
+from mdp.rules import Rules
 from mdp.table import (
     EXACT_IN_INT64,
     Floats,
     Integers,
     Numbers,
-    common,
     divide,
     integers,
     magnitude,
@@ -33,6 +32,8 @@ from mdp.table import (
 
 if TYPE_CHECKING:
     from mdp.scenario import Scenario
+
+ENTRIES = 2**20  # of a product held at once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,49 +49,14 @@ class Rows:
     components: Floats
 
 
-class Template:
+class Template(Rules):
     """Works out the rows of one subtask; `block` gives those of a subtask at its place."""
 
     def __init__(self, scenario: Scenario, kernels: Kernels) -> None:
-        self.readings = scenario.readings
+        super().__init__(scenario, kernels.bits)
         self.kernels = kernels
-        self.assistive = len(scenario.actions)
-        self.own = self.readings["skip_timestep"] == "own"
-        self.actions = (*scenario.actions, SKIP) if self.own else scenario.actions
-        self.flags = 2 if self.readings["task_bonus"] == "no-subtask-skipped" else 1
-        self.trials = scenario.trials
-        self.vectors = len(kernels.bits)
-        self.size = (self.trials + self.own) * self.flags * self.vectors
-        names = scenario.components
-        numbers, self.scale = common([scenario[f"reward.{name}"] for name in names])
-        self.names = names
-        self.worth = dict(zip(names, numbers, strict=True))
-        # A gain adds up weights, each at most once: this is the type that holds every such sum.
-        largest = sum(abs(number) for number in numbers)
-        self.kind = np.dtype(np.int64 if largest < EXACT_IN_INT64 else object)
-        self.assist = self._gains([self.worth[f"assist.{a}"] for a in scenario.actions])
-        statuses = [self.worth[scenario.weights[status]] for status in scenario.statuses]
-        self.cost = self._gains(
-            [
-                sum(worth for worth, present in zip(statuses, row, strict=True) if present)
-                for row in kernels.bits.tolist()
-            ]
-        )
-        self.following = self.readings["status_cost"] == "next"
         # A cost of the present status is the row's own; one of the next status is the outcome's.
         self.row_cost = (0 if self.following else 1) * self.cost[:, None, None]
-
-    def _gains(self, values: list[int]) -> Numbers:
-        return np.array(values, dtype=self.kind)
-
-    def pairs(self) -> tuple[Integers, Integers]:
-        """Return state and action of each row of a block, states counted from its start."""
-        trying = self.trials * self.flags * self.vectors
-        state, action = np.divmod(np.arange(trying * self.assistive), self.assistive)
-        skipping = np.arange(trying, self.size)
-        return np.concatenate([state, skipping]), np.append(
-            action, np.full(len(skipping), self.assistive)
-        )
 
     def block(self, *, last: bool, final: bool) -> Rows:
         """Return all rows of a subtask, by trial, flag, status and action."""
@@ -111,64 +77,98 @@ class Template:
             components=np.concatenate([rows.components for rows in parts]),
         )
 
-    def _bonus(self, *, last: bool, skipped: bool, flag: int = 0) -> int:
-        rule = self.readings["task_bonus"]
-        paid = last and (
-            rule == "always"
-            or (rule == "last-subtask-completed" and not skipped)
-            or (rule == "no-subtask-skipped" and not skipped and flag == 0)
-        )
-        return self.worth["task-complete"] if paid else 0
-
     def _after(self, flag: int, vector: Integers, *, last: bool, final: bool) -> Integers:
         """Return where the next subtask starts: its first trial, or the end."""
-        kept = 0 if last or self.flags == 1 else flag
-        return self.size + (0 * vector if final else kept * self.vectors + vector)
+        first = self.kept(flag, last=last) * self.vectors
+        return self.size + (0 * vector if final else first + vector)
 
     def _trial(self, trial: int, flag: int, *, last: bool, final: bool) -> Rows:
         """Return the rows of one trial: complete, fail, or fail for the last time and skip."""
         step, bottom = self.kernels.step, self.kernels.step_denominator
         skips = trial == self.trials - 1 and not self.own
-        every = self.worth["trial"] * (self.readings["trial_cost"] == "every-trial")
-        completing = self._bonus(last=last, skipped=False, flag=flag)
-        bonus = self._bonus(last=last, skipped=True)
-        skipping = bonus + self.worth["subtask-skip"]
-        failing = self.worth["timestep"] + self.worth["trial"]
+        completing = self.bonus(last=last, skipped=False, flag=flag)
+        bonus = self.bonus(last=last, skipped=True)
+        failing = self.failing()
         vectors = np.arange(self.vectors)
 
-        nexts = [self._after(flag, vectors[:1], last=last, final=final)]
-        gains = [[self.worth["timestep"] + self.worth["subtask-complete"] + every + completing]]
-        weights = [step[:, :, :1]]
+        components = self._components(step[:, :, 0], completing, bonus, skips)
         if skips:
-            z = self._after(1, vectors, last=last, final=final)
-            weights = [multiply(weights[0], integers([self.kernels.skip_denominator]))]
-            bottom = multiply(bottom, integers([self.kernels.skip_denominator]))
-            costs = self.cost if self.following else 0 * self.cost
-            for cost in sorted(set(costs[1:].tolist())):
-                chosen = vectors[1:][costs[1:] == cost]
-                law = _matmul(step[:, :, chosen], self.kernels.skip[chosen])
-                law = law.astype(bottom.dtype)  # as wide as the row's denominator: sums stay below
-                nexts.append(z[:1] if final else z)
-                weights.append(law.sum(axis=2, keepdims=True) if final else law)
-                gains.append([failing + skipping + cost] * len(nexts[-1]))
-        else:
-            nexts.append(((trial + 1) * self.flags + flag) * self.vectors + vectors[1:])
-            weights.append(step[:, :, 1:])
-            gains.append([failing + cost * self.following for cost in self.cost[1:].tolist()])
-
-        gain = self._gains([value for part in gains for value in part])
+            return self._last_trial(flag, components, last=last, final=final)
+        nexts = [
+            self._after(flag, vectors[:1], last=last, final=final),
+            ((trial + 1) * self.flags + flag) * self.vectors + vectors[1:],
+        ]
+        gains = [failing + cost * self.following for cost in self.cost[1:].tolist()]
+        gain = self.gains([self.completing(last=last, flag=flag), *gains])
         gain = gain + self.row_cost + np.zeros((1, self.assistive, 1), dtype=np.int64)
         gain[:, :, 0] += self.assist
         event = np.zeros(gain.shape[2], dtype=np.uint8)
-        event[1:] = skips
-        success = step[:, :, 0]
-        return _rows(
-            np.concatenate(nexts),
-            _joined_last(weights),
-            bottom,
-            gain,
-            event,
-            self._components(success, completing, bonus, skips),
+        return _rows(np.concatenate(nexts), step, bottom, gain, event, components)
+
+    def _last_trial(self, flag: int, components: Floats, *, last: bool, final: bool) -> Rows:
+        """Return the rows of a trial that ends in a skip where it fails.
+
+        A row may have as many outcomes as status vectors times costs, most of them impossible: a
+        few present vectors at a time, and no more of each product than its nonzero part.
+        """
+        skip, worth = self.kernels.skip, self.failing() + self.skipping(last=last)
+        scale = integers([self.kernels.skip_denominator])
+        bottom = multiply(self.kernels.step_denominator, scale)
+        z = self._after(1, np.arange(1 if final else self.vectors), last=last, final=final)
+        costs = (self.cost if self.following else 0 * self.cost)[1:]
+        groups = []
+        for cost in sorted(set(costs.tolist())):
+            chosen = 1 + np.flatnonzero(costs == cost)
+            # At the end it does not matter what a skip makes of the vector: its law sums to 1.
+            law = np.repeat(scale, len(chosen))[:, None] if final else skip[chosen]
+            groups.append((chosen, law))
+        amounts = self.gains([worth + cost for cost in sorted(set(costs.tolist()))])
+        home = self._after(flag, np.zeros(1, dtype=np.int64), last=last, final=final)
+        done = self.gains([self.completing(last=last, flag=flag)]) + self.assist
+        parts: list[tuple[Integers, Integers, Numbers, Numbers, NDArray[np.uint8]]] = []
+        each = max(1, ENTRIES // (self.assistive * len(groups) * len(z)))
+        for begin in range(0, self.vectors, each):
+            step = self.kernels.step[begin : begin + each].reshape(-1, self.vectors)
+            rows = np.arange(len(step))
+            present = np.broadcast_to(self.row_cost[:, 0, 0], (self.vectors,))
+            own = np.repeat(present[begin : begin + each], self.assistive)
+            # An outcome's place: by row, then next state, then cost; success comes before them.
+            places = [rows * (len(z) * len(groups) + 1)]
+            weights = [multiply(step[:, 0], scale).astype(bottom.dtype)]
+            for number, (chosen, law) in enumerate(groups):
+                left = step[:, chosen]
+                some, ends = (left != 0).any(axis=1), (law != 0).any(axis=0)
+                some, ends = np.flatnonzero(some), np.flatnonzero(ends)
+                # As wide as the row's denominator, below which sums stay.
+                product = _matmul(left[some], law[:, ends]).astype(bottom.dtype)
+                place = places[0][some, None] + (1 + number + ends * len(groups))
+                places.append(place.reshape(-1))
+                weights.append(product.reshape(-1))
+            place, weight = np.concatenate(places), np.concatenate(weights)
+            kept = np.flatnonzero(weight != 0)
+            kept = kept[np.argsort(place[kept])]
+            row, rest = np.divmod(place[kept], len(z) * len(groups) + 1)
+            failed = rest > 0
+            following, number = np.divmod(np.maximum(rest - 1, 0), len(groups))
+            gain = np.where(failed, amounts[number], done[row % self.assistive]) + own[row]
+            parts.append(
+                (
+                    np.bincount(row, minlength=len(step)),
+                    np.where(failed, z[following], home),
+                    weight[kept],
+                    gain,
+                    failed.astype(np.uint8),
+                )
+            )
+        lengths, nexts, weights, gains, events = map(list, zip(*parts, strict=True))
+        return Rows(
+            lengths=np.concatenate(lengths),
+            next=np.concatenate(nexts),
+            weight=np.concatenate(weights),
+            denominator=bottom.reshape(-1),
+            gain=np.concatenate(gains),
+            event=np.concatenate(events),
+            components=components.reshape(-1, components.shape[2]),
         )
 
     def _components(self, success: Numbers, completing: int, bonus: int, skips: bool) -> Floats:
@@ -205,8 +205,8 @@ class Template:
         """Return the rows in which *skip* is the only action and takes its own timestep."""
         vectors = np.arange(self.vectors)
         bottom = np.broadcast_to(integers([self.kernels.skip_denominator]), (self.vectors, 1))
-        bonus = self._bonus(last=last, skipped=True)
-        fixed = self.worth["timestep"] + self.worth["subtask-skip"] + bonus
+        bonus = self.bonus(last=last, skipped=True)
+        fixed = self.worth["timestep"] + self.skipping(last=last)
         law = self.kernels.skip
         cost = self.cost if self.following else 0 * self.cost
         nexts = self._after(1, vectors, last=last, final=final)
@@ -234,7 +234,7 @@ class Template:
             nexts,
             law[:, None, :],
             np.asarray(bottom),
-            self._gains([fixed]) + cost + self.row_cost,
+            self.gains([fixed]) + cost + self.row_cost,
             np.ones(len(nexts), dtype=np.uint8),
             components[:, None, :],
         )
@@ -278,10 +278,3 @@ def joined(parts: list[Numbers], *more: int) -> Numbers:
     kind = np.dtype(object) if wide else np.dtype(np.int64)
     tail = [np.array(more, dtype=kind)] if more else []
     return np.concatenate([*parts, *tail], dtype=kind)
-
-
-def _joined_last(parts: list[Numbers]) -> Numbers:
-    """Concatenate along the last axis, keeping Python integers where one part needs them."""
-    wide = any(part.dtype == object for part in parts)
-    kind = np.dtype(object) if wide else np.dtype(np.int64)
-    return np.concatenate(parts, axis=2, dtype=kind)

@@ -93,9 +93,22 @@ def components(mdp: MDP) -> tuple[int, Integers]:
     return int(count), labels.astype(np.int64)
 
 
+def numbered_in_order(mdp: MDP) -> bool:
+    """Return whether every transition leads to a higher number, terminal states apart.
+
+    One comparison for each pair, so that finding this structure costs less than using it.
+
+    Examples
+    --------
+    >>> numbered_in_order(MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0]))
+    True
+    """
+    return bool((_least_successor(mdp) > np.arange(mdp.n_states)).all())
+
+
 def is_acyclic(mdp: MDP) -> bool:
     """Return whether no state can come back to itself, terminal states apart."""
-    return _numbered_in_order(mdp) or topological_levels(mdp) is not None
+    return numbered_in_order(mdp) or topological_levels(mdp) is not None
 
 
 def topological_levels(mdp: MDP) -> Integers | None:
@@ -109,9 +122,14 @@ def topological_levels(mdp: MDP) -> Integers | None:
     >>> topological_levels(mdp).tolist()
     [2, 1, 0]
     """
-    if _numbered_in_order(mdp):
+    if numbered_in_order(mdp):
         return _levels_in_order(mdp)
     offsets, successors = _successors(mdp)
+    # Without cycles, some state leads to terminal states alone; most other models show at once
+    # that they have none, before anything is turned round.
+    last = np.logical_and.reduceat(mdp.terminal[successors], offsets[:-1]) & ~mdp.terminal
+    if not last.any() and not mdp.terminal.all():
+        return None
     waiting = np.diff(offsets)
     waiting[mdp.terminal] = 0
     before, predecessors = _reverse(offsets, successors, mdp.n_states)
@@ -138,7 +156,7 @@ def termination(mdp: MDP) -> Termination:
     >>> found.proven, found.trapped.tolist(), found.policy.tolist()
     (False, [0], [1, 0])
     """
-    if _numbered_in_order(mdp):
+    if numbered_in_order(mdp):
         rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
         return Termination(proven=True, rank=rank, policy=None, trapped=rank[:0])
     matrix = mdp.transition
@@ -267,29 +285,35 @@ def _reverse(offsets: Numbers, successors: Numbers, states: int) -> tuple[Any, A
     return reverse.indptr, reverse.indices
 
 
-def _numbered_in_order(mdp: MDP) -> bool:
-    """Return whether every transition leads to a higher number, terminal states apart."""
-    return bool((_least_successor(mdp) > np.arange(mdp.n_states)).all())
-
-
 def _least_successor(mdp: MDP) -> Numbers:
     """Return (S,) the lowest successor of each state; S where the state is terminal."""
-    offsets, successors = _successors(mdp)
-    return np.where(mdp.terminal, mdp.n_states, np.minimum.reduceat(successors, offsets[:-1]))
+    matrix = mdp.transition
+    # The successors of a pair are sorted: the first one is its lowest.
+    lowest = np.minimum.reduceat(matrix.indices[matrix.indptr[:-1]], mdp.pair_offsets[:-1])
+    return np.where(mdp.terminal, mdp.n_states, lowest)
+
+
+def runs_in_order(mdp: MDP) -> Integers:
+    """Return where runs of states begin that do not lead to each other; the last entry is S.
+
+    For states numbered in order. A terminal state is a run of its own.
+    """
+    least, ends = _least_successor(mdp).tolist(), mdp.terminal.tolist()
+    cuts = [mdp.n_states]
+    for state in range(mdp.n_states - 1, 0, -1):
+        if least[state - 1] < cuts[-1] or ends[state] or ends[state - 1]:
+            cuts.append(state)
+    return np.array([0, *cuts[::-1]])
 
 
 def _levels_in_order(mdp: MDP) -> Integers:
     """Return the levels of states numbered in order, a run of unconnected states at a time."""
     offsets, successors = _successors(mdp)
-    least = _least_successor(mdp).tolist()
     level = np.zeros(mdp.n_states, dtype=np.int64)
-    last = mdp.n_states
-    while last:
-        first = last - 1
-        while first and least[first - 1] >= last:
-            first -= 1
-        begin, end = offsets[first], offsets[last]
-        above = np.maximum.reduceat(level[successors[begin:end]], offsets[first:last] - begin)
-        level[first:last] = np.where(mdp.terminal[first:last], 0, above + 1)
-        last = first
+    cuts = runs_in_order(mdp).tolist()
+    for first, last in zip(cuts[-2::-1], cuts[:0:-1], strict=True):
+        if not mdp.terminal[first]:
+            begin, end = offsets[first], offsets[last]
+            above = np.maximum.reduceat(level[successors[begin:end]], offsets[first:last] - begin)
+            level[first:last] = above + 1
     return level

@@ -28,6 +28,7 @@ from mdp.table import exact
 
 if TYPE_CHECKING:
     from mdp.model import MDP
+    from mdp.operator import CareOperator
 
 READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -44,7 +45,8 @@ READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Every reading with its options, the default first."""
 
 SKIP = "skip"
-MOST_TRANSITIONS = 200_000_000  # about 10 GB while compiling
+MOST_STATUSES = 14
+MOST_STATES = 200_000_000  # 27 bytes for each while solving without a matrix: 5.4 GB
 SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
 
 
@@ -219,8 +221,16 @@ class Scenario:
     def compile(self) -> MDP:
         """Return the explicit model: one exact row for every state and action."""
         from mdp.compile import compile_scenario
+        from mdp.explicit_size import check_explicit
 
+        check_explicit(self)
         return compile_scenario(self)
+
+    def operator(self) -> CareOperator:
+        """Return the same model without its matrix, for scenarios of up to 14 statuses."""
+        from mdp.operator import care_operator
+
+        return care_operator(self)
 
 
 def as_tasks(value: object) -> tuple[int, ...]:
@@ -281,15 +291,18 @@ def check_scenario(scenario: Scenario) -> None:
     as_discount(scenario.discount)
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
-    vectors = 2 ** len(scenario.statuses)
-    states = sum(scenario.tasks) * scenario.trials * vectors
-    most = states * len(scenario.actions) * vectors
-    if most > MOST_TRANSITIONS or len(scenario.statuses) > 10:
+    states = sum(scenario.tasks) * scenario.trials * 2 ** len(scenario.statuses)
+    if states > MOST_STATES:
         raise ModelError(
-            f"the explicit model would have {states:,} states and up to {most:,} transitions, "
-            f"more than {MOST_TRANSITIONS:,}, or more than 10 statuses",
+            f"the model would have {states:,} states, more than {MOST_STATES:,}",
             where=f"scenario {scenario.name}",
             fix="use fewer subtasks, trials or statuses",
+        )
+    if len(scenario.statuses) > MOST_STATUSES:
+        raise ModelError(
+            f"{len(scenario.statuses)} statuses, more than {MOST_STATUSES}",
+            where=f"scenario {scenario.name}",
+            fix="merge statuses",
         )
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from mdp.chain import numbered_in_order
 from mdp.errors import ModelError, suggest
 from mdp.model import MDP
 from solvers.backward_induction import BackwardInduction
@@ -35,9 +36,12 @@ from solvers.solution import (
 from solvers.value_iteration import ValueIteration
 
 if TYPE_CHECKING:
+    from mdp.operator import CareOperator
     from solvers.certificate import BoundedCertificate, Certificate, certify
     from solvers.evaluation import evaluate
+    from solvers.operator import operator_mean
     from solvers.returns import return_distribution
+    from solvers.robust import solve_robust
     from solvers.simulation import simulate
 
 __all__ = [
@@ -60,9 +64,11 @@ __all__ = [
     "ValueIteration",
     "certify",
     "evaluate",
+    "operator_mean",
     "return_distribution",
     "simulate",
     "solve",
+    "solve_robust",
 ]
 
 SOLVERS: dict[str, type[Solver]] = {
@@ -77,17 +83,20 @@ _LATER = {
     "Certificate": "solvers.certificate",
     "certify": "solvers.certificate",
     "evaluate": "solvers.evaluation",
+    "operator_mean": "solvers.operator",
     "return_distribution": "solvers.returns",
     "simulate": "solvers.simulation",
+    "solve_robust": "solvers.robust",
 }
 
 
-def solve(mdp: MDP, solver: Solver | str | None = None) -> Solution:
+def solve(mdp: MDP | CareOperator, solver: Solver | str | None = None) -> Solution:
     """Return optimal values and a policy, with bounds on their error.
 
     Parameters
     ----------
-    mdp : MDP
+    mdp : MDP or CareOperator
+        An operator (`Scenario.operator`) is solved by backward induction.
     solver : Solver or str, optional
         A solver with its settings, or a name in `SOLVERS`; unless given (or "auto"), backward
         induction for models without cycles and modified policy iteration for others.
@@ -99,17 +108,38 @@ def solve(mdp: MDP, solver: Solver | str | None = None) -> Solution:
     SolverError
         Where a solver reaches a limit: of iterations, or of double precision.
     """
+    if not isinstance(mdp, MDP):
+        return _solve_operator(mdp, solver)
     if solver is None or solver == "auto":
-        solver = ModifiedPolicyIteration() if levels(mdp) is None else BackwardInduction()
+        acyclic = numbered_in_order(mdp) or levels(mdp) is not None
+        solver = BackwardInduction() if acyclic else ModifiedPolicyIteration()
     if isinstance(solver, str):
-        if solver not in SOLVERS:
-            fix = suggest(solver, [*SOLVERS, "auto"])
-            raise ModelError(f"unknown solver {solver!r}", where="solve", fix=fix)
+        _check_name(solver)
         solver = SOLVERS[solver]()
     if isinstance(solver, type):
         name = solver.__name__
         raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")
     return solver.solve(mdp)
+
+
+def _check_name(solver: str) -> None:
+    if solver not in SOLVERS and solver != "auto":
+        fix = suggest(solver, [*SOLVERS, "auto"])
+        raise ModelError(f"unknown solver {solver!r}", where="solve", fix=fix)
+
+
+def _solve_operator(operator: CareOperator, solver: Solver | str | None) -> Solution:
+    from solvers.operator import METHOD, solve_operator
+
+    if isinstance(solver, str):
+        _check_name(solver)
+    if solver in (None, "auto", METHOD) or isinstance(solver, BackwardInduction):
+        return solve_operator(operator)
+    raise ModelError(
+        "an operator is solved by backward induction alone",
+        where=f"operator {operator.name}",
+        fix="leave the solver out, or compile the scenario",
+    )
 
 
 def __getattr__(name: str) -> Any:

@@ -8,13 +8,18 @@ sound in floating point) and `Estimated` (a sample mean and its standard error).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mdp.model import MDP
 from mdp.table import Floats, Integers
+
+if TYPE_CHECKING:
+    from solvers.program import ProgramRun
 
 
 class Claim(StrEnum):
@@ -98,7 +103,12 @@ class Certified:
         return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
 
     def __str__(self) -> str:
-        return f"{self.value} ({self.claim})"
+        text = str(self.value)
+        return f"{text if len(text) <= 24 else f'≈ {_decimal(self.value):.12g}'} ({self.claim})"
+
+
+def _decimal(value: Fraction) -> Decimal:
+    return Decimal(value.numerator) / Decimal(value.denominator)  # beyond floats' range, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +192,8 @@ class Solution:
         V(s) less the value of taking the pair and then acting optimally; from a linear program.
     occupancy : (L,), optional
         Expected discounted number of uses of each pair from the start; from a linear program.
+    program : ProgramRun, optional
+        What a linear program took, and the bounds that its two sides give.
     """
 
     mdp: MDP
@@ -197,6 +209,7 @@ class Solution:
     claim: Claim = Claim.BOUNDED
     gaps: Floats | None = None
     occupancy: Floats | None = None
+    program: ProgramRun | None = None
 
     def __post_init__(self) -> None:
         for array in (self.value, self.pairs, self.state_error, self.gaps, self.occupancy):

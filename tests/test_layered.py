@@ -1,0 +1,247 @@
+"""Acyclic models: two forms of one pass, its error bounds, and how repeated blocks are laid out."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from fractions import Fraction as F
+
+import numpy as np
+import pytest
+from cases.reference import evaluate_exact, solve_exact
+from hypothesis import given
+from own_scenarios import check_own, own_text
+from strategies import Rows, exact_values, models
+
+from mdp import MDP, ModelError, Scenario, blocks
+from mdp.chain import is_acyclic, numbered_in_order, runs_in_order, topological_levels
+from mdp.explicit_size import Size, check_explicit
+from mdp.scenario import READINGS
+from mdp.scenario_file import parse
+from mdp.table import OutcomeTable
+from mdp.validate import check_model
+from solvers import BackwardInduction, SolverError, solve
+from solvers import backward_induction as layered
+
+FIELDS = ("value", "pairs", "level", "above", "below")
+
+
+def acyclic(rows: Rows, *, floats: bool) -> MDP | None:
+    mdp = rows.model(floats=floats)
+    return mdp if is_acyclic(mdp) else None
+
+
+@pytest.mark.parametrize("floats", [False, True])
+@given(rows=models())
+def test_both_forms_of_the_pass_give_the_same_bits(floats: bool, rows: Rows) -> None:
+    mdp = acyclic(rows, floats=floats)
+    if mdp is None:
+        return
+    levels = [topological_levels(mdp)]
+    levels += [None] if numbered_in_order(mdp) else []
+    passes = [
+        form(mdp, level)
+        for level in levels
+        for form in (layered._array_pass, layered._compiled_pass)
+    ]
+    for found in passes[1:]:
+        for name in FIELDS:
+            assert np.array_equal(getattr(found, name), getattr(passes[0], name)), name
+    assert passes[0].level.tolist() == levels[0].tolist()
+
+
+@given(rows=models())
+def test_the_bounds_hold_for_the_policy_and_the_optimum(rows: Rows) -> None:
+    mdp = acyclic(rows, floats=False)
+    if mdp is None:
+        return
+    found = solve(mdp, BackwardInduction())
+    best, _ = solve_exact(rows.n_states, rows.pairs, rows.discount)
+    policy = dict(enumerate(found.policy.tolist()))
+    worth = evaluate_exact(rows.n_states, rows.pairs, rows.discount, policy)
+    for optimum, reached, value, error in zip(
+        best, worth, exact_values(found.value), found.state_error.tolist(), strict=True
+    ):
+        assert abs(optimum - value) <= F(error)
+        assert abs(reached - value) <= F(error)
+        assert optimum - reached <= F(found.regret_bound)
+
+
+def test_rows_of_floats_that_sum_to_a_little_more_than_1_are_allowed_for() -> None:
+    """A chain of 400 states whose rows have an excess; its exact values grow with each step."""
+    p = np.nextafter(0.5, 1) + 2.0**-34
+    rows = [(s, 0, [(p, s + 1, 1.0), (p, min(s + 2, 400), 1.0)]) for s in range(400)]
+    mdp = MDP.from_outcomes([*rows, (400, 0, [(1.0, 400, 0.0)])])
+    value, exact = [F(0)] * 402, F(p)
+    for s in range(399, -1, -1):
+        value[s] = 2 * exact + exact * (value[s + 1] + value[min(s + 2, 400)])
+    found = solve(mdp, BackwardInduction())
+    assert all(
+        abs(F(float(v)) - exact) <= F(float(e))
+        for v, exact, e in zip(found.value, value[:401], found.state_error, strict=True)
+    )
+    assert found.error_bound < 1e-8
+
+
+def test_an_order_that_is_not_that_of_the_numbers() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[3, 1]).compile()
+    turn = np.random.default_rng(7).permutation(mdp.n_states)
+    order = np.argsort(turn[mdp.pair_state], kind="stable")
+    other = MDP.from_pairs(
+        turn[mdp.pair_state][order],
+        mdp.pair_action[order],
+        mdp.transition[order][:, np.argsort(turn)],
+        mdp.reward[order],
+        start=int(turn[0]),
+    )
+    assert not numbered_in_order(other)
+    found, known = solve(other), solve(mdp)
+    assert found.method == "backward-induction"
+    gap = np.abs(found.value[turn] - known.value)
+    assert (gap <= found.state_error[turn] + known.state_error + 1e-12).all()
+
+
+def test_runs_do_not_lead_to_themselves() -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    cuts = runs_in_order(mdp)
+    assert np.diff(cuts).max() == 16
+    assert (cuts[0], cuts[-1]) == (0, mdp.n_states)
+
+
+def test_large_models_are_solved_by_the_compiled_form() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[40]).compile()
+    assert layered.LOADED_FROM < mdp.n_transitions < layered.COMPILED_FROM
+    found = layered._array_pass(mdp, None)
+    compiled = layered._compiled_pass(mdp, None)
+    for name in FIELDS:
+        assert np.array_equal(getattr(found, name), getattr(compiled, name))
+    for one in (found, compiled):
+        assert np.array_equal(one.errors(mdp)[0], found.errors(mdp)[0])
+
+
+@pytest.mark.parametrize(
+    ("row", "joint"),
+    [
+        ([(F(1), 1, F(1, 10**400))], False),
+        ([(F(1), 1, F(-1, 10**400))], False),
+        ([(F(1, 2), 1, F(1, 10**400)), (F(1, 2), 1, F(2, 10**400))], True),
+        ([(1e-200, 1, 1e-200), (1 - 1e-200, 1, 0.0)], True),
+    ],
+)
+def test_rewards_below_the_range_of_floats_are_allowed_for(
+    row: list[tuple[object, int, object]], joint: bool
+) -> None:
+    end = [(type(row[0][0])(1), 1, type(row[0][2])(0))]
+    mdp = MDP.from_outcomes([(0, 0, row), (1, 0, end)])
+    assert mdp.table.joint is joint
+    exact = sum(F(p) * F(r) for p, _, r in row)
+    found = solve(mdp, BackwardInduction())
+    assert exact != 0
+    assert found.value[0] == 0
+    assert abs(exact) <= F(float(found.state_error[0])) < F(1, 10**280)
+
+
+def test_values_that_are_0_have_no_error() -> None:
+    rows = [(0, 0, [(F(1), 1, F(0))]), (1, 0, [(F(1), 1, F(0))])]
+    assert solve(MDP.from_outcomes(rows), BackwardInduction()).state_error.tolist() == [0, 0]
+
+
+def test_values_beyond_the_range_of_floats_are_refused() -> None:
+    rows = [(s, 0, [(1.0, s + 1, 1e308)]) for s in range(3)] + [(3, 0, [(1.0, 3, 0.0)])]
+    with pytest.raises(SolverError, match="range of floats"):
+        solve(MDP.from_outcomes(rows), BackwardInduction())
+
+
+# ---- sizes -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("option", READINGS["skip_timestep"])
+@pytest.mark.parametrize("cost", READINGS["status_cost"])
+@pytest.mark.parametrize("onset", READINGS["skip_onset"])
+@pytest.mark.parametrize("bonus", ["always", "no-subtask-skipped"])
+@pytest.mark.parametrize("tasks", [[1], [2, 1]])
+def test_the_size_of_a_table_is_known_beforehand(
+    option: str, cost: str, onset: str, bonus: str, tasks: list[int]
+) -> None:
+    readings = {"skip_timestep": option, "status_cost": cost}
+    readings |= {"skip_onset": onset, "task_bonus": bonus}
+    scenario = Scenario.load("yuan2025").with_(tasks=tasks, max_trial=2, readings=readings)
+    size, table = Size(scenario), scenario.compile().table
+    assert len(table.next) <= size.outcomes <= 3 * len(table.next)
+    assert max(int(bottom) for bottom in table.denominator) <= size.denominator
+
+
+def weighted(
+    statuses: int, *, same: bool, subtasks: int = 2, base: F = F(1, 10**12 + 39)
+) -> Scenario:
+    """Made-up numbers, one trial; statuses that weigh the same, or all sums of them distinct."""
+    numbers = {f"reward.s{i}": -1 if same else -(2**i) for i in range(statuses)}
+    scenario = parse(own_text(statuses, 2))
+    numbers |= {"base.s0": base, "base.s1": base}
+    return scenario.with_(tasks=[subtasks], max_trial=1, parameters=numbers)
+
+
+@pytest.mark.parametrize("statuses", [3, 5])
+@pytest.mark.parametrize("same", [True, False])
+@pytest.mark.parametrize("base", [F(1, 3), F(1, 10**12 + 39)])
+def test_last_trials_of_statuses_with_weights_of_their_own(
+    statuses: int, same: bool, base: F
+) -> None:
+    scenario = weighted(statuses, same=same, base=base)
+    table, size = scenario.compile().table, Size(scenario)
+    assert (table.weight.dtype == object) == (base != F(1, 3))
+    assert (size.denominator >= 2**62) == (base != F(1, 3))
+    check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
+    assert len(table.next) <= size.outcomes
+
+
+def test_a_few_present_vectors_at_a_time_make_the_same_table(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = weighted(5, same=False).compile().table
+    monkeypatch.setattr(blocks, "ENTRIES", 1)
+    parts = weighted(5, same=False).compile().table
+    for field in fields(OutcomeTable):
+        assert np.array_equal(getattr(whole, field.name), getattr(parts, field.name)), field.name
+
+
+def test_what_is_too_large_to_build_is_refused_for_a_reason_that_is_true() -> None:
+    scenario = Scenario.load("yuan2025").with_(tasks=[90_000])
+    with pytest.raises(ModelError, match=r"7,200,000 states and up to [\d,]+ outcomes") as refused:
+        scenario.compile()
+    assert "statuses, more" not in refused.value.what
+    for way in ("--operator", "Scenario.operator()"):
+        assert way in refused.value.fix
+    with pytest.raises(ModelError, match=r"^11 statuses, more than the 10") as refused:
+        parse(own_text(11, 2)).compile()
+    assert "outcomes" not in refused.value.what
+    # 9 statuses have as many transitions either way, but not as many outcomes.
+    check_explicit(weighted(9, same=True, subtasks=4))
+    with pytest.raises(ModelError, match=r"2,048 states and up to [\d,]+ outcomes of 230 bytes"):
+        check_explicit(weighted(9, same=False, subtasks=4))
+    check_explicit(weighted(9, same=False, subtasks=4, base=F(1, 3)))
+
+
+# ---- blocks that repeat ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tasks", [[4], [1, 2], [3, 1, 2], [1, 1, 1], [2, 2]])
+@pytest.mark.parametrize("reading", ["skip_timestep", "task_bonus", "status_cost"])
+def test_a_layout_of_repeated_blocks_is_a_checked_model(tasks: list[int], reading: str) -> None:
+    option = READINGS[reading][-1]
+    scenario = Scenario.load("yuan2025").with_(tasks=tasks, readings={reading: option})
+    mdp = scenario.compile()
+    check_model(mdp)
+    again = mdp.with_(name="again")  # built anew from the table, with everything derived anew
+    for name in ("pair_offsets", "reward", "components"):
+        assert np.array_equal(getattr(mdp, name), getattr(again, name)), name
+    for name in ("data", "indices", "indptr"):
+        array, other = getattr(mdp.transition, name), getattr(again.transition, name)
+        assert np.array_equal(array, other), name
+        assert array.dtype == other.dtype
+        assert not array.flags.writeable
+    assert np.array_equal(mdp.terminal, again.terminal)
+    # The bonus is paid in the last subtask of each task, and nowhere else.
+    bonus = mdp.components[:, mdp.component_names.index("task-complete")]
+    paid = {int(k) for k in mdp.space.values("subtask")[mdp.pair_state[bonus != 0]]}
+    assert paid == set((np.cumsum(tasks) - 1).tolist())
+    assert np.allclose(mdp.components.sum(axis=1), mdp.reward, atol=1e-12)
