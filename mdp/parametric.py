@@ -70,6 +70,8 @@ class Family:
         1 where left out.
     breaks : {name: breakpoints}
         None where left out.
+    rows : {label: parameter names}
+        Parameters that are probabilities of one row, which are drawn together.
 
     Examples
     --------
@@ -86,6 +88,7 @@ class Family:
     name: str = "model"
     degrees: Mapping[str, int] = field(default_factory=dict)
     breaks: Mapping[str, Sequence[Fraction]] = field(default_factory=dict)
+    rows: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
@@ -214,7 +217,9 @@ def _entry(mdp: MDP, pair: int, state: int) -> Fraction:
 
 
 def _rest(mdp: MDP, pair: int, states: Mapping[int, str]) -> Fraction:
-    rest = 1 - sum((_entry(mdp, pair, state) for state in states), Fraction(0))
+    # What is there, not 1 less the others: float rows sum to 1 only up to rounding.
+    outcomes = mdp.table.row(pair)
+    rest = sum((p for p, following, _ in outcomes if following not in states), Fraction(0))
     if rest <= 0 or any(_entry(mdp, pair, state) == 0 for state in states):
         raise ModelError(
             "an entry of probability 0, or a row in which nothing is left to make room",

@@ -1,0 +1,153 @@
+"""Intervals of what a sample tells: shares, quantiles, and the tolerances of acceptability curves.
+
+Shares have Wilson's interval (Wilson, Journal of the American Statistical Association 22, 1927),
+quantiles that of order statistics, which assumes nothing of the distribution's shape.
+
+A mean of losses is often carried by few draws: most draws lose nothing, some lose much. The normal
+interval then ends too low. Here the t statistic is freed of its skewness γ by Hall's cubic (Journal
+of the Royal Statistical Society B 54, 1992),
+
+    T = (m - μ) / s,    g(T) = T + γ T² / 3 + γ² T³ / 27 + γ / (6 n),
+
+g(T) √n being normal to a higher order, and how many draws carry the mean is told, (Σ x)² / Σ x².
+Where they are fewer than 50, no interval made of the sample alone is to be relied on: what was not
+drawn may carry more than what was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mdp.table import Floats
+from solvers.solution import Estimated
+
+NORMAL = 1.959963984540054
+FEW = 50.0  # draws that carry a mean
+QUANTILES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantile:
+    """A quantile of a sample, with the 95 % interval of order statistics."""
+
+    probability: float
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanLoss(Estimated):
+    """A mean of numbers that are not negative, with an interval that heeds their skewness.
+
+    Attributes
+    ----------
+    low, high : float
+        Ends of the 95 % interval.
+    carried : float
+        Effective number of draws that carry the mean.
+
+    Examples
+    --------
+    >>> found = mean_loss(np.array([0.0] * 98 + [1.0, 1.0]))
+    >>> round(found.value, 4), [round(end, 4) for end in found.interval], found.few
+    (0.02, [0.0007, 0.1277], True)
+    """
+
+    low: float
+    high: float
+    carried: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval."""
+        return self.low, self.high
+
+    @property
+    def few(self) -> bool:
+        """Whether so few draws carry the mean that the interval may be too short."""
+        return self.carried < FEW
+
+
+def mean_of(values: Floats) -> Estimated:
+    """Return the mean of independent values with its standard error."""
+    spread = float(values.std(ddof=1)) if len(values) > 1 else float("inf")
+    return Estimated(value=float(values.mean()), standard_error=spread / len(values) ** 0.5)
+
+
+def mean_loss(values: Floats) -> MeanLoss:
+    """Return the mean of independent losses, none below 0, with Hall's interval."""
+    plain, count = mean_of(values), len(values)
+    size = float(values.max(initial=0.0))
+    scaled = values / size if size > 0 else values
+    sd = float(scaled.std())
+    square = float(scaled @ scaled)
+    carried = float(scaled.sum()) ** 2 / square if square > 0 else 0.0
+    low, high = plain.interval
+    if sd > 0:
+        skewness = float((((scaled - scaled.mean()) / sd) ** 3).mean())
+        ends = np.array([NORMAL, -NORMAL]) / count**0.5
+        if abs(skewness) > 1e-6:
+            inner = 1 + skewness * (ends - skewness / (6 * count))
+            ends = 3 / skewness * (np.cbrt(inner) - 1)
+        low, high = (plain.value - plain.standard_error * count**0.5 * ends).tolist()
+    return MeanLoss(
+        value=plain.value,
+        standard_error=plain.standard_error,
+        low=min(max(low, 0.0), plain.value),
+        high=max(high, plain.value),
+        carried=carried,
+    )
+
+
+def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
+    """Return tolerances Δ for acceptability curves of some policies.
+
+    0, and a geometric grid from a ten-thousandth of the largest 99 % quantile of regret up to it.
+    """
+    most = max(float(np.quantile(regret, 0.99)) for regret in regrets)
+    return np.append(0.0, np.geomspace(1e-4 * most, most, count - 1)) if most > 0 else np.zeros(1)
+
+
+def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> list[Quantile]:
+    """Return quantiles of a sample, with 95 % intervals that assume nothing of its shape."""
+    ordered, count = np.sort(values), len(values)
+    found = []
+    for p in probabilities:
+        reach = NORMAL * np.sqrt(count * p * (1 - p))
+        low, high = int(np.floor(count * p - reach)) - 1, int(np.ceil(count * p + reach))
+        found.append(
+            Quantile(
+                probability=p,
+                value=float(np.quantile(ordered, p)),
+                low=float(ordered[max(low, 0)]),
+                high=float(ordered[min(high, count - 1)]),
+            )
+        )
+    return found
+
+
+def wilson(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:
+    """Return the ends of Wilson's 95 % interval of a share (Wilson, JASA 22, 1927).
+
+    Examples
+    --------
+    >>> [round(float(end), 4) for end in wilson(0, 100)]
+    [0.0, 0.037]
+    """
+    share, square = np.asarray(successes) / count, NORMAL**2
+    middle = (share + square / (2 * count)) / (1 + square / count)
+    half = np.sqrt(share * (1 - share) / count + square / (4 * count**2)) * NORMAL
+    half = half / (1 + square / count)
+    low = np.where(share == 0, 0.0, middle - half)
+    return low, np.where(share == 1, 1.0, middle + half)
+
+
+def share_of(successes: int, count: int) -> Estimated:
+    """Return a share of a sample with its standard error."""
+    share = successes / count
+    return Estimated(value=share, standard_error=(share * (1 - share) / count) ** 0.5)

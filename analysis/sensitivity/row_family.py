@@ -1,0 +1,80 @@
+"""Any model as a parametric one: the probabilities of its random rows are its parameters.
+
+Each row with more than one outcome is a distribution: all of its probabilities but the largest are
+parameters, and what they leave is the largest one's. Drawn together, they are Dirichlet, which the
+family's `rows` tell. Rows made of floats, whose sum may be off by a rounding error, are first
+scaled to sum to 1 exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.parametric import Family, moving
+
+MOST_ROWS = 2000
+
+
+def row_family(mdp: MDP) -> tuple[Family, dict[str, tuple[str, ...]]]:
+    """Return the family, and the parameters of each row by the row's label.
+
+    Raises
+    ------
+    ModelError
+        Where no row is random, or more than 2,000 are.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
+    >>> family, rows = row_family(mdp)
+    >>> rows
+    {'(state 0, 0)': ('(state 0, 0): to state 1', '(state 0, 0): to state 2')}
+    """
+    mdp = _summing_to_one(mdp)
+    entries: dict[str, list[tuple[int, int]]] = {}
+    rows: dict[str, tuple[str, ...]] = {}
+    labels = mdp.space.labels(range(mdp.n_states))
+    for pair in range(mdp.n_pairs):
+        chance: dict[int, Fraction] = {}
+        for probability, following, _ in mdp.table.row(pair):
+            chance[following] = chance.get(following, Fraction(0)) + probability
+        if len(chance) < 2:
+            continue
+        largest = max(chance, key=lambda state: (chance[state], -state))
+        state, action = int(mdp.pair_state[pair]), int(mdp.pair_action[pair])
+        label = f"({labels[state]}, {mdp.actions[action]})"
+        names = {s: f"{label}: to {labels[s]}" for s in sorted(chance) if s != largest}
+        entries |= {name: [(pair, s)] for s, name in names.items()}
+        rows[label] = tuple(names.values())
+    if not 0 < len(rows) <= MOST_ROWS:
+        raise ModelError(
+            f"{len(rows):,} rows of the model are random",
+            where="rows as parameters",
+            fix=f"name the parameters that matter (mdp.parametric.moving), or take a model with 1 "
+            f"to {MOST_ROWS:,} of them",
+        )
+    return replace(moving(mdp, entries), rows=rows), rows
+
+
+def _summing_to_one(mdp: MDP) -> MDP:
+    """Return the model with rows that sum to 1 exactly."""
+    rows, changed = [], False
+    for pair in range(mdp.n_pairs):
+        outcomes = mdp.table.row(pair)
+        total = sum((p for p, _, _ in outcomes), Fraction(0))
+        changed |= total != 1
+        scaled = [(p / total, state, gain) for p, state, gain in outcomes]
+        rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), scaled))
+    if not changed:
+        return mdp
+    return MDP.from_outcomes(
+        rows,
+        mdp.discount_exact,
+        start=dict(mdp.start),
+        space=mdp.space,
+        actions=mdp.actions,
+        name=mdp.name,
+    )

@@ -1,0 +1,106 @@
+"""Figures of the probabilistic analysis: what stands on the axes is what was found."""
+
+import matplotlib
+import numpy as np
+import pytest
+
+from analysis.plots.psa import (
+    plot_acceptability,
+    plot_evppi,
+    plot_expected_loss,
+    plot_optimal_actions,
+    plot_start_values,
+)
+from analysis.sensitivity.distributions import uncertainty
+from analysis.sensitivity.expected_loss import expected_loss
+from analysis.sensitivity.psa import PSA, psa
+from mdp import ModelError, Scenario
+from mdp.parametric import parametric
+
+matplotlib.use("Agg")
+SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+
+
+@pytest.fixture(scope="module")
+def found() -> PSA:
+    return psa(SMALL, 800, seed=0, effective_sample_size=10)
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    from matplotlib import pyplot
+
+    yield
+    pyplot.close("all")
+
+
+def test_the_acceptability_curve_is_the_distribution_of_the_regret(found: PSA) -> None:
+    ax = plot_acceptability(found, tolerances=[0, 0.01, 0.1, 1])
+    shares = [(found.regret() <= t).mean() for t in (0, 0.01, 0.1, 1)]
+    assert np.allclose(ax.lines[0].get_ydata(), shares)
+    both = plot_acceptability(found, candidates=range(min(2, len(found.candidates))))
+    assert both.lines[0].get_ydata()[-1] >= 0.98
+    assert "Δ (reward)" in both.get_xlabel()
+    ticks, near = both.get_xticks(), both.xaxis.get_transform().linthresh
+    assert ticks[0] == 0
+    assert len(ticks) > 1
+    assert (ticks[1:] > near).all()  # none stands upon the 0
+
+
+def test_a_policy_that_never_loses_has_a_curve_too() -> None:
+    weights = uncertainty(
+        parametric(SMALL), {"reward": {"relative_sd": 1e-6}}, names=["reward.timestep"]
+    )
+    sure = psa(SMALL, 50, seed=0, uncertain=weights)
+    ax = plot_acceptability(sure)
+    assert list(ax.lines[0].get_ydata()) == [1.0]
+    assert plot_start_values(sure).get_xlabel()
+
+
+def test_the_heat_map_shows_shares_of_draws(found: PSA) -> None:
+    ax = plot_optimal_actions(found)
+    assert np.allclose(ax.images[0].get_array(), found.probability_optimal()[0])
+    assert [each.get_text() for each in ax.get_yticklabels()] == list(found.labels)
+
+
+def test_the_histogram_counts_every_draw(found: PSA) -> None:
+    ax = plot_start_values(found)
+    heights = [each.get_height() for each in ax.patches if hasattr(each, "get_height")]
+    assert sum(heights[:60]) == len(found)
+
+
+def test_the_bars_of_evppi_are_in_order(found: PSA) -> None:
+    ax = plot_evppi(found.evppi(), most=5)
+    widths = [each.get_width() for each in ax.patches]
+    assert widths == sorted(widths, reverse=True)
+    assert len(widths) == 5
+
+
+def test_expected_losses_are_drawn_at_their_points() -> None:
+    curve = expected_loss(SMALL, {"a": "optimal", "b": "random"}, [10, 100], seed=0, samples=50)
+    ax = plot_expected_loss(curve)
+    assert ax.get_xscale() == ax.get_yscale() == "log"
+    assert {line.get_label() for line in ax.lines} >= {"best of these"}
+    assert "observations" in ax.get_xlabel()
+    bars = [segment[:, 1] for bar in ax.containers for segment in bar[2][0].get_segments()]
+    assert np.min(bars) > 0
+    ends = np.column_stack([curve.low.T.reshape(-1), curve.high.T.reshape(-1)])
+    floor = ax.lines[0].get_ydata().min() / 10
+    assert np.allclose(bars, np.maximum(ends, floor), rtol=1e-9, atol=floor)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"points": []}, "0 points"),
+        ({"samples": 1}, "1 draws"),
+        ({"policies": {}}, "0 policies"),
+        ({"points": [0]}, "sample size 0"),
+        ({"points": [2], "along": "base.anger"}, "outside"),
+        ({"along": "base.angre"}, "did you mean"),
+    ],
+)
+def test_curves_that_cannot_be_are_refused(words: dict[str, object], message: str) -> None:
+    given = {"policies": {"a": "optimal"}, "points": [10], "seed": 0, "samples": 5} | words
+    with pytest.raises(ModelError, match=message):
+        expected_loss(SMALL, **given)
