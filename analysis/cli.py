@@ -18,13 +18,26 @@ import click
 from analysis.cli_check import check
 from analysis.cli_evaluate import evaluate, returns, simulate
 from analysis.cli_model import convert, info
+from analysis.cli_perception import perception
 from analysis.cli_sensitivity import sensitivity
 from analysis.cli_solve import solve
 from analysis.cli_train import train
 from analysis.cli_verify import verify
 
 PROGRAM = "exact-mdp"
-COMMANDS = (info, solve, evaluate, returns, simulate, verify, convert, check, train, sensitivity)
+COMMANDS = (
+    info,
+    solve,
+    evaluate,
+    returns,
+    simulate,
+    verify,
+    convert,
+    check,
+    train,
+    sensitivity,
+    perception,
+)
 
 DONE, FAILED, REFUSED, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 

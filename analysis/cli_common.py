@@ -38,12 +38,12 @@ def model_options(function: Function) -> Function:
     return function
 
 
-perception_option = click.option(
-    "--perception",
-    metavar="FILE",
-    help="The policy acts on a perceived status: a confusion matrix as .csv, or .toml with "
-    "sensitivity and specificity.",
+PERCEPTION_HELP = (
+    "The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity "
+    "and specificity, or labelled examples (.csv true,perceived; .jsonl)."
 )
+
+perception_option = click.option("--perception", metavar="FILE", help=PERCEPTION_HELP)
 
 
 def policy_of(mdp: MDP, form: str, perception: str | None = None) -> Policy:

@@ -136,7 +136,7 @@ class Relaxations:
     def __init__(self, rows: Rows) -> None:
         mdp = rows.mdp
         self.rows = rows
-        self.batch = max(1, min(256, CELLS // mdp.n_pairs))
+        self.batch: int = max(1, min(256, CELLS // mdp.n_pairs))
         self._live = ~mdp.terminal[mdp.pair_state]
         self._entries = rows.available.size
         # Pairs of states that have no choice, or are never reached, are always allowed.

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import combinations, count
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ from mdp.model import MDP
 from mdp.policy import Policy
 from mdp.table import Floats, Integers
 from solvers.solution import Bounded
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of max(1, |value|)
@@ -105,7 +108,20 @@ def best_policy(
     if node_limit < 1:
         raise ModelError(f"node_limit is {node_limit}", where="best_policy", fix="give 1 or more")
     rows = Rows.of(mdp, columns)
-    search = _Search(rows, start)
+    return searched(rows, Relaxations(rows), start=start, node_limit=node_limit)
+
+
+def searched(
+    rows: Rows, relaxations: Solver, *, start: Policy | None, node_limit: int
+) -> BestPolicy:
+    """Return what branch and bound finds among the policies that read some columns.
+
+    Parameters
+    ----------
+    relaxations : what bounds and evaluates them: `Relaxations(rows)`, or another with its methods
+    start, node_limit : as in `best_policy`
+    """
+    search = _Search(rows, relaxations, start)
     search.run(node_limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
@@ -161,6 +177,17 @@ def value_of_memory(
     return tuple(found)
 
 
+class Solver(Protocol):
+    """Bounds and values of many nodes at once, as `analysis.relaxation.Relaxations` has them."""
+
+    @property
+    def batch(self) -> int: ...
+
+    def expand(self, allowed: Flags, worth: float = ...) -> Expansion: ...
+
+    def evaluate(self, choices: Integers) -> tuple[Floats, Floats]: ...
+
+
 class _Search:
     """The best policy so far, and what bounds the others.
 
@@ -172,9 +199,9 @@ class _Search:
         No policy is worth more.
     """
 
-    def __init__(self, rows: Rows, start: Policy | None) -> None:
+    def __init__(self, rows: Rows, relaxations: Solver, start: Policy | None) -> None:
         self.rows = rows
-        self.relaxations = Relaxations(rows)
+        self.relaxations = relaxations
         self.nodes = 0
         self.value, self.error = -np.inf, 0.0
         self.choice: Integers = np.zeros(len(rows.asked), dtype=np.int64)
@@ -191,6 +218,12 @@ class _Search:
 
     def run(self, limit: int) -> None:
         """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
+        from tqdm import tqdm
+
+        with tqdm(desc="policies", unit=" nodes", delay=1, disable=None, leave=False) as bar:
+            self._run(limit, bar)
+
+    def _run(self, limit: int, bar: tqdm[Any]) -> None:
         heap, number = [(-self.upper, 0, self.root, self.split)], count(1)
         while heap:
             children = list[Flags]()
@@ -208,6 +241,7 @@ class _Search:
                 break
             for nodes in _batches(np.array(children), self.relaxations.batch):
                 found, rows = self._expand(nodes)
+                bar.update(len(nodes))
                 for i, row in zip(found.kept.tolist(), rows, strict=True):
                     heappush(heap, (-found.upper[i], next(number), nodes[i], row))
         self.upper = min(self.upper, max(self.cut, *(-entry[0] for entry in heap[:1]), -np.inf))

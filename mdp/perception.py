@@ -6,6 +6,9 @@ timestep. A policy π that acts on what it sees is, in the true state, the mixed
     π_C(a | s) = Σ_z C(s, z) π(a | z),
 
 which everything that evaluates policies takes as it is. The other columns are seen as they are.
+Files may state rationals; what is used is each number rounded to the nearest float, and so are the
+probabilities π_C. What is exact elsewhere is exact for these: 0.9 is then the dyadic number
+nearest to it.
 """
 
 from __future__ import annotations
@@ -48,7 +51,7 @@ def perceived(mdp: MDP, policy: object, confusion: ArrayLike) -> Policy:
     >>> perceived(mdp, {f"{s:04b}": "none" for s in range(16)}, blind).weights(mdp)[:4]
     array([1., 0., 0., 0.])
     """
-    matrix = checked(confusion, size=_status_size(mdp), where="confusion matrix")
+    matrix = checked(confusion, size=status_size(mdp), where="confusion matrix")
     by_action = np.zeros((mdp.n_states, mdp.n_actions))
     by_action[mdp.pair_state, mdp.pair_action] = Policy.of(mdp, policy).weights(mdp)
     regular = mdp.space.regular
@@ -85,33 +88,72 @@ def checked(confusion: ArrayLike, *, size: int, where: str) -> Floats:
             where=where,
             fix=f"give {size} true by {size} perceived statuses",
         )
-    wrong = ~((matrix >= 0).all(axis=1) & (abs(matrix.sum(axis=1) - 1) <= FLOAT_ROW_TOLERANCE))
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
+    bits = size.bit_length() - 1
+    labels = [format(number, f"0{bits}b") for number in range(size)]
+    below = np.argwhere(~(matrix >= 0))
+    if len(below):
+        row, column = below[0].tolist()
         raise ModelError(
-            f"row {row} sums to {matrix[row].sum():.12g}, or has a negative number",
-            where=where,
-            fix="give probabilities that sum to 1 in each row",
+            f"status {labels[row]} is seen as {labels[column]} with probability "
+            f"{matrix[row, column]:.12g}",
+            where=f"{where}, row {row}",
+            fix="give a number from 0 to 1",
         )
+    for row, label in enumerate(labels):
+        _check_sum(matrix[row], label, f"{where}, row {row}")
     return matrix
+
+
+def _check_sum(row: Floats, label: str, where: str) -> None:
+    total = float(row.sum())
+    if not abs(total - 1) <= FLOAT_ROW_TOLERANCE:
+        raise ModelError(
+            f"the row of status {label} sums to {total:.12g}, not 1",
+            where=where,
+            fix="correct a probability in this row, or add what is missing",
+        )
 
 
 def read(path: str | Path, mdp: MDP) -> Floats:
     """Return the confusion matrix that a file states.
 
     A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has the
-    tables `[sensitivity]` and `[specificity]` with a number for each status by name.
+    tables `[sensitivity]` and `[specificity]` with a number for each status by name. Examples that
+    are labelled count as their frequencies: a `.csv` with the header `true,perceived`, or the
+    `.jsonl` recording of a conversation (`mdp.perception_counts`). Numbers are read exactly, then
+    rounded to floats.
     """
-    size, where = _status_size(mdp), str(path)
+    size, where = status_size(mdp), str(path)
     suffix = Path(path).suffix.lower()
+    if holds_examples(path):
+        from mdp.perception_counts import read_counts
+
+        counts = read_counts(path, mdp)
+        if counts.missing:
+            raise ModelError(
+                counts.unlabelled,
+                where=where,
+                fix="label more; `exact-mdp perception` takes a --prior",
+            )
+        return checked(counts.mean, size=size, where=where)
     if suffix == ".csv":
         return checked(_from_csv(read_text(path), mdp, where), size=size, where=where)
     if suffix == ".toml":
         return checked(_from_toml(read_text(path), mdp, where), size=size, where=where)
-    raise ModelError(f"unknown kind of perception {where!r}", fix="give a .csv or .toml file")
+    raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
 
 
-def _status_size(mdp: MDP) -> int:
+def holds_examples(path: str | Path) -> bool:
+    """Return whether a file holds labelled examples: a recording, or a CSV of true,perceived."""
+    suffix = Path(path).suffix.lower()
+    if suffix != ".csv":
+        return suffix == ".jsonl"
+    header = read_text(path).partition("\n")[0]
+    return [word.strip() for word in header.split(",")] == ["true", "perceived"]
+
+
+def status_size(mdp: MDP) -> int:
+    """Return the number of status vectors; raises ModelError where there are none."""
     if "status" not in mdp.space.names or mdp.space.names[-1] != "status":
         raise ModelError(
             "the model has no statuses to perceive", where="perception", fix="use a scenario"
@@ -146,6 +188,7 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Floats:
                 fix="give one row for each status",
             )
         matrix[row] = [_number(word.strip(), place) for word in line[1:]]
+        _check_sum(matrix[row], labels[row], place)
     if np.isnan(matrix).any():
         missing = labels[int(np.flatnonzero(np.isnan(matrix[:, 0]))[0])]
         raise ModelError(f"the row of status {missing} is missing", where=where, fix="add it")

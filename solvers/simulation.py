@@ -122,7 +122,7 @@ def simulate(
     from tqdm import tqdm
 
     chain = PolicyChain.of(mdp, policy)
-    generator = _generator(episodes, seed, max_steps)
+    generator = generator_of(episodes, seed, max_steps)
     limit, size = _horizon(chain, max_steps)
     first, cumulative = _cumulative(chain)
     following, gain, event = chain.table.next, chain.gain, chain.table.event
@@ -162,9 +162,10 @@ def simulate(
     )
 
 
-def _generator(
-    episodes: int, seed: int | np.random.Generator, max_steps: int | None
+def generator_of(
+    episodes: int, seed: int | np.random.Generator, max_steps: int | None = None
 ) -> np.random.Generator:
+    """Return the generator of a seed, or raise ModelError for what is no count and no seed."""
     counts = {"episodes": episodes} | ({} if max_steps is None else {"max_steps": max_steps})
     for name, count in counts.items():
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:

@@ -127,7 +127,19 @@ def test_broken_files_are_refused(tmp_path: Path, name: str, text: str, what: st
 
 def test_rows_that_are_no_distribution(care: MDP, tmp_path: Path) -> None:
     rows: list[list[object]] = [[0] * 16 for _ in LABELS]
-    with pytest.raises(ModelError, match="row 0 sums to 0"):
+    with pytest.raises(ModelError, match="row of status 0000 sums to 0, not 1") as failed:
         read(as_csv(tmp_path / "a.csv", rows), care)
+    assert str(failed.value.where).endswith("a.csv, line 2")
+    matrix = np.eye(16)
+    matrix[3, 3] = 0.9
+    with pytest.raises(ModelError, match=r"row of status 0011 sums to 0.9, not 1") as failed:
+        perceived(care, "random", matrix)
+    assert failed.value.where == "confusion matrix, row 3"
+    matrix[3, [3, 5]] = 1.25, -0.25
+    with pytest.raises(ModelError, match=r"0011 is seen as 0101 with probability -0.25"):
+        perceived(care, "random", matrix)
+    matrix[3, [3, 5]] = 1, np.nan
+    with pytest.raises(ModelError):
+        perceived(care, "random", matrix)
     with pytest.raises(ModelError, match="no statuses"):
         perceived(MDP.from_arrays([[[1]]], [0]), "random", np.eye(16))

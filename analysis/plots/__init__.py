@@ -12,6 +12,13 @@ from analysis.plots.learning import (
     plot_regrets,
     plot_value_bands,
 )
+from analysis.plots.perception import (
+    plot_accuracy_curves,
+    plot_confusion,
+    plot_error_costs,
+    plot_hedging,
+    plot_prices,
+)
 from analysis.plots.policy import plot_policy_map
 from analysis.plots.returns import plot_return_distribution
 from analysis.plots.sensitivity import (
@@ -24,11 +31,16 @@ from analysis.plots.style import action_styles, save, style
 
 __all__ = [
     "action_styles",
+    "plot_accuracy_curves",
+    "plot_confusion",
     "plot_distinct",
+    "plot_error_costs",
+    "plot_hedging",
     "plot_influence",
     "plot_instability",
     "plot_learning_curves",
     "plot_policy_map",
+    "plot_prices",
     "plot_regrets",
     "plot_return_distribution",
     "plot_status_transitions",

@@ -11,6 +11,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from mdp.files import write_atomically
 
@@ -85,6 +86,30 @@ def axes_or_new(ax: Axes | None) -> Axes:
 
     _, fresh = plt.subplots()
     return fresh
+
+
+def titled(ax: Axes, text: str) -> Text:
+    """Set and return a title that is broken where it would be wider than its axes.
+
+    Breaks in the text are kept. Set the figure's size, and what its layout depends on, before.
+    """
+    title = ax.set_title("")
+    ax.figure.draw_without_rendering()  # type: ignore[union-attr]
+    room = ax.get_window_extent().width
+
+    def fits(words: Sequence[str]) -> bool:
+        title.set_text(" ".join(words))
+        return bool(title.get_window_extent().width <= room)
+
+    lines: list[list[str]] = []
+    for paragraph in text.split("\n"):
+        lines.append([])
+        for word in paragraph.split():
+            if lines[-1] and not fits([*lines[-1], word]):
+                lines.append([])
+            lines[-1].append(word)
+    title.set_text("\n".join(" ".join(line) for line in lines))
+    return title
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

@@ -23,15 +23,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.perception import value_under_counts
 from mdp import MDP, Policy
 from mdp.errors import ModelError
 from mdp.perception import perceived
+from mdp.perception_counts import LEVEL, Counted, counted, interval
 from paper_repro.agents.modules import Modules, Place
 from paper_repro.agents.protocol import Backend
 from paper_repro.agents.world import seed_of
 from solvers import evaluate
 
-LEVEL = 0.95
+__all__ = ["bits", "cost", "count", "interval", "labelled", "matrix", "rates", "to_csv", "vector"]
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -99,10 +101,7 @@ def labelled(
 
 def count(pairs: Iterable[tuple[int, int]], statuses: int) -> Counts:
     """Return (2^n, 2^n) how often each true vector was perceived as each other."""
-    table = np.zeros((2**statuses, 2**statuses), dtype=np.int64)
-    for true, seen in pairs:
-        table[true, seen] += 1
-    return table
+    return counted(pairs, size=2**statuses).counts
 
 
 def matrix(counts: Counts, prior: float = 0.0) -> Floats:
@@ -113,18 +112,7 @@ def matrix(counts: Counts, prior: float = 0.0) -> Floats:
     ModelError
         Where a status was never seen and there is no prior to go by.
     """
-    weight = counts + prior
-    total = weight.sum(axis=1, keepdims=True)
-    if (total == 0).any():
-        width = len(counts).bit_length() - 1
-        missing = [format(int(row), f"0{width}b") for row in np.flatnonzero(total[:, 0] == 0)]
-        raise ModelError(
-            f"no behaviour was labelled {', '.join(missing[:4])}"
-            + (" and others" if len(missing) > 4 else ""),
-            where="confusion matrix",
-            fix="label more behaviours, or give a --prior, which counts as that many of each",
-        )
-    return np.asarray(weight / total)
+    return Counted(counts=counts, prior=prior).mean
 
 
 def to_csv(confusion: Floats) -> str:
@@ -141,37 +129,14 @@ def to_csv(confusion: Floats) -> str:
 
 def rates(counts: Counts, statuses: Sequence[str]) -> dict[str, Any]:
     """Return sensitivity and specificity of each status: right, of, rate and interval."""
-    numbers = np.arange(len(counts))
-    found: dict[str, Any] = {}
-    for place, name in enumerate(statuses):
-        bit = numbers >> (len(statuses) - 1 - place) & 1
-        found[name] = {}
-        for what, present in (("sensitivity", 1), ("specificity", 0)):
-            rows = counts[bit == present]
-            right, total = int(rows[:, bit == present].sum()), int(rows.sum())
-            low, high = interval(right, total)
-            rate = right / total if total else None
-            found[name][what] = {
-                "right": right, "of": total, "rate": rate, "low": low, "high": high
-            }  # fmt: skip
-    return found
-
-
-def interval(right: int, total: int, level: float = LEVEL) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval of a proportion.
-
-    Examples
-    --------
-    >>> low, high = interval(10, 10)
-    >>> round(low, 4), high
-    (0.6915, 1.0)
-    """
-    from scipy.stats import beta
-
-    tail = (1 - level) / 2
-    low = 0.0 if right == 0 else float(beta.ppf(tail, right, total - right + 1))
-    high = 1.0 if right == total else float(beta.ppf(1 - tail, right + 1, total - right))
-    return low, high
+    found = Counted(counts=counts).rates(statuses, LEVEL)
+    return {
+        name: {
+            what: {"right": r.right, "of": r.total, "rate": r.value, "low": r.low, "high": r.high}
+            for what, r in both.items()
+        }
+        for name, both in found.items()
+    }
 
 
 def cost(
@@ -193,19 +158,15 @@ def cost(
         )
     perfect = evaluate(mdp, policy)
     measured = evaluate(mdp, perceived(mdp, policy, matrix(counts, prior)))
-    rng = np.random.default_rng(seed)
-    values = [evaluate(mdp, perceived(mdp, policy, _draw(counts, rng))).mean for _ in range(draws)]
-    spread = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist() if values else None
-    mean = float(np.mean(values)) if values else None
+    perks = Counted(counts=counts, prior=1 / len(counts))
+    drawn = value_under_counts(mdp, policy, perks, seed=seed, draws=draws) if draws else None
     return {
         "perfect": {"value": perfect.mean, "claim": str(perfect.claim)},
         "measured": {"value": measured.mean, "claim": str(measured.claim)},
         "loss": perfect.mean - measured.mean,
         "posterior": {
-            "mean": mean, "interval": spread, "level": LEVEL, "draws": draws, "claim": "estimated"
+            "mean": None if drawn is None else drawn.mean,
+            "interval": None if drawn is None else list(drawn.interval),
+            "level": LEVEL, "draws": draws, "claim": "estimated",
         },
     }  # fmt: skip
-
-
-def _draw(counts: Counts, rng: np.random.Generator) -> Floats:
-    return np.stack([rng.dirichlet(row + 1 / len(row)) for row in counts])

@@ -1,0 +1,330 @@
+"""What errors of perception cost: against differences, the reference model, and on paper."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from cli_runner import run
+from oracle import ACTIONS, Oracle
+
+from analysis.perception import error_costs, price_of_perception
+from analysis.perception_accuracy import (
+    Hedging,
+    accuracy_curves,
+    accuracy_needed,
+    confusion_at,
+    hedging,
+    prices,
+)
+from analysis.perception_policies import best_perceived_policy
+from mdp import MDP, ModelError, Scenario
+from mdp.perception import independent, perceived
+from solvers import certify, evaluate
+
+F = Fraction
+LABELS = [f"{status:04b}" for status in range(16)]
+HITS, CLEARS = [0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6]
+ROUGH = independent(HITS, CLEARS)
+
+
+def plan(status: str) -> str:
+    return ACTIONS[(3 * int(status, 2) + 2) % 4]
+
+
+POLICY = {label: plan(label) for label in LABELS}
+
+
+@pytest.fixture(scope="module")
+def care() -> MDP:
+    return Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+
+
+def worth(mdp: MDP, matrix: np.ndarray, policy: object = POLICY) -> float:
+    return evaluate(mdp, perceived(mdp, policy, matrix)).mean
+
+
+def test_what_one_more_misreading_costs(care: MDP) -> None:
+    found = error_costs(care, POLICY, ROUGH)
+    rng = np.random.default_rng(0)
+    for true, seen in rng.integers(0, 16, (12, 2)).tolist():
+        step, moved = 1e-5, []
+        for sign in (1, -1):
+            matrix = ROUGH.copy()
+            matrix[true, true] -= sign * step
+            matrix[true, seen] += sign * step
+            moved.append(worth(care, matrix))
+        slope = (moved[1] - moved[0]) / (2 * step)
+        assert found.marginal[true, seen] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+
+
+def test_what_a_rate_is_worth(care: MDP) -> None:
+    found = error_costs(care, POLICY, ROUGH)
+    for bit, name in enumerate(found.statuses):
+        for which, (hits, clears) in enumerate(((HITS, CLEARS), (CLEARS, HITS))):
+            ends = []
+            for sign in (1, -1):
+                changed = list(hits)
+                changed[bit] += sign * 1e-5
+                rates = (changed, clears) if which == 0 else (clears, changed)
+                ends.append(worth(care, independent(*rates)))
+            slope = (ends[0] - ends[1]) / 2e-5
+            assert found.rates[name][which] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+
+
+def test_losses_add_up(care: MDP) -> None:
+    for policy in (POLICY, "random", "always:directive"):
+        found = error_costs(care, policy, ROUGH)
+        whole = evaluate(care, policy).mean - worth(care, ROUGH, policy)
+        assert found.loss.sum() == pytest.approx(whole, abs=2 * found.error)
+        parts = [part for both in found.by_status.values() for part in both]
+        assert sum(parts) == pytest.approx(whole, abs=2 * found.error)
+        assert np.diag(found.loss).tolist() == [0.0] * 16
+    assert found.loss == pytest.approx(np.zeros((16, 16)), abs=found.error)
+
+
+def test_the_polynomial_is_the_reference_models_value() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=3).compile()
+    found = accuracy_needed(mdp, dict.fromkeys(LABELS, "directive"), status="anger")
+    assert len(found.polynomial) == 1  # a policy that does not look does not mind
+    for status in ("all", "confusion"):
+        found = accuracy_needed(mdp, POLICY, share=F(0), status=status)
+        for x in (F(1, 2), F(2, 3), F(1)):
+
+            def decide(state: object, x: Fraction = x, status: str = status) -> dict:
+                assert isinstance(state, tuple)
+                true = "".join(map(str, state[3]))
+                mixed: dict[str, Fraction] = {}
+                for seen in LABELS:
+                    chance = F(1)
+                    for bit, (a, b) in enumerate(zip(true, seen, strict=True)):
+                        sure = status == "confusion" and bit != 1
+                        right = F(1) if sure else x
+                        chance *= right if a == b else 1 - right
+                    if chance:
+                        mixed[plan(seen)] = mixed.get(plan(seen), F(0)) + chance
+                return mixed
+
+            wanted = Oracle(tasks=[1], max_trial=3).evaluate(decide, distribution=False)["mean"]
+            assert sum(c * x**k for k, c in enumerate(found.polynomial)) == wanted
+
+
+def test_the_accuracy_needed_is_where_the_value_is(care: MDP) -> None:
+    found = accuracy_needed(care, share="19/20")
+    assert found.perfect == certify(care).start_value
+    assert found.monotone
+    ((low, high, rising),) = found.crossings
+    assert rising
+    assert high - low <= F(1, 10**12)
+    curve = accuracy_curves(care, levels=[float(low) - 1e-6, float(high) + 1e-6])
+    curve = curve.values["all"]
+    assert curve[0] < float(found.target) < curve[1]
+
+
+def test_every_crossing_is_found(care: MDP) -> None:
+    """A policy that is best when it sees half of it: its value falls and rises."""
+    signs = set()
+    for shift in range(4):
+        policy = {label: ACTIONS[(int(label, 2) + shift) % 4] for label in LABELS}
+        if evaluate(care, policy).mean <= 0:
+            with pytest.raises(ModelError, match="not positive"):
+                accuracy_needed(care, policy)
+            continue
+        found = accuracy_needed(care, policy, share="999/1000")
+        grid = np.linspace(0.5, 1, 401)[1:-1]
+        values = accuracy_curves(care, policy, levels=grid, statuses=["all"]).values["all"]
+        above = values > float(found.target)
+        assert len(found.crossings) == int((above[1:] != above[:-1]).sum())
+        assert found.monotone == bool((np.diff(values) >= 0).all())
+        signs.add(found.monotone)
+    assert False in signs
+
+
+def test_curves_are_evaluations(care: MDP) -> None:
+    found = accuracy_curves(care, POLICY, levels=[0.6, 0.93])
+    for name, values in found.values.items():
+        for x, value in zip(found.levels, values, strict=True):
+            assert value == pytest.approx(worth(care, confusion_at(care, x, name)), rel=1e-12)
+
+
+def test_prices_are_in_order(care: MDP) -> None:
+    found = price_of_perception(care, ROUGH, tolerance=0.05)
+    fixed, placed = found.memoryless, found.with_place
+    assert found.taken_as_true.value <= placed.value.value + 1e-9
+    assert fixed.value.value <= placed.value.value + 1e-9
+    assert placed.value.interval[0] <= found.filtering.upper
+    assert found.filtering.lower >= placed.value.value - 1e-6
+    assert found.filtering.lower <= found.perfect.value + found.perfect.error
+    assert found.unseeing.lower <= found.filtering.upper
+    assert fixed.value.value == pytest.approx(worth(care, ROUGH, fixed.policy), rel=1e-12)
+    assert placed.value.value == pytest.approx(worth(care, ROUGH, placed.policy), rel=1e-12)
+    for best in (fixed, placed):
+        low, _ = best.value.interval
+        assert low <= best.upper_bound <= best.mixed_upper_bound + 1e-9
+
+
+def test_a_limit_on_nodes_is_sound(care: MDP) -> None:
+    whole = best_perceived_policy(care, ROUGH)
+    early = best_perceived_policy(care, ROUGH, node_limit=20)
+    assert whole.proven
+    assert early.upper_bound >= whole.value.interval[0]
+    assert early.value.value <= whole.value.interval[1]
+
+
+def test_figures_are_drawn(care: MDP) -> None:
+    import matplotlib.pyplot as plt
+
+    from analysis.plots.perception import (
+        plot_accuracy_curves,
+        plot_confusion,
+        plot_error_costs,
+        plot_hedging,
+        plot_prices,
+    )
+
+    mpl.use("Agg")
+    levels = [1.0, 0.9]
+    priced = prices(care, levels, tolerance=0.5, node_limit=200)
+    drawn = [
+        plot_accuracy_curves(accuracy_curves(care, levels=levels), needed=accuracy_needed(care)),
+        plot_prices(levels, priced),
+        plot_error_costs(error_costs(care, POLICY, ROUGH)),
+        plot_hedging(Hedging.of(care, levels, priced)),
+        plot_confusion(ROUGH),
+    ]
+    assert all(ax.get_xlabel() for ax in drawn)
+    bars = sorted(round(bar.get_width(), 9) for bar in drawn[2].patches)
+    losses = error_costs(care, POLICY, ROUGH).by_status.values()
+    assert bars == sorted(round(loss, 9) for both in losses for loss in both)
+    plt.close("all")
+
+
+def test_figures_mark_what_is_not_proven(care: MDP) -> None:
+    from dataclasses import replace
+
+    import matplotlib.pyplot as plt
+
+    from analysis.plots.perception import plot_accuracy_curves, plot_hedging
+    from analysis.plots.style import style, titled
+
+    mpl.use("Agg")
+    found = hedging(care, levels=[1.0, 0.9])
+    open_ = replace(found.best[1], proven=False)
+    ax = plot_hedging(replace(found, best=(found.best[0], open_)))
+    sure, pale = ax.patches[:16], ax.patches[16:32]
+    assert min(sum(cell.get_facecolor()[:3]) for cell in pale) > 2.2
+    assert min(sum(cell.get_facecolor()[:3]) for cell in sure) < 2
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["1", "0.9*"]
+    assert "not proven" in ax.get_xlabel()
+    assert "*" not in plot_hedging(found).get_xlabel()
+    curves = accuracy_curves(care, levels=[0.5, 1.0])
+    drawn = plot_accuracy_curves(curves, needed=accuracy_needed(care))
+    (label,) = (text for text in drawn.texts if text.get_text().startswith("95%"))
+    assert label.xy[0] > 1  # beside the axes, where there are no curves
+    with style():
+        _, ax = plt.subplots(figsize=(4, 3))
+        words = "What these errors cost the optimal policy by the posterior of all counts"
+        title = titled(ax, f"{words}\nTwo")
+        assert title.get_window_extent().width <= ax.get_window_extent().width
+        assert ax.get_title(loc="left") == title.get_text()
+        *first, last = title.get_text().splitlines()
+        assert (" ".join(first), last, len(first)) == (words, "Two", 2)
+    plt.close("all")
+
+
+def test_trials_make_the_output_the_same() -> None:
+    words = ("yuan2025", "--set", "tasks=[2]", "--set", "max_trial=2", "--accuracy", "0.8")
+    words += ("--tolerance", "1e-9", "--trials")
+    first, again = (run("perception", *words, "3", "--json") for _ in range(2))
+    assert first.out == again.out
+    assert first.err == ""  # progress is for terminals
+    assert not first.result["filtering"]["closed"]  # the trials ended it
+
+
+def test_the_text_tells_the_best_reading() -> None:
+    words = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=1", "--accuracy", "0.8")
+    found = run("perception", *words, "--trials", "5", "--json").result["memoryless"]["policy"]
+    text = run("perception", *words, "--trials", "5").out
+    assert "best action by the status seen alone (proven the best)" in text
+    for status, action in found.items():
+        assert [status, action] in [line.split() for line in text.splitlines()]
+
+
+def test_the_help_says_what_varies() -> None:
+    text = " ".join(run("perception", "--help").out.split())
+    assert "bounds vary a little with the load" in text
+    assert "identical output in every run" in text
+
+
+def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
+    model = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=2")
+    words = (*model, "--accuracy", "0.9", "--tolerance", "0.5")
+    found = json.loads(run("perception", *words, "--json").out)
+    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
+    matrix = confusion_at(mdp, 0.9)
+    costs = error_costs(mdp, "optimal", matrix)
+    assert found["taken_as_true"]["value"] == pytest.approx(costs.value.value, rel=1e-12)
+    assert found["memoryless"]["value"] == pytest.approx(
+        best_perceived_policy(mdp, matrix).value.value, rel=1e-12
+    )
+    assert found["errors"]["anger"]["by_sensitivity"] == pytest.approx(costs.rates["anger"][0])
+    assert found["needed"]["all"]["enough"] == float(accuracy_needed(mdp).enough)
+    assert found["claim"] == "bounded"
+    pairs = "".join(f"{s},{s}\n" for s in LABELS)
+    (tmp_path / "seen.csv").write_text(f"true,perceived\n{pairs}")
+    words = (*model, "--perception", tmp_path / "seen.csv", "--prior")
+    found = json.loads(run("perception", *words, "0.1", "--draws", "50", "--json").out)
+    low, high = found["counted"]["interval"]
+    text = run("perception", *words, "0.1", "--draws", "50").out
+    assert "seen taken for true" in text
+    assert "by the posterior" in text
+    assert low < found["counted"]["mean"] < high < found["perfect"]["value"]
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        ((), "no perception, or two"),
+        (("--accuracy", "0.9", "--perception", "x.csv"), "no perception, or two"),
+        (("--accuracy", "2"), "accuracy is 2"),
+        (("--accuracy", "1.5"), "where: --accuracy"),
+        (("--accuracy", "0.9", "--prior", "1"), "takes no prior"),
+        (("--accuracy", "0.9", "--seconds", "0"), "not positive"),
+        (("--accuracy", "0.9", "--share", "2"), "share is"),
+        (("--accuracy", "0.9", "--trials", "0"), "not a whole number"),
+        (("--accuracy", "0.9", "--trials", "9", "--seconds", "1"), "both --seconds"),
+        (("--accuracy", "0.9", "--draws", "x"), "not a whole number"),
+    ],
+)
+def test_the_command_refuses(words: tuple[str, ...], what: str) -> None:
+    done = run("perception", "yuan2025", *words)
+    assert (done.status, done.out) == (2, "")
+    assert what in done.err
+
+
+def test_derivatives_under_a_perception(tmp_path: Path) -> None:
+    """The command differentiates the mixed policy that perception makes of the optimum."""
+    names = ("forgetfulness", "confusion", "anger", "disengagement")
+    lines = [f"[{table}]\n" + "".join(f"{n} = 0.9\n" for n in names)
+             for table in ("sensitivity", "specificity")]  # fmt: skip
+    (tmp_path / "seen.toml").write_text("\n".join(lines))
+    words = ("yuan2025", "gradient", "--set", "tasks=[1]", "--set", "max_trial=2")
+    seen = ("--perception", tmp_path / "seen.toml", "--parameter", "base.anger", "--json")
+    found = json.loads(run("sensitivity", *words, *seen).out)
+    scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    from solvers import solve
+
+    mdp = scenario.compile()
+    policy = perceived(mdp, solve(mdp).policy, confusion_at(mdp, 0.9))
+    assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
+    ends = [
+        evaluate(scenario.with_(parameters={"base.anger": x}).compile(), policy).mean
+        for x in ("49999/1000000", "50001/1000000")
+    ]
+    assert found["derivatives"]["base.anger"] == pytest.approx((ends[1] - ends[0]) / 2e-6, rel=1e-6)
+    refused = run("sensitivity", "yuan2025", "threshold", *seen)
+    assert refused.status == 2

@@ -1,0 +1,303 @@
+"""Beliefs and their bounds, against whole trees of beliefs in fractions and against sampling."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hidden_status import Hidden
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import ACTIONS, Oracle
+
+from analysis.perception_policies import best_perceived_policy, place_by_place
+from mdp import MDP, ModelError, Scenario
+from mdp.perception import independent, perceived
+from mdp.perception_process import Process
+from mdp.space import Column, StateSpace
+from solvers import evaluate, solve
+from solvers.belief import BeliefController, fib_vectors, qmdp_vectors
+from solvers.belief_simulation import simulate_beliefs
+from solvers.pomdp import solve_beliefs
+from solvers.pomdp_bounds import fast_informed, qmdp
+from solvers.pomdp_values import acting, at_start, rounding, values, visits
+
+F = Fraction
+LABELS = [f"{status:04b}" for status in range(16)]
+# Exact in binary, so that the reference has the same numbers.
+ROUGH = independent([7 / 8, 3 / 4, 5 / 8, 15 / 16], [7 / 8, 7 / 8, 3 / 4, 5 / 8])
+
+
+def plan(status: str) -> str:
+    return ACTIONS[(3 * int(status, 2) + 2) % 4]
+
+
+def exact(matrix: np.ndarray) -> dict[str, dict[str, Fraction]]:
+    """The matrix in fractions."""
+    rows = [[F(x) for x in row] for row in matrix.tolist()]
+    assert all(sum(row) == 1 for row in rows)
+    return {
+        s: {z: x for z, x in zip(LABELS, row, strict=True) if x}
+        for s, row in zip(LABELS, rows, strict=True)
+    }
+
+
+SHARPER = independent([7 / 8, 3 / 4, 1, 1], [7 / 8, 5 / 8, 1, 1])
+
+
+def care(oracle: Oracle, *, noticed: bool = True) -> Hidden:
+    """The reference care model with its status hidden."""
+    states = oracle.reachable()
+    rows: dict[Any, Any] = {}
+    for state in states:
+        if isinstance(state, str):
+            continue
+        here = state[:3], "".join(map(str, state[3]))
+        for action in oracle.actions(state):
+            rows[(*here, action)] = [
+                (
+                    p,
+                    None if isinstance(to, str) else (to[:3], "".join(map(str, to[3]))),
+                    sum(gains.values()),
+                    skipped and noticed,
+                )
+                for p, to, gains, skipped in oracle.outcomes(state, action)
+            ]
+    start = oracle.start
+    assert isinstance(start, tuple)
+    return Hidden(rows, exact(SHARPER), (start[:3], {"0000": F(1)}), oracle.discount)
+
+
+CASES = [
+    ({"tasks": [1], "max_trial": 2}, {}, True),
+    ({"tasks": [2], "max_trial": 1}, {}, True),
+    ({"tasks": [2], "max_trial": 1}, {}, False),
+    ({"tasks": [1], "max_trial": 1}, {"skip_timestep": "own", "status_cost": "current"}, True),
+]
+
+
+@pytest.mark.parametrize(("settings_", "readings", "noticed"), CASES)
+def test_the_best_controller_of_the_reference_model(settings_, readings, noticed) -> None:
+    mdp = Scenario.load("yuan2025").with_(readings=readings, **settings_).compile()
+    process = Process.of(mdp, SHARPER, events=None if noticed else ())
+    wanted = care(Oracle(readings=readings, **settings_), noticed=noticed).best()
+    found = solve_beliefs(process, tolerance=1e-7, seconds=20)
+    assert found.closed
+    assert found.lower <= wanted <= found.upper
+
+
+def test_not_noticing_a_skip_costs_something() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=1).compile()
+    aware, unaware = (
+        solve_beliefs(Process.of(mdp, ROUGH, events=events), tolerance=1e-6)
+        for events in (None, ())
+    )
+    assert unaware.upper < aware.lower
+
+
+@st.composite
+def hidden_models(draw: st.DrawFn) -> tuple[MDP, np.ndarray, Hidden]:
+    """Two statuses, two actions, up to three places in a row, some of them left out."""
+    places = draw(st.integers(1, 3))
+    discount = draw(st.sampled_from([F(1), F(1, 2), F(9, 10)]))
+    weight, gain = st.integers(0, 4), st.integers(-5, 5)
+    rows, outcomes = {}, []
+    end = 2 * places
+    for place in range(places):
+        later = [(p, s) for p in range(place + 1, places) for s in (0, 1)]
+        for status in (0, 1):
+            for action in (0, 1):
+                weights = [draw(weight) for _ in later] + [draw(st.integers(1, 3))]
+                row = [
+                    (F(w, sum(weights)), to, F(draw(gain)))
+                    for w, to in zip(weights, [*later, None], strict=True)
+                    if w
+                ]
+                rows[place, status, str(action)] = [(p, to, r, 0) for p, to, r in row]
+                flat = [(p, end if to is None else 2 * to[0] + to[1], r) for p, to, r in row]
+                outcomes.append((2 * place + status, action, flat))
+    outcomes.append((end, 0, [(F(1), end, F(0))]))
+    begin = draw(st.sampled_from([F(0), F(1, 4), F(1)]))
+    mdp = MDP.from_outcomes(outcomes, discount, start={0: 1 - begin, 1: begin}).with_(
+        space=StateSpace(
+            columns=(Column(name="place", size=places), Column(name="status", size=2, bits=1)),
+            extra=("end",),
+        )
+    )
+    hits = [draw(st.sampled_from([F(1), F(7, 8), F(1, 2), F(1, 4)])) for _ in range(2)]
+    matrix = np.array([[float(hits[0]), float(1 - hits[0])], [float(1 - hits[1]), float(hits[1])]])
+    confusion = {0: {0: hits[0], 1: 1 - hits[0]}, 1: {0: 1 - hits[1], 1: hits[1]}}
+    belief = {s: b for s, b in ((0, 1 - begin), (1, begin)) if b}
+    return mdp, matrix, Hidden(rows, confusion, (0, belief), discount)
+
+
+@settings(max_examples=60)
+@given(hidden_models())
+def test_tiny_models(case: tuple[MDP, np.ndarray, Hidden]) -> None:
+    mdp, matrix, reference = case
+    process = Process.of(mdp, matrix)
+    best = reference.best()
+    found = solve_beliefs(process, tolerance=1e-8)
+    assert found.closed
+    assert found.lower <= best <= found.upper
+    informed = (process.start * process.confusion.T) @ fast_informed(process)[0, ..., 0].T
+    known = (process.start * process.confusion.T) @ qmdp(process)[0].T
+    slack = 4 * rounding(process)
+    assert best <= informed.max(axis=1).sum() + slack
+    assert informed.max(axis=1).sum() <= known.max(axis=1).sum() + slack
+    assert known.max(axis=1).sum() <= solve(mdp).start_value + slack + 1e-9
+    for columns, by_place in ((("status",), False), (("place", "status"), True)):
+        wanted = reference.best_fixed(by_place=by_place)
+        fixed = best_perceived_policy(mdp, process, columns)
+        assert fixed.proven
+        assert fixed.value.interval[0] <= wanted <= fixed.value.interval[1]
+        assert wanted <= fixed.upper_bound <= fixed.mixed_upper_bound + slack
+    improved = process.table(place_by_place(process, ["random"]))
+    worth = at_start(process, values(process, acting(process, improved))[0])[0]
+    assert evaluate(mdp, perceived(mdp, "random", matrix)).mean <= worth + slack <= best + 2 * slack
+
+
+def test_values_and_visits_are_those_of_the_mixed_policy() -> None:
+    mdp = Scenario.load("yuan2025").with_(discount="19/20", tasks=[2]).compile()
+    process = Process.of(mdp, ROUGH)
+    policy = {label: plan(label) for label in LABELS}
+    chain = evaluate(mdp, perceived(mdp, policy, ROUGH))
+    weights = acting(process, process.table(policy))
+    value, _ = values(process, weights)
+    assert at_start(process, value)[0] == pytest.approx(chain.mean, abs=2 * rounding(process))
+    reached = list(process.order)
+    met = visits(process, weights)[reached, :, 0].sum()
+    assert met == pytest.approx(chain.occupancy[~mdp.terminal[mdp.pair_state]].sum(), rel=1e-12)
+    batch = np.stack([np.eye(16), ROUGH, np.full((16, 16), 1 / 16)])
+    together = at_start(process, values(process, acting(process, process.table(policy), batch))[0])
+    alone = [evaluate(mdp, perceived(mdp, policy, matrix)).mean for matrix in batch]
+    assert together == pytest.approx(alone, rel=1e-12)
+
+
+@pytest.mark.parametrize("scenario", ["yuan2025", "tea"])
+def test_a_controller_earns_what_it_is_said_to(scenario: str) -> None:
+    mdp = Scenario.load(scenario).compile()
+    size = mdp.space.column("status").size
+    bits = size.bit_length() - 1
+    process = Process.of(mdp, independent([0.8] * bits, [0.7] * bits))
+    found = solve_beliefs(process, tolerance=0.05, seconds=3)
+    sampled = simulate_beliefs(process, found.vectors, 20_000, seed=1)
+    low, high = (found.lower - sampled.mean, found.upper - sampled.mean)
+    assert low < 4 * sampled.standard_error
+    assert high > -4 * sampled.standard_error
+    for vectors in (qmdp_vectors(process), fib_vectors(process)):
+        other = simulate_beliefs(process, vectors, 20_000, seed=2)
+        assert other.mean - found.upper < 4 * other.standard_error
+
+
+def test_one_controller_and_many_episodes_are_the_same() -> None:
+    """The stepwise controller, driven through the model by hand, has the mean of the batch."""
+    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+    process = Process.of(mdp, ROUGH)
+    found = solve_beliefs(process, tolerance=1e-4, seconds=5)
+    controller = BeliefController(process, found.vectors)
+    rng = np.random.default_rng(3)
+    returns = []
+    for _ in range(1500):
+        controller.reset()
+        state, total = mdp.start[0][0], 0.0
+        while not mdp.terminal[state]:
+            seen = int(rng.choice(16, p=process.confusion[state % 16]))
+            pair = mdp.pair(state, controller.act(LABELS[seen]))
+            assert controller.belief[state % 16] > 0
+            rows = mdp.table.row(pair)
+            number = int(rng.choice(len(rows), p=[float(p) for p, _, _ in rows]))
+            _, state, gain = rows[number]
+            total += float(gain)
+            skipped = mdp.table.event[mdp.table.offsets[pair] + number] & 1
+            columns = mdp.space.as_dict(state)
+            place = {} if mdp.terminal[state] else {k: int(columns[k]) for k in process.space.names}
+            controller.update(events=["skip"] if skipped else [], **place)
+        returns.append(total)
+    error = np.std(returns) / np.sqrt(len(returns))
+    assert found.lower - 4 * error < np.mean(returns) < found.upper + 4 * error
+    with pytest.raises(ModelError, match="after the end"):
+        controller.act("0000")
+
+
+def test_perfect_perception_is_worth_the_optimum() -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    process = Process.of(mdp, np.eye(16))
+    found = solve_beliefs(process, tolerance=1e-6)
+    optimum = solve(mdp).start
+    assert found.closed
+    assert found.lower <= optimum.value + optimum.error
+    assert found.upper >= optimum.value - optimum.error
+
+
+def test_a_limit_leaves_sound_bounds() -> None:
+    process = Process.of(Scenario.load("yuan2025").compile(), ROUGH)
+    early = solve_beliefs(process, tolerance=1e-9, max_trials=1)
+    late = solve_beliefs(process, tolerance=1e-9, max_trials=30, seconds=60)
+    assert not early.closed
+    assert early.lower <= late.lower <= late.upper <= early.upper
+    for limit in ({"seconds": 0}, {"tolerance": -1.0}, {"max_trials": 0}):
+        with pytest.raises(ModelError, match="more than 0"):
+            solve_beliefs(process, **limit)
+
+
+def test_the_bounds_say_the_same_twice() -> None:
+    process = Process.of(Scenario.load("yuan2025").compile(), ROUGH)
+    first, second = (solve_beliefs(process, max_trials=5, seconds=60) for _ in range(2))
+    assert first.interval == second.interval
+
+
+def test_an_impossible_perception_is_refused() -> None:
+    process = Process.of(Scenario.load("yuan2025").compile(), np.eye(16))
+    controller = BeliefController(process, qmdp_vectors(process))
+    with pytest.raises(ModelError, match="no action was taken"):
+        controller.update(subtask=0, trial=1)
+    with pytest.raises(ModelError, match="what is perceived cannot be"):
+        controller.act("1111")
+    controller.reset()
+    controller.act("0000")
+    with pytest.raises(ModelError, match="does not follow"):
+        controller.update(subtask=2, trial=4)
+
+
+def test_models_that_cannot_be_tracked() -> None:
+    with pytest.raises(ModelError, match="no statuses"):
+        Process.of(MDP.from_arrays([[[1]]], [0]), np.eye(1))
+    column = Column(name="status", size=2, bits=1)
+    rows = [(s, 0, [(1, 1 - s, 1)]) for s in (0, 1)]
+    round_and_round = MDP.from_outcomes(rows, "1/2").with_(space=StateSpace(columns=(column,)))
+    with pytest.raises(ModelError, match="a place comes back"):
+        Process.of(round_and_round, np.eye(2))
+    mdp = Scenario.load("yuan2025").compile()
+    with pytest.raises(ModelError, match="unknown event"):
+        Process.of(mdp, np.eye(16), events=["fire"])
+    with pytest.raises(ModelError, match="does not read the status"):
+        best_perceived_policy(mdp, np.eye(16), ("trial",))
+
+
+@pytest.mark.parametrize("tiny", [5e-324, 1e-310, 1e-160])
+def test_chances_near_nothing_leave_the_bounds_as_they_are(tiny: float) -> None:
+    """Their inverses overflow, and products with them are no numbers; warnings are errors."""
+    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+    number = np.arange(16)
+    far = (number[:, None] ^ number) & 8 > 0
+    found = []
+    for least in (0.0, tiny):
+        matrix = np.where(far, 0.0, independent([0.7] * 4, [0.8] * 4))
+        matrix = np.where(far, least, matrix / matrix.sum(axis=1, keepdims=True))
+        found.append(solve_beliefs(Process.of(mdp, matrix), tolerance=1e-3, seconds=30))
+    assert all(each.closed and np.isfinite(each.interval).all() for each in found)
+    none, some = found
+    assert some.lower <= none.upper
+    assert none.lower <= some.upper
+
+
+def test_bounds_that_are_no_numbers_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    from solvers.pomdp_search import Search
+
+    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile()
+    monkeypatch.setattr(Search, "upper", np.nan)
+    with pytest.raises(ModelError, match="bounds came out as"):
+        solve_beliefs(Process.of(mdp, ROUGH))

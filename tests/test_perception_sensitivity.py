@@ -1,0 +1,203 @@
+"""Sensitivity analyses of a policy held fixed that acts on what it perceives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import run
+
+from analysis.sensitivity.psa import psa
+from analysis.sensitivity.sampled import sampled
+from mdp import MDP, ModelError, Policy, Scenario
+from mdp.parametric import parametric
+from mdp.perception import independent, perceived
+from solvers import evaluate, solve
+
+SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
+NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
+ANGER = ("--parameter", "base.anger")
+ROUGH = independent([0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6])
+PLAN = {
+    f"{s:04b}": ("none", "supportive", "non-directive", "directive")[(3 * s + 2) % 4]
+    for s in range(16)
+}
+
+
+@pytest.fixture(scope="module")
+def mdp() -> MDP:
+    return SMALL.compile()
+
+
+@pytest.fixture
+def seen(tmp_path: Path) -> Path:
+    labels = [f"{s:04b}" for s in range(16)]
+    lines = ["status," + ",".join(labels)]
+    rows = zip(labels, ROUGH.tolist(), strict=True)
+    lines += [f"{label}," + ",".join(map(repr, row)) for label, row in rows]
+    (tmp_path / "seen.csv").write_text("\n".join(lines) + "\n")
+    return tmp_path / "seen.csv"
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    import json
+
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    return tmp_path / "plan.json"
+
+
+def ask(kind: str, seen: Path, *words: object) -> dict[str, Any]:
+    done = run("sensitivity", "yuan2025", kind, *SET, "--perception", seen, "--json", *words)
+    assert done.status == 0, done.err
+    assert done.result["perception"] == str(seen)
+    return done.result
+
+
+def at(**values: object) -> MDP:
+    return SMALL.with_(parameters=values).compile()
+
+
+def test_a_tornado_is_that_of_the_policy_held_fixed(mdp: MDP, seen: Path) -> None:
+    words = (*ANGER, "--parameter", "base.confusion", "--parameter", "influence.anger.confusion")
+    found = ask("tornado", seen, *words)
+    policy = perceived(mdp, solve(mdp).policy, ROUGH)
+    assert found["policy_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
+    for bar in found["bars"]:
+        for end in ("low", "high"):
+            there = at(**{bar["parameter"]: repr(bar[end])})
+            value = evaluate(there, policy).mean
+            assert bar[f"fixed_value_{end}"] == pytest.approx(value, rel=1e-9)
+            assert bar[f"value_{end}"] == pytest.approx(solve(there).start_value, rel=1e-9)
+    swings = [bar["fixed_swing"] for bar in found["bars"]]
+    assert swings == sorted(swings, reverse=True)
+    text = run("sensitivity", "yuan2025", "tornado", *SET, "--perception", seen, *words)
+    flat = " ".join(text.out.split())
+    assert "both ends of the policy held fixed, on what it perceives" in flat
+    assert "which the policy held fixed acts on" in flat
+    assert f"{found['bars'][0]['fixed_value_low']:.6g}" in flat
+
+
+def test_bars_are_sorted_by_what_is_shown(seen: Path) -> None:
+    """A policy that always goes one way minds other parameters than the optimum does."""
+    names = [word for p in SMALL.names if "influence" in p for word in ("--parameter", p)]
+    found = ask("tornado", seen, *names)
+    swings = [bar["fixed_swing"] for bar in found["bars"]]
+    assert swings == sorted(swings, reverse=True)
+    assert [bar["swing"] for bar in found["bars"]] != sorted(
+        (bar["swing"] for bar in found["bars"]), reverse=True
+    )
+
+
+def test_a_gradient_says_what_is_certified(seen: Path) -> None:
+    found = ask("gradient", seen, *ANGER)
+    assert found["claim"] == "certified"
+    assert "as rounded to floats" in found["claim_of"]
+    text = run("sensitivity", "yuan2025", "gradient", *SET, "--perception", seen, *ANGER).out
+    assert "as rounded to floats" in " ".join(text.split())
+    plain = run("sensitivity", "yuan2025", "gradient", *SET, *ANGER, "--json").result
+    assert plain["perception"] is None
+    assert "claim_of" not in plain
+
+
+def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
+    names = ["base.anger", "base.confusion"]
+    draws = np.array([[0.04, 0.25], [0.1, 0.5], [0.02, 0.35]])
+    forms = [PLAN, solve(mdp).policy]  # by status, and by state
+    policies = [perceived(mdp, form, ROUGH) for form in forms]
+    found = sampled(parametric(SMALL), names, draws, policies)
+    drawn = psa(SMALL, 20, seed=1, policy=policies[1])
+    wanted = [
+        [evaluate(there, policy).mean for policy in policies]
+        for there in (at(**dict(zip(names, row, strict=True))) for row in draws.tolist())
+    ]
+    assert found.fixed == pytest.approx(np.array(wanted), rel=1e-12)
+    model = parametric(SMALL)
+    for number in (0, 7):
+        there = model.at(dict(zip(drawn.names, drawn.draws[number].tolist(), strict=True)))
+        value = evaluate(there, policies[1]).mean
+        assert drawn.values[number, 0] == pytest.approx(value, rel=1e-12)
+        assert drawn.start[number] == pytest.approx(solve(there).start_value, rel=1e-12)
+
+
+@pytest.mark.parametrize("form", ["optimal", "plan"])
+def test_psa_sobol_and_morris_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
+    from analysis.sensitivity.morris import morris
+    from analysis.sensitivity.sobol import sobol
+
+    told, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
+    words = ("--policy", told, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")
+    policy, names = perceived(mdp, source, ROUGH), ["base.anger", "base.confusion"]
+    wide = sobol(SMALL, names=names, samples=8, seed=0, policy=policy)
+    assert ask("sobol", seen, *words, "--samples", 8)["regret"]["mean"] == wide.regret.mean > 0
+    screened = morris(SMALL, names=names, trajectories=4, seed=0, policy=policy)
+    found = ask("morris", seen, *words, "--samples", 4)["regret"]["mu_star"]
+    assert list(found.values()) == screened.regret.mu_star.tolist()
+    drawn = ask("psa", seen, *words, "--samples", 30)
+    lost = solve(mdp).start_value - evaluate(mdp, policy).mean
+    spread = drawn["regret"]
+    assert abs(spread["mean"] - lost) < 6 * spread["standard_error"] + 0.05 * lost
+    assert drawn["candidates"][0]["actions"] is None  # it mixes
+
+
+def test_the_worst_case_of_it(mdp: MDP, seen: Path) -> None:
+    policy = perceived(mdp, solve(mdp).policy, ROUGH)
+    value = evaluate(mdp, policy).mean
+    for kind in ("interval", "absolute", "l1", "kl", "entropy"):
+        found = ask("robust", seen, "--set-kind", kind, "--radius", "0")
+        assert found["start_value"] == pytest.approx(value, rel=1e-12)
+        assert found["worst_case"]["nominal_policy"]["value"] == pytest.approx(value, rel=1e-6)
+        wide = ask("robust", seen, "--set-kind", kind, "--radius", "0.05")
+        assert wide["worst_case"]["nominal_policy"]["value"] < value - 1e-3
+
+
+def test_the_worst_case_in_a_box(mdp: MDP, seen: Path) -> None:
+    words = ("--set-kind", "box", "--range", "base.anger=1/25:3/50")
+    found = ask("robust", seen, *words)
+    policy = perceived(mdp, solve(mdp).policy, ROUGH)
+    worst = evaluate(at(**{"base.anger": "3/50"}), policy).mean
+    assert found["worst_case"]["nominal_policy"]["point"] == {"base.anger": 0.06}
+    assert found["worst_case"]["nominal_policy"]["low"] == pytest.approx(worst, rel=1e-9)
+    assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
+
+
+def test_every_reading_perceives(seen: Path, plan: Path, tmp_path: Path) -> None:
+    from analysis.sensitivity.structural import CARRIED, structural
+
+    readings = {"own": {"skip_timestep": "own"}, "flag": {"task_bonus": "no-subtask-skipped"}}
+    how: dict[str, Any] = {"elasticities": False, "stability": False, "folder": tmp_path / "kept"}
+    found = structural(SMALL, readings, policies={"plan": PLAN}, perception=ROUGH, **how)
+    variants = [SMALL, *(SMALL.with_(readings=each) for each in readings.values())]
+    for reading, scenario in zip(found.readings, variants, strict=True):
+        there = scenario.compile()
+        wanted = evaluate(there, perceived(there, PLAN, ROUGH)).mean
+        assert reading.policies["plan"].value == pytest.approx(wanted, rel=1e-12)
+        assert reading.optimal.value == pytest.approx(solve(there).start_value, rel=1e-12)
+        assert reading.regret(CARRIED).value > 0.1
+    with pytest.raises(ModelError, match="differs in"):  # kept work is of this perception
+        structural(SMALL, readings, policies={"plan": PLAN}, perception=np.eye(16), **how)
+
+
+def test_the_command_for_readings(seen: Path, plan: Path) -> None:
+    found = ask("structural", seen, "--policy", plan, "--n-jobs", 1, "--set", "max_trial=1")
+    mdp = SMALL.with_(max_trial=1).compile()
+    held = found["readings"][0]["policies"][str(plan)]
+    wanted = evaluate(mdp, perceived(mdp, Policy.of(mdp, PLAN), ROUGH)).mean
+    assert held["value"] == pytest.approx(wanted, rel=1e-12)
+
+
+def test_thresholds_say_why_not(seen: Path) -> None:
+    done = run("sensitivity", "yuan2025", "threshold", "--perception", seen)
+    assert (done.status, done.out) == (2, "")
+    assert "thresholds are those of the optimum, re-optimised" in done.err
+    assert "psa" in done.err
+
+
+def test_a_model_without_statuses_is_refused(seen: Path) -> None:
+    words = ("--discount", "0.9", "--perception", seen)
+    done = run("sensitivity", "gymnasium:FrozenLake-v1", "psa", *words)
+    assert done.status == 2
+    assert "no statuses" in done.err
