@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from analysis.cli_common import POLICY_HELP, model_options
+from analysis.cli_common import PERCEPTION_HELP, POLICY_HELP, model_options
 from analysis.cli_output import show
 
 KINDS = MappingProxyType(
@@ -20,7 +20,35 @@ KINDS = MappingProxyType(
         "gradient": "analysis.sensitivity.report:gradient_report",
         "tornado": "analysis.sensitivity.report:tornado_report",
         "threshold": "analysis.sensitivity.report:threshold_report",
+        "psa": "analysis.sensitivity.psa_report:psa_report",
+        "sobol": "analysis.sensitivity.global_report:sobol_report",
+        "morris": "analysis.sensitivity.global_report:morris_report",
+        "robust": "analysis.sensitivity.robust_report:robust_report",
+        "structural": "analysis.sensitivity.global_report:structural_report",
     }
+)
+
+DRAWN = ("psa", "sobol", "morris")
+WORKED = (*DRAWN, "structural")
+ONLY = MappingProxyType(
+    {
+        "perception": ("--perception", tuple(kind for kind in KINDS if kind != "threshold")),
+        "samples": ("--samples", DRAWN),
+        "seed": ("--seed", DRAWN),
+        "n_jobs": ("--n-jobs", WORKED),
+        "scheduler": ("--scheduler", WORKED),
+        "out": ("--out", WORKED),
+        "effective_sample_size": ("--effective-sample-size", ("psa",)),
+        "set_kind": ("--set-kind", ("robust",)),
+        "radius": ("--radius", ("robust",)),
+        "combined": ("--combined", ("structural",)),
+    }
+)
+"""Options that only some kinds have: what they are called, and the kinds."""
+
+UNSEEING = (
+    "thresholds are those of the optimum, re-optimised knowing the status; a perception makes "
+    "another policy of one held fixed"
 )
 
 
@@ -32,7 +60,8 @@ KINDS = MappingProxyType(
     "parameters",
     multiple=True,
     metavar="NAME",
-    help="Only this parameter. May be repeated; all of them unless given.",
+    help="Only this parameter. May be repeated; all of them unless given, for sobol and morris all "
+    "but the discount.",
 )
 @click.option(
     "--range",
@@ -48,7 +77,52 @@ KINDS = MappingProxyType(
     "--policy",
     default="optimal",
     metavar="POLICY",
-    help="The policy held fixed; the optimum unless given. A gradient is then the policy's.",
+    help="The policy held fixed, whose regret is told; the optimum unless given. A gradient is "
+    "then the policy's.",
+)
+@click.option(
+    "--samples",
+    metavar="N",
+    help="psa: draws. sobol: points of the sequence, a power of 2 (1024). morris: trajectories "
+    "(64).",
+)
+@click.option("--seed", metavar="S", help="Seed of what is drawn (0).")
+@click.option("--n-jobs", metavar="N", help="Processes; all cores unless given. Changes no result.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Work on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
+)
+@click.option(
+    "--out",
+    metavar="DIR",
+    help="Keep finished work and the result there, and go on from what it holds.",
+)
+@click.option(
+    "--effective-sample-size",
+    metavar="X",
+    help="psa: observations that each probability is worth (100), or a .toml file that states them "
+    "by name.",
+)
+@click.option(
+    "--set-kind",
+    type=click.Choice(["interval", "absolute", "l1", "kl", "entropy", "box"]),
+    help="robust: what may move (interval): each probability by a share or an absolute amount, "
+    "each row within a distance (l1, kl, entropy), or the tables' numbers (box).",
+)
+@click.option("--radius", metavar="X", help="robust: how far it may move; at most 2 for l1.")
+@click.option(
+    "--combined",
+    is_flag=True,
+    default=None,
+    help="structural: every combination of the readings, not one change at a time.",
+)
+@click.option(
+    "--perception",
+    metavar="FILE",
+    help=f"{PERCEPTION_HELP} The policy held fixed does; the optimum it is compared with knows the "
+    "status. Exact for the probabilities as rounded to floats. Not for threshold: what changes "
+    "there is the optimum, re-optimised.",
 )
 @model_options
 def sensitivity(
@@ -63,12 +137,35 @@ def sensitivity(
 
     gradient: derivatives and elasticities. tornado: values at both ends of each range, and the
     regret of a policy held fixed. threshold: every value at which an optimal action changes.
+    psa: what draws around the tables say of value, regret and optimal actions. sobol, morris:
+    which parameters decide, alone and together. robust: the worst case within sets around the
+    tables. structural: the same outputs under each reading of the text.
     """
     from mdp.load import load
 
+    _check(kind, options)
     loaded = load(model, sets=sets, discount=discount)
     module, _, function = KINDS[kind].partition(":")
     result, facts, grids = getattr(import_module(module), function)(loaded, options)
-    result = {"model": loaded.name, "kind": kind, "discount": loaded.mdp.discount} | result
-    facts = {"model": loaded.name, "analysis": kind} | facts
-    show(result, as_json=as_json, facts=facts, grids=grids)
+    seen = options["perception"]
+    head = {"model": loaded.name, "kind": kind, "discount": loaded.mdp.discount, "perception": seen}
+    told = {"perception": f"{seen}, which the policy held fixed acts on"} if seen else {}
+    facts = {"model": loaded.name, "analysis": kind} | told | facts
+    show(head | result, as_json=as_json, facts=facts, grids=grids)
+
+
+def _check(kind: str, options: dict[str, Any]) -> None:
+    """Refuse options that the kind would ignore, and fill in the defaults of those that it has."""
+    from mdp.errors import ModelError
+
+    for name, (option, kinds) in ONLY.items():
+        if kind not in kinds and options[name] is not None:
+            raise ModelError(
+                UNSEEING if name == "perception" else f"{option} says nothing to {kind}",
+                where=f"sensitivity {kind}",
+                fix=f"leave it out; it belongs to {', '.join(kinds)}",
+            )
+    if options["seed"] is None:
+        options["seed"] = "0"
+    if options["out"] is not None and not options["out"].strip():
+        raise ModelError("--out is empty", where="--out", fix="name a folder")

@@ -7,11 +7,27 @@
 1 (certified)
 """
 
+from analysis.sensitivity.distributions import Uncertain, Uncertainty, uncertainty
+from analysis.sensitivity.expected_loss import LossCurve, expected_loss
 from analysis.sensitivity.gradient import Derivative, Gradient, gradient
 from analysis.sensitivity.joint import JointRadius, joint_radius
 from analysis.sensitivity.moments import Movement, moments_gradient, movement_frame
+from analysis.sensitivity.morris import Effects, Morris, morris
+from analysis.sensitivity.multi_model import MultiModel, multi_model
 from analysis.sensitivity.one_way import Bar, Curve, Point, Tornado, one_way, tornado
+from analysis.sensitivity.psa import PSA, psa
 from analysis.sensitivity.ranges import Range, around, load_ranges, whole
+from analysis.sensitivity.robust import Robust, RobustCurve, robust_curve
+from analysis.sensitivity.robust_box import BoxExtreme, BoxOptimum, box_extreme, box_optimum
+from analysis.sensitivity.sampled import Sampled, sampled
+from analysis.sensitivity.sobol import Indices, Sobol, sobol
+from analysis.sensitivity.structural import (
+    Reading,
+    Structural,
+    combinations,
+    one_at_a_time,
+    structural,
+)
 from analysis.sensitivity.thresholds import (
     Switch,
     Threshold,
@@ -21,32 +37,63 @@ from analysis.sensitivity.thresholds import (
     thresholds,
 )
 from analysis.sensitivity.two_way import TwoWay, two_way
+from analysis.sensitivity.uncertainty_file import load_uncertainty
 
 __all__ = [
+    "PSA",
     "Bar",
+    "BoxExtreme",
+    "BoxOptimum",
     "Curve",
     "Derivative",
+    "Effects",
     "Gradient",
+    "Indices",
     "JointRadius",
+    "LossCurve",
+    "Morris",
     "Movement",
+    "MultiModel",
     "Point",
     "Range",
+    "Reading",
+    "Robust",
+    "RobustCurve",
+    "Sampled",
+    "Sobol",
+    "Structural",
     "Switch",
     "Threshold",
     "Thresholds",
     "Tornado",
     "TwoWay",
+    "Uncertain",
+    "Uncertainty",
     "around",
+    "box_extreme",
+    "box_optimum",
+    "combinations",
+    "expected_loss",
     "gradient",
     "joint_radius",
     "load_ranges",
+    "load_uncertainty",
     "moments_gradient",
+    "morris",
     "movement_frame",
+    "multi_model",
+    "one_at_a_time",
     "one_way",
+    "psa",
+    "robust_curve",
+    "sampled",
+    "sobol",
     "stability_frame",
+    "structural",
     "threshold_frame",
     "thresholds",
     "tornado",
     "two_way",
+    "uncertainty",
     "whole",
 ]

@@ -39,9 +39,12 @@ REGRET_ZERO = 0.0
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """What the optimum and a fixed policy are worth at one value of a parameter."""
+    """What the optimum and a fixed policy are worth at one value of a parameter.
 
-    at: Fraction
+    `at` is None for today's values of all of them.
+    """
+
+    at: Fraction | None
     optimal: Bounded
     fixed: Bounded
 
@@ -226,7 +229,7 @@ def tornado(
         bars.append(Bar(parameter=parameter, low=low, high=high))
     bars.sort(key=lambda bar: -bar.swing)
     mdp = model.at({})
-    today = _values(mdp, Fraction(0), weights)
+    today = _values(mdp, None, weights)
     return Tornado(today=today, bars=tuple(bars))
 
 
@@ -244,5 +247,5 @@ def _point(model: Parametric, name: str, value: Fraction, weights: Floats) -> Po
     return _values(model.at({name: value}), value, weights)
 
 
-def _values(mdp: MDP, at: Fraction, weights: Floats) -> Point:
+def _values(mdp: MDP, at: Fraction | None, weights: Floats) -> Point:
     return Point(at=at, optimal=solve(mdp).start, fixed=evaluate(mdp, weights).numbers["mean"])

@@ -24,17 +24,19 @@ if TYPE_CHECKING:
 
 Report = tuple[dict[str, Any], dict[str, str], list[Grid]]
 SHOWN = 40  # rows of a table for people
+ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
+"""What is certified under a perception: a file may state 1/3, which no float is."""
 
 
 def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     """Return derivatives of the start value."""
-    model = _model(loaded)
+    model = model_of(loaded)
     if options["ranges"] or options["range_file"] or options["relative"] or options["whole"]:
         raise ModelError(
             "a gradient has no ranges", where="sensitivity gradient", fix="leave them out"
         )
     names = options["parameters"] or None
-    found = gradient(model, _policy(loaded, options), names=names)
+    found = gradient(model, policy_from(loaded, options), names=names)
     ends = {True: "re-optimised", False: "fixed"}
     result = {
         "start_value": float(found.start_value.value),
@@ -70,8 +72,12 @@ def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
         rows=rows,
         numeric=frozenset({1, 2, 3}),
     )
+    claim = str(found.start_value.claim)
+    if options.get("perception") is not None:
+        result["claim_of"] = ROUNDED
+        claim += f", {ROUNDED}"
     facts = {
-        "start value": f"{number(result['start_value'])} ({found.start_value.claim})",
+        "start value": f"{number(result['start_value'])} ({claim})",
         "policy": result["policy"],
     }
     for name, (less, more) in found.steps.items():
@@ -82,12 +88,15 @@ def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
 
 def tornado_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     """Return values and regrets at the ends of every range."""
-    model = _model(loaded)
-    spans = _ranges(model, options)
+    model = model_of(loaded)
+    spans = ranges_from(model, options)
     ranges = {name: span for name, span in spans.items() if span.low < span.high}
-    policy = _policy(loaded, options)
+    policy = policy_from(loaded, options)
     found = tornado(model, policy=policy, names=list(ranges), ranges=ranges)
     bars = [_bar(bar) for bar in found.bars]
+    seen = options.get("perception") is not None
+    if seen:  # what the perception does to the policy is what is asked, not the optimum
+        bars.sort(key=lambda bar: -bar["fixed_swing"])
     result = {
         "start_value": found.today.optimal.value,
         "error_bound": found.today.optimal.error,
@@ -99,35 +108,62 @@ def tornado_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
         "without_range": sorted(set(spans) - set(ranges)),
     }
     headings = ("parameter", "from", "to", "at low", "at high", "regret")
+    kind = "fixed_value" if seen else "value"
     rows = [
         (
             bar["parameter"],
-            *(f"{bar[key]:.6g}" for key in ("low", "high", "value_low", "value_high")),
+            *(f"{bar[key]:.6g}" for key in ("low", "high", f"{kind}_low", f"{kind}_high")),
             f"{bar['regret']:.3g}",
         )
         for bar in bars[:SHOWN]
     ]
     title = "start value at both ends, policy re-optimised; regret of the policy held fixed"
+    if seen:
+        title = (
+            "start value at both ends of the policy held fixed, on what it perceives; its regret"
+        )
+    numeric = frozenset(range(1, 6))
+    grids = [Grid(title=title, headings=headings, rows=rows, numeric=numeric)]
+    lost = found.today.regret.value
     facts = {
         "start value": f"{number(found.today.optimal.value)} (bounded)",
         "policy held fixed": f"{options['policy']}, {number(found.today.fixed.value)}",
+        "its regret": f"{lost:.6g} (bounded)",
     }
     if result["without_range"]:
         facts["zero today, without range"] = ", ".join(result["without_range"])
-    numeric = frozenset(range(1, 6))
-    return result, facts, [Grid(title=title, headings=headings, rows=rows, numeric=numeric)]
+    if seen or options["policy"] != "optimal":
+        # A policy that is not today's optimum has a tornado of its own: that of its regret.
+        widest = sorted(
+            bars, key=lambda bar: -max(abs(bar[f"regret_{end}"] - lost) for end in ("low", "high"))
+        )
+        grids.append(
+            Grid(
+                title=f"regret of the policy held fixed at both ends; {lost:.6g} today",
+                headings=("parameter", "from", "to", "at low", "at high"),
+                rows=[
+                    (
+                        bar["parameter"],
+                        *(f"{bar[k]:.6g}" for k in ("low", "high", "regret_low", "regret_high")),
+                    )
+                    for bar in widest[:SHOWN]
+                ],
+                numeric=frozenset(range(1, 5)),
+            )
+        )
+    return result, facts, grids
 
 
 def threshold_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     """Return every threshold within the ranges, and the range in which the policy stays."""
     from tqdm import tqdm
 
-    model = _model(loaded)
+    model = model_of(loaded)
     if options["policy"] != "optimal":
         raise ModelError(
             "thresholds are those of the optimal policy", where="--policy", fix="leave it out"
         )
-    spans = _ranges(model, options)
+    spans = ranges_from(model, options)
     ranges = {name: span for name, span in spans.items() if span.low < span.high}
     steps = tqdm(ranges.items(), desc="thresholds", disable=None, leave=False)
     found = {name: thresholds(model, name, span) for name, span in steps}
@@ -193,16 +229,20 @@ def threshold_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     return result, facts, grids
 
 
-def _model(loaded: Loaded) -> Parametric:
+def model_of(loaded: Loaded) -> Parametric:
+    """Return the loaded model with its parameters."""
     return parametric(loaded.scenario if loaded.scenario is not None else loaded.mdp)
 
 
-def _policy(loaded: Loaded, options: Mapping[str, Any]) -> object:
-    form = options["policy"]
-    return form if form == "optimal" else policy_of(loaded.mdp, form)
+def policy_from(loaded: Loaded, options: Mapping[str, Any]) -> object:
+    """Return the policy that the options name, or "optimal"."""
+    form, perception = options["policy"], options.get("perception")
+    if form == "optimal" and perception is None:
+        return form
+    return policy_of(loaded.mdp, form, perception)
 
 
-def _ranges(model: Parametric, options: Mapping[str, Any]) -> dict[str, Range]:
+def ranges_from(model: Parametric, options: Mapping[str, Any]) -> dict[str, Range]:
     """Return the range of each parameter that is asked for."""
     stated: dict[str, Range] = {}
     if options["range_file"] is not None:

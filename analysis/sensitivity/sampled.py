@@ -1,0 +1,297 @@
+"""The optimum's value, and what given policies are worth, at many draws of a model's parameters.
+
+Every draw is a model of its own: it is solved to optimality (the policy re-optimised), and each
+given policy is evaluated in it (the policy held fixed). Care scenarios go through compiled loops
+that never form the model (`solvers.care_batch`); any other model is built at each draw. Draws are
+done in blocks of a fixed size, in any number of threads or processes, so that the same draws give
+the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.sensitivity.one_way import held
+from analysis.sensitivity.ranges import Range, around, checked
+from mdp.errors import ModelError
+from mdp.fingerprint import fingerprint
+from mdp.parameters import Parameter
+from mdp.parametric import DISCOUNT, Parametric, parameter_of
+from mdp.scenario_family import ScenarioFamily
+from mdp.table import Floats
+from solvers import evaluate, solve
+from solvers.care_layout import MOST_STATUSES
+from solvers.many import many
+
+BLOCK = 32  # draws in a piece of work where each model is built: a fraction of a second
+BATCH = 8192  # the same for the compiled loops
+NOISE = 1e-9  # share of the values below which a spread is called rounding
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampled:
+    """Start values at every draw.
+
+    Attributes
+    ----------
+    optimal : (D,)
+        The policy re-optimised at each draw; units of reward.
+    fixed : (D, N)
+        Each policy held fixed.
+    error : (D, N + 1)
+        Bounds on the errors of `optimal` (column 0) and of each policy's value.
+    """
+
+    optimal: Floats
+    fixed: Floats
+    error: Floats
+
+    @property
+    def regret(self) -> Floats:
+        """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
+        lost = self.optimal[:, None] - self.fixed
+        return np.where(lost > self.error[:, :1] + self.error[:, 1:], lost, 0.0)
+
+    @property
+    def noise(self) -> float:
+        """Least difference of two values that is told from rounding."""
+        size = max(1.0, float(np.abs(self.optimal).max()))
+        return max(NOISE * size, 2 * float(self.error.max()))
+
+
+def sampled(
+    model: Parametric,
+    names: Sequence[str],
+    draws: Floats,
+    policies: Sequence[object] = (),
+    *,
+    n_jobs: int | None = 1,
+    scheduler: str | None = None,
+    folder: str | Path | None = None,
+    progress: bool = False,
+) -> Sampled:
+    """Return the optimum's value and the policies' at every draw.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The parameters that are drawn; the others keep today's values.
+    draws : (D, P) floats
+        One row for each draw, a column for each name.
+    policies : sequence
+        "optimal" at today's values, or anything that `solvers.evaluate` takes.
+    n_jobs, scheduler, folder, progress
+        See `solvers.many.many`.
+
+    Raises
+    ------
+    ModelError
+        For no draws, unknown names, and values that the model cannot have; the first draw at
+        fault is named.
+
+    Examples
+    --------
+    >>> from mdp import MDP
+    >>> from mdp.parametric import moving
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    >>> model = moving(mdp, {"stay": [(0, 0)]})
+    >>> found = sampled(model, ["stay"], np.array([[0.5], [0.75]]), ["optimal"])
+    >>> found.optimal.round(9).tolist(), found.regret.tolist()
+    ([2.0, 4.0], [[0.0], [0.0]])
+    """
+    names, draws = tuple(names), _draws(model, names, draws)
+    weights = [held(model, policy) for policy in policies]
+    batch = isinstance(model, ScenarioFamily) and len(model.scenario.statuses) <= MOST_STATUSES
+    size = BATCH if batch else BLOCK
+    key = {
+        "model": fingerprint(model.at({})),
+        # Two families may agree today and differ elsewhere.
+        "first_draw": fingerprint(_at(model, names, draws, 0)),
+        "parameters": list(names),
+        "draws": sha256(np.ascontiguousarray(draws, dtype="<f8")).hexdigest(),
+        "policies": [sha256(np.asarray(w, dtype="<f8").tobytes()).hexdigest() for w in weights],
+        "draws_per_file": size,
+        "compiled": batch,
+    }
+    blocks = [(first, draws[first : first + size]) for first in range(0, len(draws), size)]
+    work = partial(_solve_block, model, names, weights)
+    if batch:
+        # Threads of this process share the loops; workers elsewhere take a block each.
+        threads = 1 if scheduler is not None else n_jobs
+        tables = _by_state(model, weights)
+        work = partial(_solve_batch, model, names, tables, threads)
+        n_jobs = 1 if scheduler is None else n_jobs
+    done = many(
+        work,
+        blocks,
+        key=key,
+        n_jobs=n_jobs,
+        scheduler=scheduler,
+        folder=folder,
+        progress=progress,
+        what="draws",
+    )
+    parts = {name: np.concatenate([block[name] for block in done]) for name in done[0]}
+    return Sampled(**parts)
+
+
+def values(
+    model: Parametric,
+    names: Sequence[str],
+    draws: Floats,
+    policy: object = None,
+    **how: Any,
+) -> Floats:
+    """Return (D,) the optimum's value at every draw, or a policy's.
+
+    Examples
+    --------
+    >>> from mdp import MDP
+    >>> from mdp.parametric import parametric
+    >>> model = parametric(MDP.from_arrays([[[1]]], [1], "1/2"))
+    >>> values(model, ["discount"], np.array([[0.5], [0.75]])).round(9).tolist()
+    [2.0, 4.0]
+    """
+    if policy is None:
+        return sampled(model, names, draws, **how).optimal
+    return sampled(model, names, draws, [policy], **how).fixed[:, 0]
+
+
+def usual(model: Parametric) -> list[str]:
+    """Return the names of the parameters to vary together: all but the discount.
+
+    The discount is no number of the tables, and a share of it is a change of another kind: from 1
+    to 4/5 it would outweigh them all. It is varied where it is named, or where there is no other.
+    """
+    names = [parameter.name for parameter in model.parameters]
+    return [name for name in names if name != DISCOUNT] or names
+
+
+def spans_of(
+    model: Parametric,
+    names: Sequence[str] | None = None,
+    ranges: Mapping[str, object] | None = None,
+    relative: Any = None,
+) -> dict[Parameter, Range]:
+    """Return the parameters that have a range, with it: stated, or today's value ± a share of it.
+
+    Parameters that are 0 today, and so have no range around it, are left out unless one is stated;
+    so is the discount, see `usual`.
+
+    Raises
+    ------
+    ModelError
+        For unknown names, empty stated ranges, and where no parameter has a range.
+    """
+    stated = checked(model, ranges or {})
+    chosen = names or list(stated) or usual(model)
+    share = {} if relative is None else {"relative": relative}
+    found = {}
+    for name in dict.fromkeys(chosen):
+        parameter = parameter_of(model, name)
+        span = stated.get(name) or around(parameter, **share)
+        if span.low < span.high:
+            found[parameter] = span
+    if not found:
+        raise ModelError(
+            "no parameter has a range", where=f"model {model.name}", fix="state a range"
+        )
+    return found
+
+
+def _draws(model: Parametric, names: Sequence[str], draws: Floats) -> Floats:
+    draws = np.asarray(draws, dtype=float)
+    if draws.ndim != 2 or draws.shape[1] != len(names):
+        raise ModelError(
+            f"draws of shape {draws.shape} for {len(names)} parameters",
+            where="draws",
+            fix="give one row for each draw and a column for each parameter",
+        )
+    if not len(draws):
+        raise ModelError("no draws", where="draws", fix="ask for at least 1")
+    for column, name in enumerate(names):
+        parameter = parameter_of(model, name)
+        low = -np.inf if parameter.low is None else float(parameter.low)
+        high = np.inf if parameter.high is None else float(parameter.high)
+        wrong = ~((draws[:, column] >= low) & (draws[:, column] <= high))
+        wrong |= ~np.isfinite(draws[:, column])
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise ModelError(
+                f"{name} is {draws[row, column]:.17g}, outside [{low:g}, {high:g}]",
+                where=f"draw {row}",
+                fix="draw within that range",
+            )
+    return draws
+
+
+def _at(model: Parametric, names: Sequence[str], draws: Floats, row: int, first: int = 0) -> Any:
+    try:
+        return model.at(dict(zip(names, draws[row].tolist(), strict=True)))
+    except ModelError as error:
+        where = f"draw {first + row}, {error.where}"
+        raise ModelError(error.what, where=where, fix=error.fix) from error
+
+
+def _solve_block(
+    model: Parametric,
+    names: tuple[str, ...],
+    weights: Sequence[Floats],
+    piece: tuple[int, Floats],
+) -> dict[str, Floats]:
+    first, draws = piece
+    value = np.empty((len(draws), 1 + len(weights)))
+    error = np.empty_like(value)
+    for row in range(len(draws)):
+        mdp = _at(model, names, draws, row, first)
+        best = solve(mdp).start
+        held_fixed = [evaluate(mdp, weight) for weight in weights]
+        value[row] = [best.value, *(each.mean for each in held_fixed)]
+        error[row] = [best.error, *(each.error_bound for each in held_fixed)]
+    return {"optimal": value[:, 0], "fixed": value[:, 1:], "error": error}
+
+
+# ---- compiled loops ------------------------------------------------------------------------------
+
+
+def _by_state(model: ScenarioFamily, weights: Sequence[Floats]) -> Floats:
+    """Return (N, subtasks, trials, flags, V, A) action probabilities from (L,) weights of pairs."""
+    mdp, scenario = model.at({}), model.scenario
+    sizes = {column.name: column.size for column in mdp.space.columns}
+    flags, vectors = sizes.get("skipped", 1), sizes["status"]
+    tables = []
+    for weight in weights:
+        table = np.zeros((mdp.n_states, mdp.n_actions))
+        table[mdp.pair_state, mdp.pair_action] = weight
+        shape = (sizes["subtask"], sizes["trial"], flags, vectors, mdp.n_actions)
+        numbers = [mdp.action(name) for name in scenario.actions]
+        # A last trial in which a skip is the only action is no trial of the loops.
+        tables.append(table[: mdp.space.regular].reshape(shape)[:, : scenario.trials][..., numbers])
+    return np.array(tables)
+
+
+def _solve_batch(
+    model: ScenarioFamily,
+    names: tuple[str, ...],
+    tables: Floats,
+    threads: int | None,
+    piece: tuple[int, Floats],
+) -> dict[str, Floats]:
+    from solvers.care_batch import optimal, policy_values
+
+    _, draws = piece
+    best = optimal(model.scenario, names, draws, threads=threads)
+    value, error = [best.start[:, None]], [best.error[:, None]]
+    if len(tables):
+        found = policy_values(model.scenario, names, draws, tables, threads=threads)
+        value.append(found.mean)
+        error.append(np.broadcast_to(found.error[:, None], found.mean.shape))
+    values = np.concatenate(value, axis=1)
+    return {"optimal": values[:, 0], "fixed": values[:, 1:], "error": np.concatenate(error, axis=1)}

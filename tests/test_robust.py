@@ -1,0 +1,289 @@
+"""Robust values: against exact rationals, linear programs, and what must hold of any of them."""
+
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from strategies import Rows, models
+
+from analysis.cli_output import to_json
+from analysis.plots.robust import plot_robust_curve
+from analysis.sensitivity.robust import SETS, ambiguity_of, robust, robust_curve
+from analysis.sensitivity.robust_report import robust_report
+from mdp import MDP, ModelError, Scenario
+from mdp.load import load
+from solvers import PrecisionWarning, SolverError, evaluate, solve
+from solvers.ambiguity import Intervals, L1Ball
+from solvers.divergence import Likelihood, RelativeEntropy
+from solvers.policy_chain import PolicyChain
+from solvers.robust import RobustSolution, solve_robust
+
+F = Fraction
+GAMES = [(o, n) for o in ("max", "min") for n in ("worst", "best")]
+SMALL = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=3)
+SHARES = (F(0), F(1, 5), F(1, 2))
+moderate = settings(max_examples=12)
+
+
+def exact_inner(outcomes, share: Fraction, least: bool) -> Fraction:
+    """Give outcomes in order of worth their upper bounds, in rationals."""
+    rows = sorted(outcomes, key=lambda each: each[1], reverse=not least)
+    lower = [p * (1 - share) for p, _ in rows]
+    left, total = 1 - sum(lower), F(0)
+    for (p, worth), low in zip(rows, lower, strict=True):
+        more = min(left, min(p * (1 + share), F(1)) - low)
+        left -= more
+        total += (low + more) * worth
+    assert left == 0
+    return total
+
+
+def exact_values(mdp: MDP, share: Fraction, objective: str, nature: str, weights=None):
+    """Backward induction in rationals, states numbered along the transitions."""
+    value = [F(0)] * mdp.n_states
+    least = (nature == "worst") == (objective == "max")
+    for state in reversed(range(mdp.n_states)):
+        if mdp.terminal[state]:
+            continue
+        worths = []
+        for pair in mdp.pairs_of(state):
+            outcomes = [(p, g + mdp.discount_exact * value[t]) for p, t, g in mdp.table.row(pair)]
+            worths.append(exact_inner(outcomes, share, least))
+        if weights is not None:
+            chosen = [F(float(weights[pair])) for pair in mdp.pairs_of(state)]
+            value[state] = sum(w * x for w, x in zip(chosen, worths, strict=True))
+        else:
+            value[state] = (max if objective == "max" else min)(worths)
+    return value
+
+
+@pytest.mark.parametrize(("objective", "nature"), GAMES)
+@pytest.mark.parametrize("share", [F(1, 5), F(9, 10)])
+def test_the_care_model_in_rationals(objective, nature, share) -> None:
+    mdp = SMALL.compile()
+    right = exact_values(mdp, share, objective, nature)
+    found = solve_robust(mdp, Intervals.relative(mdp, share), nature=nature, objective=objective)
+    off = np.array([float(abs(F(v) - r)) for v, r in zip(found.value.tolist(), right, strict=True)])
+    assert (off <= found.state_error).all()
+    assert found.error_bound < 1e-9
+    held = PolicyChain.of(mdp, "random").weights
+    right = exact_values(mdp, share, objective, nature, held)
+    found = solve_robust(
+        mdp, Intervals.relative(mdp, share), nature=nature, objective=objective, policy="random"
+    )
+    assert abs(found.start.value - float(right[0])) <= found.start.error
+
+
+def sets(mdp: MDP, share: Fraction) -> list:
+    return [
+        Intervals.relative(mdp, share),
+        L1Ball(radius=float(share)),
+        Likelihood(radius=float(share)),
+        RelativeEntropy(radius=float(share)),
+    ]
+
+
+def solved(mdp: MDP, kind, **choices) -> RobustSolution | None:
+    """The solution; None where a set lets an episode go on for ever, or floats do not suffice."""
+    try:
+        return solve_robust(mdp, kind, **choices)
+    except (ModelError, SolverError):
+        return None
+
+
+@pytest.mark.filterwarnings("ignore::solvers.PrecisionWarning")
+@moderate
+@given(models(), st.sampled_from(SHARES))
+def test_order_of_values(rows: Rows, share: Fraction) -> None:
+    mdp = rows.model()
+    nominal = solve(mdp)
+    for kind in sets(mdp, share):
+        worst, best = solved(mdp, kind), solved(mdp, kind, nature="best")
+        if worst is None or best is None:
+            assert isinstance(kind, L1Ball | RelativeEntropy | Likelihood) or rows.discount > 0.9
+            continue
+        room = worst.state_error + best.state_error + nominal.state_error
+        assert (worst.value <= nominal.value + room).all()
+        assert (nominal.value <= best.value + room).all()
+        held = solved(mdp, kind, policy=nominal)
+        own = solved(mdp, kind, policy=worst.policy)
+        assert held is not None
+        assert own is not None
+        assert (held.value <= worst.value + held.state_error + worst.state_error).all()
+        assert (np.abs(own.value - worst.value) <= own.state_error + worst.state_error).all()
+        if share == 0:
+            assert (np.abs(worst.value - nominal.value) <= room + 1e-9 * np.abs(worst.value)).all()
+
+
+@pytest.mark.filterwarnings("ignore::solvers.PrecisionWarning")
+@moderate
+@given(models(discounts=[F(1, 2), F(9, 10), F(1)]), st.sampled_from(GAMES))
+def test_bellman_equations_by_linear_programs(rows: Rows, game: tuple[str, str]) -> None:
+    mdp, (objective, nature) = rows.model(), game
+    kind = Intervals.relative(mdp, F(1, 3))
+    found = solved(mdp, kind, nature=nature, objective=objective)
+    if found is None:
+        return
+    table, gains = mdp.table, mdp.table.gains()
+    sign = 1 if (nature == "worst") == (objective == "max") else -1
+    size = float(np.abs(found.value).max() + np.abs(gains).max()) or 1.0
+    for state in np.flatnonzero(~mdp.terminal).tolist():
+        worths = []
+        for pair in mdp.pairs_of(state):
+            part = slice(int(table.offsets[pair]), int(table.offsets[pair + 1]))
+            cost = (gains[part] + mdp.discount * found.value[table.next[part]]) / size
+            bounds = list(zip(kind.lower[part], kind.upper[part], strict=True))
+            done = linprog(sign * cost, A_eq=np.ones((1, len(cost))), b_eq=[1.0], bounds=bounds)
+            worths.append(sign * done.fun * size)
+        best = max(worths) if objective == "max" else min(worths)
+        assert found.value[state] == pytest.approx(best, abs=1e-6 * size + 2 * found.error_bound)
+
+
+def test_discount_near_1_ends_with_honest_bounds() -> None:
+    rng = np.random.default_rng(0)
+    laws = rng.dirichlet(np.ones(5), (3, 60))
+    matrix = np.zeros((3, 60, 60))
+    for action in range(3):
+        for state in range(60):
+            matrix[action, state, rng.choice(60, 5, replace=False)] = laws[action, state]
+    mdp = MDP.from_arrays(list(matrix), rng.normal(size=(60, 3)), "9999/10000")
+    for kind in sets(mdp, F(1, 10)):
+        found = solve_robust(mdp, kind)
+        system = np.eye(60) - mdp.discount * found.transition.toarray()
+        earned = np.linalg.solve(system, found.reward)
+        assert np.abs(earned - found.value).max() <= 3 * found.error_bound + 1e-6
+        assert found.iterations < 30
+
+
+def test_a_way_out_that_nature_can_close() -> None:
+    mdp = MDP.from_arrays([[["9/10", "1/10"], [0, 1]]], [-1, 0])
+    assert solve_robust(mdp, L1Ball(radius=0.1)).start.value == pytest.approx(-20)
+    with pytest.raises(ModelError, match="every episode to end"):
+        solve_robust(mdp, L1Ball(radius=0.3))
+    assert solve_robust(mdp.with_(discount="9/10"), L1Ball(radius=0.3)).start.value == (
+        pytest.approx(-10)
+    )
+
+
+def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
+    mdp = MDP.from_arrays([[["1/3", "2/3"], ["1/7", "6/7"]]], [1, 0], "9/10")
+    with pytest.raises(SolverError, match="iteration limit"):
+        solve_robust(mdp, L1Ball(radius=0.1), max_iterations=1, tol=1e-9)
+    with pytest.warns(PrecisionWarning):
+        solve_robust(mdp, L1Ball(radius=0.1), tol=1e-17)
+
+
+@pytest.mark.parametrize(
+    "choices", [{"nature": "bad"}, {"objective": "most"}, {"tol": 0}, {"tol": float("nan")}]
+)
+def test_unknown_words_are_refused(choices: dict) -> None:
+    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    with pytest.raises(ModelError):
+        solve_robust(mdp, L1Ball(radius=0.1), **choices)
+
+
+# ---- the analysis ----------------------------------------------------------------------------
+
+
+def risky() -> MDP:
+    """Safe earns 1; risky earns 3 with probability 1/2, and so 3/2 on average."""
+    return MDP.from_outcomes(
+        [
+            (0, 0, [(1, 1, 1)]),
+            (0, 1, [("1/2", 1, 3), ("1/2", 2, 0)]),
+            (1, 0, [(1, 1, 0)]),
+            (2, 0, [(1, 2, 0)]),
+        ],
+        actions=("safe", "risky"),
+    )
+
+
+def test_the_price_of_robustness() -> None:
+    found = robust(risky(), Intervals.relative(risky(), "1/2"))
+    assert found.value.value == 1.5
+    assert found.worst.value == pytest.approx(0.75)
+    assert found.best.value == pytest.approx(2.25)
+    assert found.robust.start.value == pytest.approx(1)
+    assert found.price.value == pytest.approx(0.5)
+    assert found.gain.value == pytest.approx(0.25)
+    assert found.changed.tolist() == [0]
+    assert found.changes_frame()["robust"].tolist() == ["safe"]
+    assert found.frame()["value (reward)"].tolist() == pytest.approx(
+        [1.5, 0.75, 2.25, 1, 1, 1, 2.25]
+    )
+    costs = robust(risky(), Intervals.relative(risky(), "1/2"), objective="min")
+    assert (costs.value.value, costs.worst.value) == (1, 1)
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
+    mdp = SMALL.compile()
+    found = robust(mdp, ambiguity_of(mdp, kind, "1/20"), policy="always:directive")
+    assert found.worst.value < found.value.value < found.best.value
+    assert found.value.value == pytest.approx(evaluate(mdp, "always:directive").mean)
+    assert found.gain.value > 0
+
+
+@pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
+def test_the_report(kind: str) -> None:
+    loaded = load("yuan2025", sets=["tasks=[1]"])
+    result, facts, grids = robust_report(loaded, {"set_kind": kind, "radius": "0.3"})
+    assert result["worst_case"]["value"] < result["start_value"] < result["best_case"]["value"]
+    assert result["worst_case"]["nominal_policy"]["value"] <= result["worst_case"]["value"] + 1e-9
+    assert result["price_of_robustness"]["value"] >= -1e-9
+    assert json.loads(to_json(result))["set_kind"] == kind
+    assert grids[0].rows
+    assert "0.3" in facts["uncertainty"]
+
+
+def test_the_report_of_a_box() -> None:
+    loaded = load("yuan2025", sets=["tasks=[1]", "max_trial=2"])
+    result, _, grids = robust_report(loaded, {"set_kind": "box", "radius": "0.1"})
+    assert result["worst_case"]["nominal_policy"]["low"] < result["start_value"]
+    assert result["worst_case"]["low"] <= result["worst_case"]["high"]
+    assert len(grids[0].rows) == len(result["box"]) == 32
+    assert json.loads(to_json(result))["best_case"]
+    one = {"set_kind": "box", "ranges": ("base.anger=0:0.2",)}
+    assert list(robust_report(loaded, one)[0]["box"]) == ["base.anger"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"set_kind": "intervall"},
+        {"radius": "much"},
+        {"radius": "-1"},
+        {"parameters": ("base.anger",)},
+        {"set_kind": "box", "radius": "0.1", "relative": "0.1"},
+        {"set_kind": "box", "ranges": ("base.angr=0:1",)},
+        {"policy": "always:nothing"},
+    ],
+)
+def test_reports_of_nonsense_are_refused(options: dict) -> None:
+    with pytest.raises(ModelError):
+        robust_report(load("yuan2025", sets=["tasks=[1]"]), options)
+
+
+def test_a_box_needs_a_scenario(tmp_path) -> None:
+    from mdp.load import save_model
+
+    save_model(risky(), tmp_path / "model.npz")
+    with pytest.raises(ModelError, match="scenario"):
+        robust_report(load(tmp_path / "model.npz"), {"set_kind": "box"})
+
+
+def test_the_curve_and_its_figure() -> None:
+    curve = robust_curve(risky(), "interval", [0, "1/4", "1/2", 1])
+    frame = curve.frame()
+    assert frame["nominal policy, worst (reward)"].tolist() == pytest.approx([1.5, 1.125, 0.75, 0])
+    assert frame["robust policy, worst (reward)"].tolist() == pytest.approx([1.5, 1.125, 1, 1])
+    assert frame["price of robustness (reward)"].tolist() == pytest.approx([0, 0, 0.5, 0.5])
+    ax = plot_robust_curve(curve)
+    assert len(ax.lines) == 4
+    assert "reward" in ax.get_ylabel()
+    with pytest.raises(ModelError):
+        robust_curve(risky(), "interval", [])

@@ -1,0 +1,338 @@
+"""Sobol indices and Morris effects against closed forms; draws of whole models; seeds."""
+
+from __future__ import annotations
+
+import sys
+from fractions import Fraction
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cases import BY_NAME
+
+from analysis.sensitivity.design import inside, problem_of
+from analysis.sensitivity.morris import Morris, morris
+from analysis.sensitivity.ranges import Range
+from analysis.sensitivity.sampled import sampled, spans_of, values
+from analysis.sensitivity.sobol import Sobol, sobol
+from mdp import MDP, ModelError, Scenario
+from mdp.parameters import Parameter
+from mdp.parametric import Parametric, moving, parametric
+from solvers import evaluate, solve
+
+sampled_module = import_module("analysis.sensitivity.sampled")
+F = Fraction
+HALF = F(1, 2)
+
+
+def chain() -> Parametric:
+    """V = p (2 + q (3 + 4 r)): each step is passed with its own probability, or all is over."""
+    gains, end = (2, 3, 4), 3
+    rows: list[Any] = [
+        (state, 0, [(HALF, min(state + 1, end), gain), (HALF, 4, 0)])
+        for state, gain in enumerate(gains)
+    ]
+    rows += [(3, 0, [(1, 3, 0)]), (4, 0, [(1, 4, 0)])]
+    return moving(MDP.from_outcomes(rows, 1), {n: [(i, i + 1)] for i, n in enumerate("pqr")})
+
+
+def choice() -> Parametric:
+    """V = max(p, q): two actions, each earns 1 with its own probability."""
+    rows = [
+        (0, 0, [(HALF, 1, 1), (HALF, 2, 0)]),
+        (0, 1, [(HALF, 1, 1), (HALF, 2, 0)]),
+        (1, 0, [(1, 1, 0)]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    return moving(MDP.from_outcomes(rows, 1), {"p": [(0, 1)], "q": [(1, 1)]})
+
+
+CHAIN_RANGES = {"p": (F(1, 2), F(9, 10)), "q": (F(1, 10), F(3, 5)), "r": (0, 1)}
+
+
+def mean(low: F, high: F) -> F:
+    return (low + high) / 2
+
+
+def square(low: F, high: F) -> F:
+    """E[x²] of a uniform x."""
+    return (low * low + low * high + high * high) / 3
+
+
+def closed_form() -> tuple[F, dict[str, F], dict[str, F]]:
+    """Variance, first-order and total indices of p (2 + q (3 + 4 r)), worked out by hand.
+
+    With m for means and s for second moments, u = 3 + 4 r, w = 2 + q u:
+    E[w] = 2 + m_q m_u,  E[w²] = 4 + 4 m_q m_u + s_q s_u,  V = p w.
+    """
+    spans = {name: tuple(map(F, span)) for name, span in CHAIN_RANGES.items()}
+    m = {name: mean(*span) for name, span in spans.items()}
+    s = {name: square(*span) for name, span in spans.items()}
+    m_u, s_u = 3 + 4 * m["r"], 9 + 24 * m["r"] + 16 * s["r"]
+    v = {name: s[name] - m[name] ** 2 for name in "pqr"}
+    v_u = s_u - m_u**2
+    m_w, s_w = 2 + m["q"] * m_u, 4 + 4 * m["q"] * m_u + s["q"] * s_u
+    variance = s["p"] * s_w - (m["p"] * m_w) ** 2
+    first = {
+        "p": v["p"] * m_w**2,
+        "q": m["p"] ** 2 * m_u**2 * v["q"],
+        "r": m["p"] ** 2 * m["q"] ** 2 * v_u,
+    }
+    total = {"p": v["p"] * s_w, "q": s["p"] * s_u * v["q"], "r": s["p"] * s["q"] * v_u}
+    return (
+        variance,
+        {name: part / variance for name, part in first.items()},
+        {name: part / variance for name, part in total.items()},
+    )
+
+
+# ---- Sobol ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def of_chain() -> Sobol:
+    return sobol(chain(), ranges=CHAIN_RANGES, samples=128, seed=0)
+
+
+def test_indices_are_those_of_the_closed_form(of_chain: Sobol) -> None:
+    variance, first, total = closed_form()
+    assert of_chain.names == ("p", "q", "r")
+    assert of_chain.draws == 128 * 5
+    found = of_chain.optimal
+    assert found.sd == pytest.approx(float(variance) ** 0.5, rel=0.02)
+    for place, name in enumerate("pqr"):
+        assert found.first[place] == pytest.approx(float(first[name]), abs=0.02)
+        assert found.total[place] == pytest.approx(float(total[name]), abs=0.02)
+        # The intervals are of a purely random sample and wider than the scrambled one's error.
+        assert abs(found.first[place] - float(first[name])) < found.first_half[place] < 0.2
+        assert abs(found.total[place] - float(total[name])) < found.total_half[place] < 0.2
+    assert of_chain.regret.constant
+    assert of_chain.regret.mean == 0
+    np.testing.assert_allclose(of_chain.fixed.first, found.first, atol=1e-9)
+
+
+def test_the_maximum_of_two_and_the_regret_of_one_have_known_indices() -> None:
+    """Var max(p, q) = 1/18, of which 1/45 is each one's own; so is the regret's, max(0, q - p)."""
+    found = sobol(
+        choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, samples=128, seed=1
+    )
+    for output in (found.optimal, found.regret):
+        np.testing.assert_allclose(output.first, [0.4, 0.4], atol=0.06)
+        np.testing.assert_allclose(output.total, [0.6, 0.6], atol=0.06)
+        assert (abs(output.first - 0.4) < output.first_half).all()
+        assert output.sd == pytest.approx((1 / 18) ** 0.5, rel=0.02)
+    assert found.regret.mean == pytest.approx(1 / 6, rel=0.02)
+    np.testing.assert_allclose(found.fixed.first, [1, 0], atol=0.02)
+
+
+def same(a: Sobol | Morris, b: Sobol | Morris) -> bool:
+    return all(
+        np.array_equal(value, getattr(getattr(b, output), name), equal_nan=True)
+        for output in ("optimal", "fixed", "regret")
+        for name, value in vars(getattr(a, output)).items()
+    )
+
+
+@pytest.mark.parametrize(
+    "method, size",
+    [(sobol, {"samples": 16}), (morris, {"trajectories": 8})],
+    ids=["sobol", "morris"],
+)
+def test_seed_zero_is_a_seed_and_workers_change_nothing(
+    method: Any, size: dict[str, int], tmp_path: Path
+) -> None:
+    how: dict[str, Any] = {"policy": "always:0", "ranges": {"p": (0, 1), "q": (0, 1)}, **size}
+    first = method(choice(), seed=0, **how)
+    np.random.seed(1)  # noqa: NPY002 - what others do with the global generator plays no part
+    assert same(method(choice(), seed=0, n_jobs=2, folder=tmp_path, **how), first)
+    assert same(method(choice(), seed=0, folder=tmp_path, **how), first)
+    assert not same(method(choice(), seed=1, **how), first)
+    with pytest.raises(ModelError, match="differs in"):
+        method(choice(), seed=1, folder=tmp_path, **how)
+
+
+# ---- Morris --------------------------------------------------------------------------------------
+
+
+def test_effects_are_those_of_the_closed_form() -> None:
+    """On a grid of 4 levels, Δ = 2/3, each parameter is at 0, 1/3, 2/3, 1 with equal chances."""
+    found = morris(chain(), ranges=CHAIN_RANGES, trajectories=100, seed=0)
+    grid = np.arange(4) / 3
+    (p, q, r) = (float(low) + grid * float(high - low) for low, high in CHAIN_RANGES.values())
+    wide = [float(high - low) for low, high in CHAIN_RANGES.values()]
+    effects = [
+        wide[0] * (2 + q[:, None] * (3 + 4 * r[None, :])),
+        wide[1] * p[:, None] * (3 + 4 * r[None, :]),
+        wide[2] * 4 * p[:, None] * q[None, :],
+    ]
+    for place, each in enumerate(effects):
+        # Three standard errors, of which the half width is two.
+        assert (
+            abs(found.optimal.mu_star[place] - each.mean())
+            < 1.5 * found.optimal.mu_star_half[place]
+        )
+        assert abs(found.optimal.sigma[place] - each.std()) < 1.5 * found.optimal.sigma_half[place]
+        assert found.optimal.mu_star_half[place] < 0.15 * each.mean()
+    np.testing.assert_allclose(found.optimal.mu, found.optimal.mu_star)  # all effects are positive
+    assert (found.regret.mu_star == 0).all()
+    assert found.draws == 100 * 4
+
+
+def test_effects_of_a_policy_held_fixed() -> None:
+    found = morris(
+        choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, trajectories=60, seed=3
+    )
+    np.testing.assert_allclose(found.fixed.mu_star, [1, 0], atol=1e-9)
+    np.testing.assert_allclose(found.fixed.sigma, [0, 0], atol=1e-9)
+    assert found.regret.mu[0] < 0 < found.regret.mu[1]
+    frame = found.frame("regret")
+    assert list(frame["parameter"]) in (["p", "q"], ["q", "p"])
+    assert frame.attrs["output"] == "regret"
+
+
+# ---- draws ---------------------------------------------------------------------------------------
+
+
+def test_draws_of_a_published_model_are_solved_one_by_one() -> None:
+    case = BY_NAME["forest-3-24/25"]
+    rows = [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs]
+    mdp = MDP.from_outcomes(rows, case.discount)
+    burning = [
+        (pair, 0)
+        for pair in range(mdp.n_pairs)
+        if any(t == 0 and p == F(1, 10) for p, t, _ in mdp.table.row(pair))
+    ]
+    model = moving(mdp, {"fire": burning})
+    draws = np.array([[0.05, 0.9], [0.1, 0.96], [0.6, 0.5]])
+    found = sampled(model, ["fire", "discount"], draws, ["optimal", "always:1"], n_jobs=2)
+    for row, (fire, discount) in enumerate(draws.tolist()):
+        at = model.at({"fire": fire, "discount": discount})
+        assert found.optimal[row] == pytest.approx(solve(at).start_value, abs=1e-9)
+        assert found.fixed[row, 1] == pytest.approx(evaluate(at, "always:1").mean, abs=1e-9)
+    assert (found.regret >= 0).all()
+    assert found.regret[1].tolist() == [0, pytest.approx(found.optimal[1] - found.fixed[1, 1])]
+    assert found.regret[1, 1] > 1
+    assert values(model, ["fire"], draws[:, :1], "always:1").shape == (3,)
+    indices = sobol(model, names=["fire", "discount"], samples=32, seed=0)
+    assert indices.frame()["parameter"][0] == "discount"
+
+
+@pytest.mark.parametrize(
+    "readings, tasks",
+    [
+        ({}, [2]),
+        ({"skip_timestep": "own", "status_cost": "current"}, [1, 1]),
+        ({"task_bonus": "no-subtask-skipped", "max_trial_rule": "after"}, [2]),
+        ({"skip_onset": "base", "influence_on_present": "additive"}, [1]),
+    ],
+)
+def test_compiled_draws_of_a_scenario_are_those_of_models_built_one_by_one(
+    readings: dict[str, str], tasks: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=tasks, max_trial=2)
+    model = parametric(scenario)
+    rng = np.random.default_rng(5)
+    names = ["base.anger", "influence.anger.confusion", "reward.trial", "discount"]
+    draws = np.column_stack([*rng.random((2, 6)), rng.normal(size=6), 0.5 + rng.random(6) / 2])
+    policies = ["optimal", "random", "always:supportive"]
+    found = sampled(model, names, draws, policies, n_jobs=2)
+    monkeypatch.setattr(sampled_module, "MOST_STATUSES", 0)
+    slow = sampled(model, names, draws, policies)
+    np.testing.assert_allclose(found.optimal, slow.optimal, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.fixed, slow.fixed, rtol=0, atol=1e-9)
+    assert (abs(found.optimal - slow.optimal) <= found.error[:, 0] + slow.error[:, 0]).all()
+    np.testing.assert_allclose(found.regret, slow.regret, rtol=0, atol=1e-8)
+
+
+def test_care_parameters_without_range_are_left_out() -> None:
+    model = parametric(Scenario.load("yuan2025"))
+    spans = spans_of(model)
+    zero = {parameter.name for parameter in model.parameters if parameter.value == 0}
+    assert zero
+    others = {p.name for p in model.parameters} - zero - {"discount"}
+    assert {parameter.name for parameter in spans} == others
+    assert [each.name for each in spans_of(model, ["discount"])] == ["discount"]
+    assert [each.name for each in spans_of(model, None, {"discount": ("1/2", 1)})] == ["discount"]
+    # A model that has no other parameter has its discount varied.
+    assert [each.name for each in spans_of(parametric(chain().at({})))] == ["discount"]
+    assert all(span.low < span.high for span in spans.values())
+
+
+def test_rounding_pushes_no_draw_out_of_its_range() -> None:
+    span = {Parameter(name="p", value=HALF, low=F(0), high=F(1)): Range(low=F(3, 10), high=F(1))}
+    low, high = problem_of(span)["bounds"][0]
+    draws = inside(np.array([[np.nextafter(high, 2)], [np.nextafter(low, 0)], [0.5]]), span)
+    assert draws.tolist() == [[1.0], [0.3], [0.5]]
+    with pytest.raises(AssertionError):
+        inside(np.array([[1.1]]), span)
+
+
+def test_an_index_that_is_not_there_is_not_a_number(of_chain: Sobol) -> None:
+    frame = of_chain.frame("regret")
+    assert frame["total (share of variance)"].isna().all()
+    assert frame.attrs["sd (reward)"] == 0
+    assert set(of_chain.frame()["claim"]) == {"estimated"}
+    assert of_chain.frame()["parameter"][0] == "q"
+    with pytest.raises(ModelError, match="unknown output"):
+        of_chain.frame("loss")
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"samples": 0}, "0 samples"),
+        ({"samples": 100}, "not a power of 2"),
+        ({"samples": True}, "True samples"),
+        ({"seed": -1}, "seed is -1"),
+        ({"names": ["x"]}, "unknown parameter 'x'"),
+        ({"ranges": {"p": (HALF, HALF)}}, "empty"),
+        ({"ranges": {"p": (0, 2)}}, "outside"),
+        ({"confidence": 1.0}, "confidence"),
+        ({"relative": F(0)}, "share of 0"),
+        ({"policy": "nobody"}, "nobody"),
+        ({"n_jobs": 0}, "n_jobs"),
+    ],
+)
+def test_bad_requests_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        sobol(choice(), **({"samples": 4, "seed": 0} | change))
+    if "samples" not in change:
+        with pytest.raises(ModelError, match=message):
+            morris(choice(), **({"trajectories": 4, "seed": 0} | change))
+
+
+@pytest.mark.parametrize("method", [sobol, morris])
+def test_a_missing_package_is_named(method: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in [name for name in sys.modules if name.split(".")[0] == "SALib"]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "SALib", None)
+    with pytest.raises(ModelError, match="not installed") as caught:
+        method(choice(), seed=0)
+    assert "exact-mdp[sensitivity]" in caught.value.fix
+
+
+@pytest.mark.parametrize(
+    "change, message", [({"trajectories": 0}, "0 trajectories"), ({"levels": 5}, "5 levels")]
+)
+def test_bad_screenings_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        morris(choice(), **({"trajectories": 4, "seed": 0} | change))
+
+
+def test_probabilities_that_sum_to_more_than_one_name_the_draw() -> None:
+    rows = [(0, 0, [(F(1, 3), 1, 1), (F(1, 3), 2, 0), (F(1, 3), 3, 0)])]
+    rows += [(s, 0, [(1, s, 0)]) for s in (1, 2, 3)]
+    model = moving(MDP.from_outcomes(rows, 1), {"a": [(0, 1)], "b": [(0, 2)]})
+    with pytest.raises(ModelError, match="more than 1") as caught:
+        sampled(model, ["a", "b"], np.array([[0.5, 0.25], [0.5, 0.75]]))
+    assert caught.value.where.startswith("draw 1")
+    for draws, message in (
+        (np.zeros((0, 2)), "no draws"),
+        (np.zeros((3, 1)), "shape"),
+        (np.array([[0.5, 1.5]]), "outside"),
+        (np.array([[0.5, np.nan]]), "outside"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            sampled(model, ["a", "b"], draws)
