@@ -8,30 +8,89 @@ from pathlib import Path
 
 import click
 
-EPISODES = {True: 10_000, False: 100_000}
-
 
 @click.command()
-@click.option("--quick", is_flag=True, help="Check by 10,000 simulated episodes, not 100,000.")
+@click.option(
+    "--quick",
+    is_flag=True,
+    help="Fewer training runs and simulated episodes; with --claim, fewer readings tried.",
+)
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
     default=Path("results"),
     show_default=True,
-    help="Folder for numbers.json, report.md, figures and run.json.",
+    help="Folder for the report, numbers, figures and run.json; an interrupted run goes on there.",
 )
-def main(quick: bool, out: Path) -> None:
-    """Reproduce Yuan et al. (2025): every number beside the exact one."""
+@click.option("--claim", "name", metavar="ID", help="Work out this claim alone, and print it.")
+@click.option(
+    "--candidates", is_flag=True, help="Print what is found in the form of expected.toml."
+)
+def main(quick: bool, out: Path, name: str | None, candidates: bool) -> None:
+    """Reproduce Yuan et al. (2025): every claim beside the exact answer.
+
+    Exit status: 0 done, 1 a number differs from the pinned one, 2 bad input.
+    """
     from mdp import ModelError
-    from paper_repro.run import run
 
     started = time.perf_counter()
     try:
-        run(out, episodes=EPISODES[quick], quick=quick)
+        if name is None:
+            failed = _all(quick, out, candidates)
+        else:
+            failed = _one(name, quick, out, candidates)
     except ModelError as error:
         click.echo(f"{type(error).__name__}: {error}", err=True)
         sys.exit(2)
+    except KeyboardInterrupt:
+        click.echo("stopped; finished parts are kept, the same command goes on", err=True)
+        sys.exit(130)
     click.echo(f"done in {time.perf_counter() - started:.1f} s", err=True)
+    sys.exit(1 if failed else 0)
+
+
+def _one(name: str, quick: bool, out: Path, candidates: bool) -> bool:
+    from mdp import ModelError
+    from paper_repro.claims import chosen
+    from paper_repro.output import print_claim
+    from paper_repro.run import run_claims
+    from paper_repro.store import Store
+    from paper_repro.view import FULL, QUICK
+
+    if candidates:
+        raise ModelError(
+            "--claim prints one claim and --candidates all of them",
+            where="--candidates",
+            fix="leave one of the two out",
+        )
+    if not name.strip():
+        raise ModelError(
+            "the name of the claim is empty",
+            where="--claim",
+            fix="give one, such as return.random; claims.json and the report list them",
+        )
+    claim = chosen(name)
+    sizes, store = QUICK if quick else FULL, Store.under(out)
+    (judged,) = run_claims([claim], sizes, store, quick=quick)
+    print_claim(judged)
+    return False
+
+
+def _all(quick: bool, out: Path, candidates: bool) -> bool:
+    from paper_repro import expected
+    from paper_repro.output import print_places, print_table
+    from paper_repro.run import run
+    from paper_repro.view import FULL, QUICK
+
+    judged, off = run(out, sizes=QUICK if quick else FULL, quick=quick)
+    if candidates:
+        click.echo(expected.candidates(judged))
+        return False
+    print_table(judged)
+    print_places(out)
+    for line in off:
+        click.echo(f"differs from expected.toml: {line}", err=True)
+    return bool(off)
 
 
 if __name__ == "__main__":

@@ -1,86 +1,136 @@
-"""The numbers of the reproduction: paper, exact, difference, and what kind of claim each is."""
+"""What the claims are compared with: the optimum, the policies the paper speaks of, their values.
+
+The text of the paper leaves the actions of four statuses open, and the order of two (see
+`paper_repro.reported`): 512 completions. Three of them are named. With the order as written the
+open statuses are filled in so that the final policy has its highest exact value: this is the
+policy that "reported" names. The same with the order swapped is the second. The third is the one
+that fits the three reported averages best, which judges them:
+
+    χ²(completion) = Σ (mean - reported average)² / (variance / n) over the three policies.
+
+The range over all completions stands beside every number that depends on them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from fractions import Fraction
-from math import sqrt
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mdp import MDP, Policy, Scenario
+from mdp.model import as_discount
+from mdp.table import Floats
 from paper_repro import reported
+from paper_repro.reading_search import STARTS
+from paper_repro.reading_search import policies as policies_of
 from solvers import evaluate, solve
 from solvers.evaluation import Evaluation
 
 
-@dataclass(frozen=True, kw_only=True)
-class Number:
-    """One number of the paper beside the exact one.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Completions:
+    """Every way to fill in what the text leaves open, for each action in status 0000.
 
-    `difference` is exact - paper; `standard_error` is the exact one of the paper's average over
-    `reported.EXPERIMENTS` runs; `lowest` and `highest` span what the paper leaves open.
+    Attributes
+    ----------
+    choices : list of {status: action}
+    mean, variance : {action in 0000: (n,)}
+        Of the return under each; floats, for comparison only.
+    error : float
+        How far a mean may be from the exact one.
     """
 
-    name: str
-    source: str
-    paper: float | None
-    exact: float
-    claim: str
-    approximate: bool = False
-    sd: float | None = None
-    standard_error: float | None = None
-    lowest: float | None = None
-    highest: float | None = None
+    choices: list[dict[str, str]]
+    mean: dict[str, Floats]
+    variance: dict[str, Floats]
+    error: float
+
+    def best(self, order: str = "as written") -> int:
+        """Return the one of an order under which the final policy has its highest value."""
+        listed = [n for n, each in enumerate(self.choices) if reported.order(each) == order]
+        return max(listed, key=lambda number: float(self.mean[FINAL][number]))
+
+    def score(self, start: str) -> Floats:
+        """Return (n,) exact less reported, in exact standard errors of the reported average."""
+        spread = np.sqrt(self.variance[start] / reported.EXPERIMENTS)
+        return np.asarray((self.mean[start] - reported.AVERAGE_RETURN[start]) / spread)
+
+    @cached_property
+    def chi_squared(self) -> Floats:
+        """(n,) sum of the three squared scores."""
+        squares = [self.score(start) ** 2 for start in reported.AVERAGE_RETURN]
+        return np.asarray(np.sum(squares, axis=0))
 
     @property
-    def difference(self) -> float | None:
-        """Exact minus paper."""
-        return None if self.paper is None else self.exact - self.paper
+    def fitting(self) -> int:
+        """The one that fits the three reported averages best, taken together."""
+        return int(np.argmin(self.chi_squared))
 
     @property
-    def standard_errors(self) -> float | None:
-        """The difference in standard errors, where the paper's number is an average of runs."""
-        if self.difference is None or not self.standard_error or self.approximate:
-            return None
-        return self.difference / self.standard_error
+    def probability(self) -> float:
+        """Chance of a χ² on three degrees of freedom above the least of all completions."""
+        from scipy.stats import chi2
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of `numbers.json`."""
-        row = asdict(self)
-        row |= {
-            "difference": self.difference,
-            "difference_in_standard_errors": self.standard_errors,
-        }
-        return row
+        least = float(self.chi_squared[self.fitting])
+        return float(chi2.sf(least, len(reported.AVERAGE_RETURN)))
+
+    def range(self, start: str) -> tuple[float, float]:
+        """Return the lowest and highest mean."""
+        return float(self.mean[start].min()), float(self.mean[start].max())
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Study:
-    """The default reading, its optimum and the policies that the paper speaks of."""
+    """A reading, its optimum and the policies that the paper speaks of.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    mdp : MDP
+    optimum : (S,) ints
+        An optimal action of each state.
+    policies : {name: Policy}
+        "optimal", "random" and "reported.ACTION", by the action in status 0000.
+    evaluations : {name: Evaluation}
+    completions : Completions
+    """
 
     scenario: Scenario
     mdp: MDP
     optimum: NDArray[np.int64]
     policies: dict[str, Policy]
     evaluations: dict[str, Evaluation]
-    spread: dict[str, tuple[float, float]]
-    completion: dict[str, str]
+    completions: Completions
+
+    @property
+    def completion(self) -> dict[str, str]:
+        """How the reported policies are filled in: as written, with the highest value."""
+        return self.completions.choices[self.completions.best()]
+
+
+FINAL = max(reported.AVERAGE_RETURN, key=lambda start: reported.AVERAGE_RETURN[start])
 
 
 def study(scenario: Scenario) -> Study:
-    """Solve the scenario and evaluate the policies that the paper speaks of."""
+    """Solve the scenario and evaluate the policies that the paper speaks of.
+
+    Examples
+    --------
+    >>> found = study(Scenario.load("yuan2025"))
+    >>> print(f"{found.evaluations['reported.non-directive'].mean:.4f}")
+    142.0746
+    """
     mdp = scenario.compile()
     optimum = solve(mdp).policy
-    completion, spread = _completed(mdp)
+    completions = complete(scenario)
+    best = completions.choices[completions.best()]
     policies = {
         "optimal": Policy.from_choices(mdp, optimum),
         "random": Policy.uniform(mdp),
         **{
-            f"reported.{start}": Policy.of(mdp, reported.policy(start, completion))
+            f"reported.{start}": Policy.of(mdp, reported.policy(start, best))
             for start in reported.AVERAGE_RETURN
         },
     }
@@ -90,104 +140,23 @@ def study(scenario: Scenario) -> Study:
         optimum=optimum,
         policies=policies,
         evaluations={name: evaluate(mdp, policy) for name, policy in policies.items()},
-        spread=spread,
-        completion=completion,
+        completions=completions,
     )
 
 
-def _completed(mdp: MDP) -> tuple[dict[str, str], dict[str, tuple[float, float]]]:
-    """Return the completion with the highest value, and the range over all of them."""
+def complete(scenario: Scenario) -> Completions:
+    """Evaluate the three reported policies under every completion, side by side."""
+    from solvers.care_batch import policy_values
+
     choices = reported.completions()
-    means: dict[str, NDArray[np.float64]] = {}
-    for start in reported.AVERAGE_RETURN:
-        columns = [
-            Policy.of(mdp, reported.policy(start, filled)).weights(mdp) for filled in choices
-        ]
-        means[start] = _start_values(mdp, np.stack(columns, axis=1))
-    final = max(reported.AVERAGE_RETURN, key=lambda start: reported.AVERAGE_RETURN[start])
-    spread = {f"reported.{s}": (float(m.min()), float(m.max())) for s, m in means.items()}
-    return choices[int(np.argmax(means[final]))], spread
-
-
-def _start_values(mdp: MDP, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n,) start values of n policies at once, given as (L, n) pair probabilities."""
-    value = np.zeros((mdp.n_states, weights.shape[1]))
-    while True:
-        q = mdp.reward[:, None] + mdp.discount * (mdp.transition @ value)
-        following = np.add.reduceat(weights * q, mdp.pair_offsets[:-1], axis=0)
-        if np.array_equal(following, value):  # acyclic: reached after as many sweeps as steps
-            return np.asarray(mdp.start_distribution @ value)
-        value = following
-
-
-def all_numbers(result: Study) -> list[Number]:
-    """Return every number of the paper that can be stated now, with the exact one."""
-    return [*_returns(result), *_table_3(result), *_table_4(result)]
-
-
-def _returns(result: Study) -> Iterator[Number]:
-    where = "Section 4.1"
-    stated = {
-        "optimal": (reported.CONVERGED_RETURN, f"{where}, average after convergence, about", True),
-        "random": (reported.RANDOM_RETURN, f"{where}, random strategy, around", True),
-        **{
-            f"reported.{start}": (mean, f"{where}, policy with {start} in 0000, 1,000 runs", False)
-            for start, mean in reported.AVERAGE_RETURN.items()
-        },
-    }
-    for name, (paper, source, approximate) in stated.items():
-        found = result.evaluations[name]
-        lowest, highest = result.spread.get(name, (None, None))
-        yield Number(
-            name=f"return.{name}",
-            source=source,
-            paper=paper,
-            exact=found.mean,
-            claim=str(found.claim),
-            approximate=approximate,
-            sd=found.sd,
-            standard_error=found.sd / sqrt(reported.EXPERIMENTS),
-            lowest=lowest,
-            highest=highest,
-        )
-
-
-def _table_3(result: Study) -> Iterator[Number]:
-    """Read Table 3 back out of the compiled rows: marginals of the next status."""
-    statuses = result.scenario.statuses
-    alone = [1 << (len(statuses) - 1 - i) for i in range(len(statuses))]
-    base = [_marginal(result.mdp, 0, bit) for bit in alone]
-    for i, status in enumerate(statuses):
-        stated, row = reported.TABLE_3[status]
-        yield _entry(f"table3.base.{status}", "Table 3", stated, base[i])
-        for j, target in enumerate(statuses):
-            found = _marginal(result.mdp, alone[i], alone[j])
-            if i == j:
-                yield _entry(f"table3.persistence.{status}", "Table 3", row[j], found)
-            else:
-                name = f"table3.influence.{status}.{target}"
-                yield _entry(name, "Table 3", row[j], found - base[j])
-
-
-def _marginal(mdp: MDP, vector: int, bit: int) -> Fraction:
-    """Return the exact probability that a status is 1 next, without assistance."""
-    pair = mdp.pair(mdp.space.index(subtask=0, trial=0, status=vector), 0)
-    rows = mdp.table.row(pair)
-    states = np.array([state for _, state, _ in rows])
-    hit = mdp.space.values("status", states) & bit != 0
-    return sum((row[0] for row, yes in zip(rows, hit, strict=True) if yes), Fraction(0))
-
-
-def _table_4(result: Study) -> Iterator[Number]:
-    held = {parameter.name: parameter.value for parameter in result.mdp.parameters}
-    for weight, paper in reported.TABLE_4.items():
-        exact = float(held[f"reward.{weight}"])
-        yield Number(
-            name=f"table4.{weight}", source="Table 4", paper=paper, exact=exact, claim="certified"
-        )
-
-
-def _entry(name: str, source: str, per_cent: int, exact: Fraction) -> Number:
-    return Number(
-        name=name, source=source, paper=per_cent / 100, exact=float(exact), claim="certified"
+    rate = [[float(as_discount(scenario.discount))]]
+    chosen = policies_of(choices)
+    found = policy_values(scenario, ["discount"], rate, chosen, second_moment=True, threads=1)
+    assert found.variance is not None
+    mean, variance = (x[0].reshape(-1, len(STARTS)).T for x in (found.mean, found.variance))
+    return Completions(
+        choices=choices,
+        mean=dict(zip(STARTS, mean, strict=True)),
+        variance=dict(zip(STARTS, variance, strict=True)),
+        error=float(found.error[0]),
     )

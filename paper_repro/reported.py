@@ -2,15 +2,15 @@
 
 The policies are stated in Section 4.1: every status with anger gets verbal supportive assistance;
 forgetful and confused gets directive; forgetful only and confused only get "directive or
-non-directive, respectively"; three variants differ in status 0000. The actions in the four
-remaining statuses (disengaged, not angry) are shown only in the paper's figure of the learned
-policies, which its source does not include. They are completed here by the choice that gives the
-final policy its highest exact value; `completions` lists all of them, so that the spread over the
-unknown part can be stated beside each number.
+non-directive, respectively", which can be read in two orders; three variants differ in status 0000.
+The actions in the four remaining statuses (disengaged, not angry) are shown only in the paper's
+figure of the learned policies, which its source does not include. `completions` lists every way to
+fill in what is open, so that the spread over it can be stated beside each number.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import product
 
 ACTIONS = ("none", "supportive", "non-directive", "directive")  # Table 2: a0 to a3
@@ -22,6 +22,21 @@ TABLE_3 = {
     "confusion": (30, (7, 99, 8, 2)),
     "anger": (5, (7, 8, 100, 10)),
     "disengagement": (20, (7, 10, 20, 99)),
+}
+
+# Section 2.1.2, in per cent: the chance that a present status stays; an absent one stays absent.
+ASSISTANCE = {
+    "supportive": {"anger": 5, "disengagement": 5},
+    "non-directive": {"forgetfulness": 40, "confusion": 60},
+    "directive": {"forgetfulness": 5, "confusion": 5},
+}
+
+# Section 2.1.3, in per cent: the chance that a status persists when a subtask is skipped.
+SKIP = {
+    "forgetfulness": {"alone": 20, "with-other": 50},
+    "confusion": {"alone": 20, "with-other": 50},
+    "anger": {"persistence": 50},
+    "disengagement": {"persistence": 50},
 }
 
 TABLE_4 = {
@@ -44,20 +59,56 @@ EXPERIMENTS = 1_000  # Section 4.1: runs behind each of the three averages
 AVERAGE_RETURN = {"non-directive": 144.3, "directive": 139.2, "supportive": 133.5}  # Section 4.1
 CONVERGED_RETURN = 140  # Section 4.1: "approximately", read off a plot
 RANDOM_RETURN = 70  # Section 4.1: "around", read off a plot
+UNIQUE_POLICIES = {"constant": 3, "decaying": 2}  # Section 4.1: over the last 100 episodes
 
 STATED = {"1000": "directive", "0100": "non-directive", "1100": "directive"}  # Section 4.1
 UNSTATED = ("0001", "0101", "1001", "1101")
+ORDERS = {  # "directive or non-directive, respectively"
+    "as written": {"1000": STATED["1000"], "0100": STATED["0100"]},
+    "swapped": {"1000": STATED["0100"], "0100": STATED["1000"]},
+}
 
 
 def completions() -> list[dict[str, str]]:
-    """Return every way to fill in the statuses whose action the paper's text does not state.
+    """Return the actions that the paper's text leaves open, in every way that it can be read.
+
+    Both orders of "respectively", the one as written first, with all actions in `UNSTATED`.
 
     Examples
     --------
-    >>> len(completions())
-    256
+    >>> len(completions()), completions()[0]["1000"], completions()[256]["1000"]
+    (512, 'directive', 'non-directive')
     """
-    return [dict(zip(UNSTATED, chosen, strict=True)) for chosen in product(ACTIONS, repeat=4)]
+    return [
+        {**order, **dict(zip(UNSTATED, chosen, strict=True))}
+        for order in ORDERS.values()
+        for chosen in product(ACTIONS, repeat=4)
+    ]
+
+
+def order(completion: Mapping[str, str]) -> str:
+    """Return which order of "respectively" a completion follows.
+
+    Examples
+    --------
+    >>> order(completions()[0]), order(completions()[511])
+    ('as written', 'swapped')
+    """
+    return next(
+        name for name, pair in ORDERS.items() if all(completion[s] == a for s, a in pair.items())
+    )
+
+
+def told(completion: Mapping[str, str]) -> str:
+    """Return a completion in one line, as its order and the actions in `UNSTATED`.
+
+    Examples
+    --------
+    >>> told(completions()[0])
+    'as written; 0001 none, 0101 none, 1001 none, 1101 none'
+    """
+    actions = ", ".join(f"{status} {completion[status]}" for status in UNSTATED)
+    return f"{order(completion)}; {actions}"
 
 
 def policy(start: str, completion: dict[str, str]) -> dict[str, str]:

@@ -1,166 +1,179 @@
-"""The main job: compute, check by simulation, draw, and write everything beside a run record."""
+"""The main job: work out every claim, draw, and write everything beside a run record."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
 from tqdm import tqdm
 
 from analysis.record import run_record
-from mdp import ModelError, Scenario
 from mdp.files import write_atomically
-from paper_repro import reported
-from paper_repro.numbers import Number, Study, all_numbers, study
+from paper_repro.claims import Judged, PaperClaim, all_claims, judge
+from paper_repro.claims.judge import tried_again, verdicts
+from paper_repro.expected import disagreements, expected
+from paper_repro.output import entry_of, numbers_of
+from paper_repro.reading_study import reading_study
+from paper_repro.readings import Readings
+from paper_repro.store import Store
+from paper_repro.view import SEED, Sizes, View, alternatives, default_view
 
-SEED = 20250101
+ALTERNATIVES = 16
 
 
-def run(out: Path, *, episodes: int, quick: bool) -> list[Number]:
-    """Write numbers.json, report.md, the figures and run.json into `out`; print the table.
+def run(out: Path, *, sizes: Sizes, quick: bool) -> tuple[list[Judged], list[str]]:
+    """Write numbers, report, figures and run record into `out`.
 
     Parameters
     ----------
-    out : folder, made where it does not exist
-    episodes : simulated episodes that check each exact mean
+    out : folder, made where it does not exist; what an interrupted run left there is used
+    sizes : how much is sampled
     quick : said in run.json
+
+    Returns
+    -------
+    judged : every claim
+    off : what differs from the pinned values; nothing where all agree
     """
-    from paper_repro.figures import FIGURES, draw_all
+    from paper_repro.figures import PICTURES, draw_all
+    from paper_repro.parts import agents_part, readings_part
+    from paper_repro.report import Shown, render
+    from paper_repro.tables import all_tables
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ModelError(
-            f"cannot make the folder: {error.strerror}", where=str(out), fix="name another --out"
-        ) from error
     started = time.perf_counter()
-    names = ("optimal", "random", *(f"reported.{start}" for start in reported.AVERAGE_RETURN))
-    steps = 1 + len(names) + len(FIGURES)
-    with tqdm(total=steps, disable=not sys.stderr.isatty(), leave=False) as bar:
+    store = Store.under(out)
+    store.clear_others()
+    reused = store.used
+    view = default_view(sizes, store)
+    claims = all_claims()
+    figures = [
+        Shown(name=p.name, title=p.title, caption=p.caption, alt=p.alt, place=p.place)
+        for p in PICTURES
+    ]
+    agents, drawn = agents_part()
+    with _bar(len(claims) + ALTERNATIVES + sizes.supported + len(PICTURES) + 3) as bar:
+        tick = partial(_tick, bar)
+        tick("all readings of the text")
+        study = reading_study(seed=SEED, out=store.folder("readings"), quick=quick, progress=True)
+        readings = Readings.of(study)
+        others = list(_others(view, sizes, readings))
+        # Other processes take what needs no training: other readings, and most of the figures.
+        apart = replace(view)
+        drawn |= {p.name: partial(p.draw, apart) for p in PICTURES if not p.learns}
+        again = tried_again(claims, readings)
+        draw = partial(draw_all, folder=out / "figures", dpi=sizes.dpi)
+        work = [partial(draw, part) for part in _parts(drawn)]
+        work += [partial(verdicts, other, again) for other in others]
+        with _beside(work) as finished:
+            judged = judge(
+                claims, view, others=_after(finished, others), readings=readings, progress=tick
+            )
+        part, more = readings_part(study)
+        draw(more, progress=tick)
+        draw({p.name: partial(p.draw, view) for p in PICTURES if p.learns}, progress=tick)
+        parts = [part, agents]
+    off = disagreements(judged, expected())
+    record = _record(view, sizes, quick, time.perf_counter() - started, reused)
+    markdown, page = render(
+        out, judged=judged, view=view, tables=all_tables(view), figures=figures, parts=parts,
+        record=record, pinned=off,
+    )  # fmt: skip
+    record.pop("shown")
+    _write(out / "numbers.json", numbers_of(judged))
+    _write(out / "claims.json", [entry_of(each) for each in judged])
+    write_atomically(out / "report.md", markdown)
+    write_atomically(out / "report.html", page)
+    _write(out / "run.json", record)
+    return judged, off
 
-        def tick(what: str) -> None:
-            bar.set_description(what)
-            bar.update()
 
-        tick("solving")
-        result = study(Scenario.load("yuan2025"))
-        numbers = all_numbers(result)
-        simulated = {}
-        for name in names:
-            tick(f"simulating {name}")
-            simulated[name] = _simulated(result, name, episodes)
-        figures = draw_all(result, out / "figures", tick)
-    rows = [number.as_dict() | simulated.get(number.name[7:], {}) for number in numbers]
-    write_atomically(out / "numbers.json", json.dumps(rows, indent=1, ensure_ascii=False) + "\n")
-    write_atomically(out / "report.md", _report(result, numbers, rows, figures, out))
-    record = _record(result, episodes, quick, time.perf_counter() - started)
-    write_atomically(out / "run.json", json.dumps(record, indent=1) + "\n")
-    _print(result, numbers, out)
-    return numbers
+def run_claims(
+    claims: Sequence[PaperClaim], sizes: Sizes, store: Store, *, quick: bool
+) -> list[Judged]:
+    """Work some claims out, with as little else as they need.
+
+    A quick run tries readings that differ from the default in one point; a full one searches all
+    readings, which takes a minute or two unless `store` holds the search.
+    """
+    view = default_view(sizes, store)
+    if quick or not any(claim.open for claim in claims):
+        return judge(claims, view, others=alternatives(view, sizes))
+    readings = Readings.run(store.folder("readings"), progress=True)
+    return judge(claims, view, others=_others(view, sizes, readings), readings=readings)
 
 
-def _simulated(result: Study, name: str, episodes: int) -> dict[str, Any]:
-    """Return the simulated mean; an exact one that is far from it stops the reproduction."""
-    from solvers import simulate
-
-    found = simulate(result.mdp, result.policies[name], episodes=episodes, seed=SEED)
-    exact = result.evaluations[name].mean
-    if abs(found.mean - exact) > 5 * found.standard_error:
-        raise ModelError(
-            f"the exact mean {exact:.4f} and the simulated one {found.mean:.4f} differ by more "
-            "than five standard errors",
-            where=f"policy {name}",
-            fix="report this: one of the two is wrong",
-        )
-    return {"simulated": found.mean, "simulated_standard_error": found.standard_error}
+def _others(view: View, sizes: Sizes, readings: Readings) -> Iterator[View]:
+    return chain(alternatives(view, sizes), readings.best(view, sizes))
 
 
-def _record(result: Study, episodes: int, quick: bool, seconds: float) -> dict[str, Any]:
-    scenario = result.scenario
-    record = run_record(result.mdp, model=scenario.name, solver="auto", seed=SEED)
-    return record | {
+@contextmanager
+def _beside(work: Sequence[Callable[[], object]]) -> Iterator[Iterator[object]]:
+    """Start work in other processes, one for each core; give what they return, in order."""
+    from joblib import Parallel, delayed
+
+    parallel = Parallel(n_jobs=-1, return_as="generator", batch_size=1)
+    with closing(parallel(delayed(each)() for each in work)) as finished:
+        yield finished
+
+
+def _after(finished: Iterator[object], views: Sequence[View]) -> Iterator[View]:
+    """Yield views once the work on them is done, so that it is found in the store."""
+    for _ in finished:
+        pass
+    yield from views
+
+
+def _parts(drawn: Mapping[str, Callable[[], Any]]) -> list[dict[str, Callable[[], Any]]]:
+    """Return figures in two parts: those of the agents, which share what they show, and others."""
+    parts: list[dict[str, Callable[[], Any]]] = [{}, {}]
+    for name, draw in drawn.items():
+        parts[not name.startswith("agents_")][name] = draw
+    return parts
+
+
+def _bar(total: int) -> Any:
+    return tqdm(total=total, disable=not sys.stderr.isatty(), leave=False)
+
+
+def _tick(bar: Any, what: str) -> None:
+    bar.set_description(f"{what:36.36}")
+    bar.update()
+
+
+def _write(path: Path, data: object) -> None:
+    write_atomically(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
+
+
+def _record(view: View, sizes: Sizes, quick: bool, seconds: float, reused: bool) -> dict[str, Any]:
+    scenario = view.scenario
+    record = run_record(view.mdp, model=scenario.name, solver="auto", seed=SEED)
+    record |= {
         "seconds": round(seconds, 2),
         "quick": quick,
-        "episodes": episodes,
+        "reused": "with finished parts of an earlier run" if reused else "from nothing",
+        "episodes": sizes.episodes,
+        "training_runs": sizes.runs,
         "readings": dict(scenario.readings),
         "tasks": list(scenario.tasks),
         "max_trial": scenario.max_trial,
         "discount": str(scenario.discount),
     }
-
-
-def _cells(number: Number) -> list[str]:
-    exact = f"{number.exact:.4f}" if number.standard_error else f"{number.exact:g}"
-    paper = "" if number.paper is None else f"{number.paper:g}"
-    difference = "" if number.difference is None else f"{number.difference:+.4g}"
-    return [
-        number.name,
-        f"≈ {paper}" if number.approximate else paper,
-        exact,
-        "0" if number.difference is not None and abs(number.difference) < 1e-12 else difference,
-        "" if number.standard_error is None else f"{number.standard_error:.3f}",
-        "" if number.standard_errors is None else f"{number.standard_errors:+.1f}",
-        number.claim,
-    ]
-
-
-HEADINGS = ("number", "paper", "exact", "difference", "s.e.", "in s.e.", "claim")
-
-
-def _print(result: Study, numbers: list[Number], out: Path) -> None:
-    console = Console(width=None if sys.stdout.isatty() else 110, highlight=False)
-    table = Table(
-        title="paper / exact / difference", title_justify="left", box=None, pad_edge=False
-    )
-    for heading in HEADINGS:
-        table.add_column(heading, justify="left" if heading in ("number", "claim") else "right")
-    for number in numbers:
-        table.add_row(*_cells(number))
-    console.print(table)
-    console.print(
-        f"s.e.: exact standard error of an average over {reported.EXPERIMENTS:,} experiments; "
-        "≈: read off a plot by the authors; bounded: floating point, error bound proven."
-    )
-    filled = ", ".join(f"{status} {action}" for status, action in result.completion.items())
-    console.print(f"Statuses that the paper's text leaves open, filled in as: {filled}.")
-    console.print(f"Figures: {out / 'figures'} (SVG and PNG); numbers: {out / 'numbers.json'}")
-
-
-def _report(
-    result: Study,
-    numbers: list[Number],
-    rows: list[dict[str, Any]],
-    figures: list[Path],
-    out: Path,
-) -> str:
-    lines = [
-        "# Reproduction of Yuan et al. (2025)",
-        "",
-        "Default reading of the model: "
-        + ", ".join(f"{name} = {option}" for name, option in result.scenario.readings.items())
-        + f"; tasks {list(result.scenario.tasks)}, discount {result.scenario.discount}.",
-        "",
-        "Statuses whose action the paper's text does not state are filled in so that the final "
-        "policy has its highest exact value ("
-        + ", ".join(f"{status}: {action}" for status, action in result.completion.items())
-        + "); the last column gives the range of exact values over all ways to fill them in.",
-        "",
-        "| " + " | ".join((*HEADINGS, "simulated", "range", "source")) + " |",
-        "|" + "---|" * (len(HEADINGS) + 3),
-    ]
-    for number, row in zip(numbers, rows, strict=True):
-        span = "" if number.lowest is None else f"{number.lowest:.4f} to {number.highest:.4f}"
-        simulated = row.get("simulated")
-        shown = "" if simulated is None else f"{simulated:.3f}"
-        lines.append("| " + " | ".join([*_cells(number), shown, span, number.source]) + " |")
-    lines += ["", "## Figures", ""]
-    for path in figures:
-        if path.suffix == ".png":
-            name = path.stem.replace("_", " ")
-            lines += [f"![{name}]({path.relative_to(out).as_posix()})", ""]
-    return "\n".join(lines)
+    shown = {
+        "model": f"{record['model']}, {record['model_hash']}",
+        "seed": SEED,
+        "training runs of each schedule": sizes.runs,
+        "simulated episodes behind each check": f"{sizes.episodes:,}",
+        "versions": ", ".join(f"{name} {v}" for name, v in record["versions"].items()),
+        "platform": record["platform"],
+        "commit": record["commit"] or "not a checkout",
+        "date": record["date"],
+    }
+    return record | {"shown": shown}

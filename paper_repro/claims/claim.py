@@ -1,0 +1,258 @@
+"""What a claim of the paper is, what is found about it, and the rules that decide.
+
+A claim is one statement of the paper with its place and a function that works out, for a view of
+the model (one reading), what is true there. An *input* is a number or a definition that the model
+was built from: that it is the same shows a faithful transcription, no more. A *finding* is what the
+paper concludes. The verdict follows one of seven rules:
+
+entry       a number of a table or of the text: reproduced where the model's is the same rational.
+average     a mean of n experiments: reproduced where it is within three exact standard errors
+            under the completion of the text that fits all such means best.
+plotted     a number read off a plot ("about 140"): reproduced within 5, half of the last digit
+            that such a reading carries.
+event       something that one training run ended with: reproduced where at least 5 % of our own
+            runs end so (Wilson's 95 % interval above 5 %), not where it is below 5 %. That a run
+            like the paper's is nothing unusual does not say that most runs are like it.
+usual       something that training is said to lead to in general: reproduced where most of our own
+            runs do so (Wilson's 95 % interval above one half), not where most do not.
+statement   a predicate, stated in `why`, that the exact model fulfils or does not.
+open        nothing here can decide; `why` says what would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from fractions import Fraction
+from math import erfc, sqrt
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
+
+from solvers.solution import Bounded, Certified, Claim, Estimated
+
+if TYPE_CHECKING:
+    from paper_repro.view import View
+
+Kind = Literal["input", "finding"]
+STANDARD_ERRORS = 3.0
+JOINT_LIMIT = erfc(STANDARD_ERRORS / sqrt(2))  # chance of a normal number further off than that
+READ_OFF_A_PLOT = 5.0
+RARE = 0.05
+
+RULES: Mapping[str, str] = MappingProxyType(
+    {
+        "entry": "the same rational number",
+        "average": f"within {STANDARD_ERRORS:g} exact standard errors, under the completion of "
+        "the text that fits the averages best, taken together",
+        "plotted": f"within {READ_OFF_A_PLOT:g} of a number read off a plot; a hard limit, where "
+        "the comparison of readings uses a normal error of that standard deviation",
+        "event": f"a run like the paper's is seen in at least {RARE:.0%} of the training runs "
+        "here, by Wilson's interval; most runs may well end otherwise",
+        "usual": "most of the training runs here do so, by Wilson's interval",
+        "statement": "a stated predicate of the exact model",
+        "open": "cannot be decided here",
+    }
+)
+
+
+class Verdict(StrEnum):
+    """What is found of a claim."""
+
+    REPRODUCED = "reproduced"
+    NOT_REPRODUCED = "not reproduced"
+    NOT_DETERMINED = "not determined"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What a claim comes to in one view.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    why : str
+        One line.
+    number : Certified, Bounded, Estimated or None
+        The exact counterpart of what the paper says, with its kind of claim.
+    shown : str
+        How it reads, where it is not a plain number.
+    difference, standard_error : float, optional
+        Exact less paper; the exact standard error of the paper's average.
+    details : mapping
+        More numbers, for `numbers.json`.
+    """
+
+    verdict: Verdict
+    why: str
+    number: Certified | Bounded | Estimated | None = None
+    shown: str = ""
+    difference: float | None = None
+    standard_error: float | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def exact(self) -> float | None:
+        """The exact number, rounded once; None for a statement without one."""
+        return None if self.number is None else float(self.number.value)
+
+    @property
+    def claim(self) -> Claim | None:
+        """Certified, bounded or estimated; None without a number."""
+        return None if self.number is None else self.number.claim
+
+    @property
+    def standard_errors(self) -> float | None:
+        """The difference in standard errors of the paper's average."""
+        if self.difference is None or not self.standard_error:
+            return None
+        return self.difference / self.standard_error
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperClaim:
+    """One claim of the paper.
+
+    Attributes
+    ----------
+    id : str
+        Its name in `numbers.json` and on the command line.
+    places : tuple of str
+        Keys of `paper_repro.places.PLACES`.
+    says : str
+        The claim in our words.
+    rule : str
+        Key of `RULES`.
+    find : function of a View
+    kind : "input" or "finding"
+        Whether the model was built from it.
+    paper : float or Fraction, optional
+        The paper's number.
+    unit : str
+        "%" where numbers are shares.
+    open : bool
+        Whether the paper's text leaves open what decides it, so that other readings are tried.
+    learns : bool
+        Whether it takes training runs.
+    """
+
+    id: str
+    places: tuple[str, ...]
+    says: str
+    rule: str
+    find: Callable[[View], Finding]
+    kind: Kind = "finding"
+    paper: float | Fraction | None = None
+    unit: str = ""
+    open: bool = False
+    learns: bool = False
+
+    @property
+    def source(self) -> str:
+        """The places in one line."""
+        return ", ".join(self.places)
+
+    @property
+    def rerun(self) -> str:
+        """The command that works out this claim alone."""
+        return f"python -m paper_repro --claim {self.id}"
+
+
+# ---- the rules ---------------------------------------------------------------------------------
+
+
+def entry(paper: Fraction, exact: Fraction, why: str = "") -> Finding:
+    """Hold a number of the paper against the model's, both exact.
+
+    Examples
+    --------
+    >>> entry(Fraction(3, 10), Fraction(3, 10)).verdict.value
+    'reproduced'
+    """
+    same = paper == exact
+    return Finding(
+        verdict=Verdict.REPRODUCED if same else Verdict.NOT_REPRODUCED,
+        why=why or ("the same number" if same else f"the model has {exact}"),
+        number=Certified(value=exact),
+        difference=float(exact - paper),
+    )
+
+
+def plotted(paper: float, number: Bounded | Estimated, why: str = "", **details: Any) -> Finding:
+    """Hold a number that the authors read off a plot against ours.
+
+    Examples
+    --------
+    >>> plotted(140, Bounded(value=143.2, error=0)).verdict.value
+    'reproduced'
+    """
+    difference = number.value - paper
+    near = abs(difference) <= READ_OFF_A_PLOT
+    where = "within" if near else "more than"
+    away = "of" if near else "away from"
+    return Finding(
+        verdict=Verdict.REPRODUCED if near else Verdict.NOT_REPRODUCED,
+        why=why or f"{where} {READ_OFF_A_PLOT:g} {away} a number that was read off a plot",
+        number=number,
+        difference=difference,
+        details=details,
+    )
+
+
+def event(count: int, total: int, why: str, *, limit: float = RARE, **details: Any) -> Finding:
+    """Judge an outcome of learning by how often our own runs end with it, one or more of them.
+
+    Examples
+    --------
+    >>> event(40, 100, "of 100 runs").verdict.value, event(0, 500, "").verdict.value
+    ('reproduced', 'not reproduced')
+    """
+    from analysis.learning import share_interval
+
+    low, high = share_interval(count, total)
+    verdict = Verdict.NOT_DETERMINED
+    if low >= limit:
+        verdict = Verdict.REPRODUCED
+    elif high < limit:
+        verdict = Verdict.NOT_REPRODUCED
+    share = count / total
+    return Finding(
+        verdict=verdict,
+        why=why,
+        number=Estimated(value=share, standard_error=sqrt(share * (1 - share) / total)),
+        shown=f"{share:.0%} of {total} (95 % interval {low:.0%} to {high:.0%})",
+        details={"count": count, "runs": total, "interval": [low, high], **details},
+    )
+
+
+def usual(count: int, total: int, why: str, **details: Any) -> Finding:
+    """Judge what learning is said to lead to by whether most of our own runs do so.
+
+    Examples
+    --------
+    >>> usual(45, 100, "of 100 runs").verdict.value, usual(90, 100, "").verdict.value
+    ('not determined', 'reproduced')
+    """
+    return event(count, total, why, limit=0.5, **details)
+
+
+def statement(
+    holds: bool,
+    why: str,
+    number: Certified | Bounded | Estimated | None = None,
+    shown: str = "",
+    **details: Any,
+) -> Finding:
+    """Judge a statement by a predicate that `why` tells."""
+    return Finding(
+        verdict=Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
+        why=why,
+        number=number,
+        shown=shown,
+        details=details,
+    )
+
+
+def undecided(why: str, shown: str = "") -> Finding:
+    """Say what would decide a claim that nothing here can decide."""
+    return Finding(verdict=Verdict.NOT_DETERMINED, why=why, shown=shown)

@@ -1,0 +1,30 @@
+"""A small search that several tests share: 96 readings, all completions."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from analysis.readings import ReadingSpace
+from paper_repro.reading_search import DISCOUNTS, ReadingSearch, search
+from paper_repro.reading_study import ReadingStudy, reading_study
+
+SMALL = ReadingSpace(
+    options={
+        "status_cost": ("next", "current"),
+        "skip_timestep": ("same", "own"),
+        "skip_onset": ("none", "reset"),
+        "task_bonus": ("always", "last-subtask-completed", "no-subtask-skipped"),
+        "tasks": ((3,), (1, 1, 1)),
+        "evaluation_discount": DISCOUNTS,
+    }
+)
+
+
+@lru_cache
+def small_search() -> ReadingSearch:
+    return search(space=SMALL, n_jobs=1)
+
+
+@lru_cache
+def small_study() -> ReadingStudy:
+    return reading_study(seed=3, space=SMALL, trained=3, seeds=4, judged=1, n_jobs=1)

@@ -1,0 +1,314 @@
+"""The report, the ranking by exact convolution, and the main job from end to end."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from fractions import Fraction
+from html.parser import HTMLParser
+from math import comb, sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mdp import ModelError
+from paper_repro.__main__ import main
+from paper_repro.claims import Judged, Verdict, all_claims, judge
+from paper_repro.figures import PICTURES, draw_all
+from paper_repro.places import FIGURES
+from paper_repro.ranking import ranked, sums
+from paper_repro.report import Part, Shown, number, render
+from paper_repro.summary import counted, counts, plain
+from paper_repro.tables import all_tables
+from paper_repro.view import QUICK, View, default_view
+from solvers.returns import ReturnDistribution, return_distribution
+
+DRAWN = ("three_policies", "trial_flow")  # the figures that are drawn here: the quickest ones
+RECORD = {"seconds": 1.5, "quick": True, "reused": "from nothing", "shown": {"seed": 7}}
+
+
+# ---- the report --------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """What a page names: ids, links, sources, pictures without a description."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.sources: list[str] = []
+        self.silent: list[str] = []
+        self.tags: set[str] = set()
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.tags.add(tag)
+        if tag not in ("img", "meta", "br"):
+            self.open.append(tag)
+        self.ids += [found["id"]] if found.get("id") else []
+        self.links += [found["href"]] if found.get("href") else []
+        self.sources += [v for k, v in attrs if k in ("src", "srcset", "data", "poster") and v]
+        if tag == "img" and not found.get("alt"):
+            self.silent.append(found.get("src") or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def view() -> View:
+    return default_view(replace(QUICK, episodes=1000))
+
+
+@pytest.fixture(scope="module")
+def judged(view: View) -> list[Judged]:
+    return judge([claim for claim in all_claims() if not claim.learns], view)
+
+
+@pytest.fixture(scope="module")
+def written(
+    view: View, judged: list[Judged], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, str, str]:
+    out = tmp_path_factory.mktemp("report")
+    chosen = [picture for picture in PICTURES if picture.name in DRAWN]
+    draw_all(
+        {p.name: (lambda p=p: p.draw(view)) for p in chosen}, out / "figures", lambda what: None
+    )
+    figures = [
+        Shown(name=p.name, title=p.title, caption=p.caption, alt=p.alt, place=p.place)
+        for p in chosen
+    ]
+    tables = all_tables(view)
+    part = Part(
+        title="A part <b>", anchor="a-part", sentences=("a < b | c",), figures=(), tables=()
+    )
+    markdown, page = render(
+        out, judged=judged, view=view, tables=tables, figures=figures, parts=[part], record=RECORD,
+        pinned=["x: 1, pinned 2"],
+    )  # fmt: skip
+    return out, markdown, page
+
+
+def test_the_page_needs_nothing_else(written: tuple[Path, str, str]) -> None:
+    page = Page(written[2])
+    assert page.open == []
+    assert "http" not in written[2]
+    assert "@import" not in written[2]
+    assert "url(" not in written[2]
+    assert not page.tags & {"script", "link", "iframe", "object", "embed"}
+    assert page.sources
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
+
+
+def test_the_page_leads_somewhere_and_describes_its_pictures(
+    written: tuple[Path, str, str],
+) -> None:
+    page = Page(written[2])
+    assert page.silent == []
+    assert len(page.ids) == len(set(page.ids))
+    assert all(link.startswith("#") for link in page.links)
+    assert {link[1:] for link in page.links} <= set(page.ids)
+
+
+def test_every_claim_is_in_both_reports_with_how_to_rerun_it(
+    written: tuple[Path, str, str], judged: list[Judged]
+) -> None:
+    _, markdown, page = written
+    for each in judged:
+        assert f"--claim {each.claim.id}" in markdown, each.claim.id
+        assert f"--claim {each.claim.id}" in page, each.claim.id
+    assert "x: 1, pinned 2" in markdown
+    assert "A part &lt;b&gt;" in page
+    assert "a &lt; b | c" in page
+
+
+def test_every_figure_that_the_report_names_is_there(written: tuple[Path, str, str]) -> None:
+    out, markdown, _ = written
+    named = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", markdown)
+    assert len(named) == len(DRAWN)
+    for name in named:
+        assert (out / name).read_bytes()[:4] == b"\x89PNG"
+        ET.parse((out / name).with_suffix(".svg"))
+
+
+def test_tables_of_markdown_have_as_many_cells_as_headings(
+    written: tuple[Path, str, str],
+) -> None:
+    wide = None
+    for line in written[1].splitlines():
+        if not line.startswith("|"):
+            wide = None
+            continue
+        cells = len(re.findall(r"(?<!\\)\|", line))
+        wide = cells if wide is None else wide
+        assert cells == wide, line
+
+
+def test_tables_1_to_4_are_the_models(view: View) -> None:
+    tables = {table.place: table for table in all_tables(view)}
+    assert list(tables) == ["Table 1", "Table 2", "Table 3", "Table 4"]
+    assert tables["Table 3"].rows[3] == ("disengagement", "20 %", "+7 %", "+10 %", "+20 %", "99 %")
+    assert tables["Table 2"].rows[2][2] == "forgetfulness 40%, confusion 60%"
+    assert ("subtask-complete", "50") in tables["Table 4"].rows
+    for table in tables.values():
+        assert {len(row) for row in table.rows} == {len(table.headings)}
+
+
+def test_the_summary_turns_with_the_verdicts(view: View, judged: list[Judged]) -> None:
+    found = {each.claim: each.text for each in plain(judged, view)}
+    assert "costs 4.2 of 146.2" in found["policy.0100"]
+    turned = [
+        replace(each, finding=replace(each.finding, verdict=Verdict.REPRODUCED)) for each in judged
+    ]
+    assert "2.6 to 4.2 points below the best possible 146.2" in found["policy.final-is-optimal"]
+    assert "1.8 points at least" in found["policy.final-is-optimal"]
+    assert {each.verdict for each in plain(turned, view)} == {Verdict.REPRODUCED}
+    assert "as the paper says" in {e.claim: e.text for e in plain(turned, view)}["policy.0100"]
+
+
+def test_figures_answer_to_figures_of_the_paper_and_say_what_they_show() -> None:
+    assert len({picture.name for picture in PICTURES}) == len(PICTURES)
+    for picture in PICTURES:
+        assert picture.place in ("", *FIGURES)
+        assert picture.alt
+        assert picture.caption
+    answered = {picture.place for picture in PICTURES}
+    assert answered >= {"Figure 3", "Figure 4", "Figure 9", "Figure 10"}
+
+
+def test_numbers_are_short() -> None:
+    assert number(1e-15) == "1e−15"
+    assert number(0.05, unit="%") == "5 %"
+    assert number(-10.0) == "−10"
+
+
+# ---- ranking by convolution --------------------------------------------------------------------
+
+
+def coin(heads: float, values: tuple[int, int] = (0, 1)) -> ReturnDistribution:
+    return ReturnDistribution(
+        multiples=np.array(values), unit=Fraction(1), probabilities=np.array([1 - heads, heads]),
+        relative_error=0.0, remaining=0.0,
+    )  # fmt: skip
+
+
+def test_sums_of_coins_are_binomial() -> None:
+    found = sums(coin(0.3), 20)
+    exact = [comb(20, k) * 0.3**k * 0.7 ** (20 - k) for k in range(21)]
+    assert np.abs(found.probability - exact).sum() <= found.error < 1e-9
+    assert found.at_least(0.5).value == pytest.approx(sum(exact[10:]), abs=1e-12)
+
+
+def test_ranking_against_every_outcome() -> None:
+    laws = [coin(0.6, (0, 3)), coin(0.5, (1, 2)), coin(0.2, (-1, 2))]
+    ways = list(itertools.product((0, 1), repeat=3))
+    exact = 0.0
+    for a, b, c in itertools.product(ways, repeat=3):
+        totals, chance = [], 1.0
+        for law, outcome in zip(laws, (a, b, c), strict=True):
+            totals.append(sum(int(law.multiples[i]) for i in outcome))
+            chance *= float(np.prod([law.probabilities[i] for i in outcome]))
+        exact += chance * (totals[0] > totals[1] > totals[2])
+    found = ranked(*(sums(law, 3) for law in laws))
+    assert abs(found.value - exact) <= found.error
+
+
+def test_ranking_of_the_reported_policies_is_near_the_normal_one(view: View) -> None:
+    from scipy.integrate import quad
+    from scipy.stats import norm
+
+    names = ("non-directive", "directive", "supportive")
+    laws = [return_distribution(view.mdp, view.study.policies[f"reported.{n}"]) for n in names]
+    found = ranked(*(sums(law, 1000) for law in laws))
+    (a, b, c) = ((law.mean, law.sd / sqrt(1000)) for law in laws)
+    low, high = b[0] - 8 * b[1], b[0] + 8 * b[1]
+    normal, _ = quad(lambda x: norm.pdf(x, *b) * norm.sf(x, *a) * norm.cdf(x, *c), low, high)
+    assert found.value == pytest.approx(normal, abs=1e-5)
+    assert found.error < 1e-6
+
+
+def test_sums_too_many_are_refused() -> None:
+    with pytest.raises(ModelError, match="possible sums"):
+        sums(coin(0.5, (0, 10**6)), 1000)
+
+
+# ---- the main job ------------------------------------------------------------------------------
+
+
+def test_one_claim_alone(tmp_path: Path) -> None:
+    done = CliRunner().invoke(
+        main, ["--quick", "--claim", "table3.base.anger", "--out", str(tmp_path)]
+    )
+    assert done.exit_code == 0, done.output
+    for part in ("Table 3", "paper:", "5 %", "certified", "reproduced"):
+        assert part in done.output
+
+
+def test_a_folder_that_cannot_be_made_is_bad_input(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    done = CliRunner().invoke(main, ["--quick", "--out", str(blocked / "results")])
+    assert done.exit_code == 2
+    assert "cannot make the folder" in done.output
+
+
+def test_an_unknown_claim_is_bad_input(tmp_path: Path) -> None:
+    done = CliRunner().invoke(main, ["--claim", "table3.base.angre", "--out", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "table3.base.anger" in done.output
+
+
+def test_an_empty_claim_and_a_claim_with_all_candidates_are_bad_input(tmp_path: Path) -> None:
+    out = ["--out", str(tmp_path)]
+    empty = CliRunner().invoke(main, ["--claim", "", *out])
+    assert empty.exit_code == 2
+    assert "the name of the claim is empty" in empty.output
+    both = CliRunner().invoke(main, ["--claim", "return.random", "--candidates", *out])
+    assert both.exit_code == 2
+    assert "leave one of the two out" in both.output
+
+
+def test_inputs_are_counted_apart_from_findings(judged: list[Judged]) -> None:
+    inputs, findings = counts(judged, "input"), counts(judged, "finding")
+    assert sum(inputs.values()) + sum(findings.values()) == len(judged)
+    assert counted(judged).startswith(f"{sum(inputs.values())} inputs")
+    assert f"Of {sum(findings.values())} findings {findings['reproduced']} are" in counted(judged)
+
+
+@pytest.mark.slow
+def test_the_main_job_writes_everything_it_names(tmp_path: Path) -> None:
+    out = tmp_path / "results"
+    done = CliRunner().invoke(main, ["--quick", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "paper / exact / difference" in done.output
+    assert str(out / "figures") in done.output.replace("\n", "")
+    rows = json.loads((out / "numbers.json").read_text())
+    for row in rows:
+        assert {"name", "source", "paper", "exact", "difference", "claim"} <= set(row)
+        assert row["claim"] in ("certified", "bounded", "estimated")
+        if "simulated" in row:
+            assert abs(row["simulated"] - row["exact"]) < 5 * row["simulated_standard_error"]
+    assert len(json.loads((out / "claims.json").read_text())) == len(all_claims())
+    assert json.loads((out / "run.json").read_text())["quick"] is True
+    markdown = (out / "report.md").read_text()
+    named = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", markdown)
+    assert len(named) > len(PICTURES)
+    for name in named:
+        assert (out / name).read_bytes()[:4] == b"\x89PNG"
+        ET.parse((out / name).with_suffix(".svg"))
+    page = Page((out / "report.html").read_text())
+    assert all(source.startswith("data:") for source in page.sources)
+    assert {link[1:] for link in page.links} <= set(page.ids)
+    assert "Every published number agrees with the pinned ones." in markdown
+    again = CliRunner().invoke(main, ["--quick", "--out", str(out)])
+    assert again.exit_code == 0
+    assert json.loads((out / "numbers.json").read_text()) == rows
+    assert "earlier run" in json.loads((out / "run.json").read_text())["reused"]
