@@ -23,6 +23,9 @@ export JUPYTER_CONFIG_DIR := $(abspath $(VENV))/var/jupyter/config
 export JUPYTER_DATA_DIR := $(abspath $(VENV))/var/jupyter/data
 export JUPYTER_RUNTIME_DIR := $(abspath $(VENV))/var/jupyter/runtime
 
+# Where compiled modules may not be kept, every process compiles SciPy anew: tests take twice as long.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:

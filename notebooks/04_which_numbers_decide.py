@@ -25,7 +25,13 @@
 import matplotlib.pyplot as plt
 
 from analysis.plots import plot_thresholds, plot_tornado, plot_two_way, plot_value_curves, style
+from analysis.plots.psa import plot_acceptability, plot_optimal_actions
+from analysis.plots.robust import plot_robust_curve
+from analysis.plots.sensitivity_global import plot_sobol
 from analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
+from analysis.sensitivity.psa import psa
+from analysis.sensitivity.robust import robust_curve
+from analysis.sensitivity.sobol import sobol
 from mdp import Scenario
 
 scenario = Scenario.load("yuan2025")
@@ -101,4 +107,51 @@ plane = two_way(scenario, *bounds, bounds=bounds, points=15)
 with style():
     figure, ax = plt.subplots(figsize=(5, 4), dpi=80)
     plot_two_way(plane, ax=ax)
+    plt.show()
+
+# %% [markdown]
+# ## All entries at once: probabilistic sensitivity analysis
+#
+# Suppose each probability rests on twenty observations. Draw all of them, solve the model anew for
+# every draw, and see how today's optimal policy fares: how often it is still optimal, and how much
+# it loses where it is not. These are estimates, with their intervals.
+
+# %%
+drawn = psa(scenario, 20_000, seed=0, effective_sample_size=20)
+with style():
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), dpi=80)
+    plot_acceptability(drawn, ax=left)
+    plot_optimal_actions(drawn, ax=right)
+    plt.show()
+worth = drawn.evpi()
+print(f"EVPI, at least {worth.low}, at most {worth.high}")
+
+# %% [markdown]
+# On the right, each row is a status: the share of draws in which an action is the best one there.
+# Where one action has nearly all draws, no plausible error in the tables changes the advice.
+#
+# ## Which entries drive the spread?
+#
+# Sobol indices split the variance of the optimal value over the entries, alone (first order) and
+# with all their interactions (total).
+
+# %%
+probabilities = [name for name in scenario.names if not name.startswith("reward")]
+indices = sobol(scenario, names=probabilities, samples=512, seed=0)
+with style():
+    figure, ax = plt.subplots(figsize=(7, 4), dpi=80)
+    plot_sobol(indices, ax=ax)
+    plt.show()
+
+# %% [markdown]
+# ## And if nature is against us?
+#
+# Let every row of the matrix move within a distance, as badly as possible. The best policy against
+# that may differ from today's; its price is what it gives up where the tables are right.
+
+# %%
+curve = robust_curve(scenario.compile(), "l1", [k / 10 for k in range(0, 13, 2)])
+with style():
+    figure, ax = plt.subplots(figsize=(6, 3.4), dpi=80)
+    plot_robust_curve(curve, ax=ax)
     plt.show()

@@ -15,6 +15,10 @@ SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
 LIMIT = 1_000_000  # characters of output that a reader may be made to load
 
 
+def test_there_are_six() -> None:
+    assert [source.name[:2] for source in SOURCES] == ["01", "02", "03", "04", "05", "06"]
+
+
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
 def test_says_first_what_the_reader_will_be_able_to_do(source: Path) -> None:
     first = jupytext.read(source).cells[0]
