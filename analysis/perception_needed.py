@@ -241,4 +241,4 @@ def _sides(poly: fmpq_poly, root: Root) -> tuple[int, int]:
 
 
 def _fraction(value: object) -> Fraction:
-    return Fraction(int(value.p), int(value.q))  # type: ignore[attr-defined]
+    return Fraction(int(value.p), int(value.q))

@@ -92,7 +92,7 @@ def ranking_figure(study: ReadingStudy) -> Figure:
 
     rows = study.ranking(RANKED)
     search, found = study.search, study.main
-    numbers = [int(row["reading"]) for row in rows]  # type: ignore[call-overload]
+    numbers = [int(row["reading"]) for row in rows]
     if 0 not in numbers:
         numbers.append(0)
     y = np.arange(len(numbers))

@@ -279,7 +279,7 @@ def _on_the_way(
     alike: dict[tuple[object, ...], list[tuple[list[bool], int]]] = {}
     for number in numbers:
         settings = space.settings(number)
-        tasks: Sequence[int] = settings.pop("tasks", base.tasks)  # type: ignore[assignment]
+        tasks: Sequence[int] = settings.pop("tasks", base.tasks)
         # Whether a subtask is the last one of its task, from the end.
         ends = [i == 0 for size in reversed(tasks) for i in range(size)]
         alike.setdefault(tuple(settings.values()), []).append((ends, number))

@@ -400,7 +400,7 @@ def test_what_cannot_be_drawn_is_refused(words: dict[str, object], message: str)
 
 
 def test_a_count_of_numpy_is_a_count() -> None:
-    found = psa(SMALL, np.int64(7), seed=np.uint8(0))  # type: ignore[arg-type]
+    found = psa(SMALL, np.int64(7), seed=np.uint8(0))
     assert len(found) == 7
     assert type(found.seed) is int
 

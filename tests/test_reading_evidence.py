@@ -92,8 +92,8 @@ def test_the_ranking_is_that_of_the_twin() -> None:
         readings = {name: str(settings.get(name, options[0])) for name, options in READINGS.items()}
         mean, variance = moments(
             readings,
-            settings["tasks"],  # type: ignore[arg-type]
-            settings["evaluation_discount"],  # type: ignore[arg-type]
+            settings["tasks"],
+            settings["evaluation_discount"],
             filled,
         )
         mean, variance = mean.reshape(-1, 3), variance.reshape(-1, 3)

@@ -125,8 +125,8 @@ def test_all_policies_of_random_readings_agree_with_the_twin() -> None:
         readings = {name: str(settings[name]) for name in READINGS}
         mean, variance = moments(
             readings,
-            settings["tasks"],  # type: ignore[arg-type]
-            settings["evaluation_discount"],  # type: ignore[arg-type]
+            settings["tasks"],
+            settings["evaluation_discount"],
             ALL,
         )
         assert np.abs(found["mean"][place] - mean).max() < 1e-11
@@ -180,7 +180,7 @@ def test_the_same_figures_mean_equivalent_readings_and_no_others() -> None:
         for each in (number, same[number]):
             settings = dict(SMALL.settings(each))
             tasks, rate = settings.pop("tasks"), settings.pop("evaluation_discount")
-            model = Oracle(settings, tasks, discount=rate)  # type: ignore[arg-type]
+            model = Oracle(settings, tasks, discount=rate)
             exact = model.evaluate(policy, distribution=False)
             results.append((exact["mean"], exact["variance"]))
         assert results[0] == results[1]
@@ -229,8 +229,8 @@ def test_the_top_of_the_whole_ranking_is_that_of_the_twin() -> None:
         readings = {name: str(settings[name]) for name in READINGS}
         mean, variance = moments(
             readings,
-            settings["tasks"],  # type: ignore[arg-type]
-            settings["evaluation_discount"],  # type: ignore[arg-type]
+            settings["tasks"],
+            settings["evaluation_discount"],
             ALL,
         )
         mean, variance = mean.reshape(-1, 3), variance.reshape(-1, 3)

@@ -29,7 +29,7 @@ def test_the_verdict_agrees_with_the_search() -> None:
         assert isinstance(found.regret, Certified)
         assert float(found.value.value) == pytest.approx(search.mean[reading, completion, 0])
         assert float(found.optimal.value) == pytest.approx(search.optimum[reading])
-        assert found.regret.value == found.optimal.value - found.value.value  # type: ignore[operator]
+        assert found.regret.value == found.optimal.value - found.value.value
         for place, start in enumerate(STARTS):
             assert found.evaluations[start].mean == pytest.approx(
                 search.mean[reading, completion, place]

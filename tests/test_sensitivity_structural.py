@@ -213,4 +213,4 @@ def test_a_policy_that_does_not_fit_names_the_reading(scenario: Scenario) -> Non
             elasticities=False,
         )
     with pytest.raises(ModelError, match="readings belong to care scenarios"):
-        structural(mdp)  # type: ignore[arg-type]
+        structural(mdp)

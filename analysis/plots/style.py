@@ -94,7 +94,7 @@ def titled(ax: Axes, text: str) -> Text:
     Breaks in the text are kept. Set the figure's size, and what its layout depends on, before.
     """
     title = ax.set_title("")
-    ax.figure.draw_without_rendering()  # type: ignore[union-attr]
+    ax.figure.draw_without_rendering()
     room = ax.get_window_extent().width
 
     def fits(words: Sequence[str]) -> bool:

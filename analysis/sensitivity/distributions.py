@@ -324,7 +324,7 @@ def number_of(settings: Mapping[str, object], key: str, name: str) -> float:
     if isinstance(value, bool) or not number:
         raise ModelError(f"{key} is {value!r:.60}", where=f"parameter {name}", fix="give a number")
     try:
-        return float(value)  # type: ignore[arg-type]
+        return float(value)
     except OverflowError as error:
         raise ModelError(
             f"{key} has more than 300 digits", where=f"parameter {name}", fix="give a smaller one"

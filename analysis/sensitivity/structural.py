@@ -359,4 +359,4 @@ def _label(settings: Mapping[str, object]) -> str:
 def _text(option: object) -> str:
     if isinstance(option, tuple):
         return str(list(option))
-    return option if isinstance(option, str) else f"{float(option):g}"  # type: ignore[arg-type]
+    return option if isinstance(option, str) else f"{float(option):g}"
