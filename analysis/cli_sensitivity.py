@@ -17,14 +17,14 @@ from analysis.cli_output import show
 
 KINDS = MappingProxyType(
     {
-        "gradient": "analysis.sensitivity.report:gradient_report",
-        "tornado": "analysis.sensitivity.report:tornado_report",
-        "threshold": "analysis.sensitivity.report:threshold_report",
+        "gradient": "analysis.sensitivity.gradient_report:gradient_report",
+        "tornado": "analysis.sensitivity.tornado_report:tornado_report",
+        "threshold": "analysis.sensitivity.threshold_report:threshold_report",
         "psa": "analysis.sensitivity.psa_report:psa_report",
-        "sobol": "analysis.sensitivity.global_report:sobol_report",
-        "morris": "analysis.sensitivity.global_report:morris_report",
+        "sobol": "analysis.sensitivity.sobol_report:sobol_report",
+        "morris": "analysis.sensitivity.morris_report:morris_report",
         "robust": "analysis.sensitivity.robust_report:robust_report",
-        "structural": "analysis.sensitivity.global_report:structural_report",
+        "structural": "analysis.sensitivity.structural_report:structural_report",
     }
 )
 

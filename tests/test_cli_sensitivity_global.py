@@ -215,7 +215,7 @@ def test_what_cannot_be_done_is_refused_with_the_reason(
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("solvers.many.ANSWER_WITHIN", 0.5)
+    monkeypatch.setattr("solvers.cluster.ANSWER_WITHIN", 0.5)
     words = ("--samples", "4", "--parameter", "discount", "--scheduler", "tcp://127.0.0.1:1")
     done = run("sensitivity", "yuan2025", "sobol", *SET, *words)
     assert done.status == 2

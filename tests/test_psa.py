@@ -11,11 +11,13 @@ from cli_runner import run
 from scipy.special import betainc
 from scipy.stats import binomtest
 
-from analysis.sensitivity.distributions import uncertainty
+from analysis.sensitivity.care_draws import CareSolver
+from analysis.sensitivity.draw_solver import solver_of
 from analysis.sensitivity.expected_loss import expected_loss
 from analysis.sensitivity.intervals import mean_loss, mean_of, quantiles, wilson
-from analysis.sensitivity.psa import MISSING, PSA, psa
-from analysis.sensitivity.psa_models import CareSolver, solver_of
+from analysis.sensitivity.parameter_uncertainty import uncertainty
+from analysis.sensitivity.psa import psa
+from analysis.sensitivity.psa_result import MISSING, PSA
 from analysis.sensitivity.row_family import row_family
 from analysis.sensitivity.value_of_information import evpi, evppi
 from mdp import MDP, ModelError, Scenario

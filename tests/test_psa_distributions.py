@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.distributions import Uncertain, Uncertainty, uncertainty
+from analysis.sensitivity.distributions import Uncertain, Uncertainty
+from analysis.sensitivity.parameter_uncertainty import uncertainty
 from analysis.sensitivity.row_family import row_family
 from analysis.sensitivity.uncertainty_file import load_uncertainty
 from mdp import MDP, ModelError, Scenario

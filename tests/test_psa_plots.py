@@ -11,9 +11,10 @@ from analysis.plots.psa import (
     plot_optimal_actions,
     plot_start_values,
 )
-from analysis.sensitivity.distributions import uncertainty
 from analysis.sensitivity.expected_loss import expected_loss
-from analysis.sensitivity.psa import PSA, psa
+from analysis.sensitivity.parameter_uncertainty import uncertainty
+from analysis.sensitivity.psa import psa
+from analysis.sensitivity.psa_result import PSA
 from mdp import ModelError, Scenario
 from mdp.parametric import parametric
 

@@ -14,8 +14,8 @@ from cases import BY_NAME
 
 from analysis.sensitivity.design import inside, problem_of
 from analysis.sensitivity.morris import Morris, morris
-from analysis.sensitivity.ranges import Range
-from analysis.sensitivity.sampled import sampled, spans_of, values
+from analysis.sensitivity.ranges import Range, spans_of
+from analysis.sensitivity.sampled import sampled, values
 from analysis.sensitivity.sobol import Sobol, sobol
 from mdp import MDP, ModelError, Scenario
 from mdp.parameters import Parameter

@@ -13,7 +13,7 @@ from analysis.sensitivity.intervals import tolerances_of
 
 if TYPE_CHECKING:
     from analysis.sensitivity.expected_loss import LossCurve
-    from analysis.sensitivity.psa import PSA
+    from analysis.sensitivity.psa_result import PSA
     from analysis.sensitivity.value_of_information import PartialInformation
 
 INK, BAR = "#000000", "#56B4E9"

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from analysis.plots.style import axes_or_new
 
 if TYPE_CHECKING:
-    from analysis.sensitivity.robust import RobustCurve
+    from analysis.sensitivity.robust_result import RobustCurve
 
 RADIUS = {
     "interval": "radius: each transition probability p (1 ± x)",

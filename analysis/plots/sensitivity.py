@@ -15,7 +15,7 @@ from analysis.sensitivity.units import unit_of
 
 if TYPE_CHECKING:
     from analysis.sensitivity.one_way import Curve, Tornado
-    from analysis.sensitivity.thresholds import Thresholds
+    from analysis.sensitivity.threshold_result import Thresholds
     from analysis.sensitivity.two_way import TwoWay
 
 BELOW, ABOVE, LINE = "#FFFFFF", "#56B4E9", "#000000"

@@ -12,10 +12,10 @@ from analysis.cli_output import Grid, number
 from analysis.sensitivity.box_results import BoxExtreme, BoxOptimum
 from analysis.sensitivity.ranges import RELATIVE, Range
 from analysis.sensitivity.report import ROUNDED, Report
-from analysis.sensitivity.report import ranges_from as stated
-from analysis.sensitivity.robust import difference
+from analysis.sensitivity.report_options import ranges_from as stated
 from analysis.sensitivity.robust_box import box_extreme, box_optimum, box_ranges, exact_value
 from analysis.sensitivity.robust_report import radius_from
+from analysis.sensitivity.robust_result import difference
 from mdp.errors import ModelError
 from mdp.scenario_family import ScenarioFamily
 from solvers import solve

@@ -1,18 +1,131 @@
-"""Parameters and ranges as SALib states them, and what its samples need around them."""
+"""Designs: the draws over parameters' ranges at which SALib wants the model solved.
+
+Parameters are independent and uniform over their ranges. A method of SALib chooses the draws from
+the ranges and a seed; at each of them the model is solved again, and a policy held fixed is
+evaluated, which gives the three outputs that are analysed: the optimum's value, the policy's, and
+the policy's regret (Herman and Usher, Journal of Open Source Software 2, 2017).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.ranges import Range
+from analysis.sensitivity.ranges import Range, spans_of
+from analysis.sensitivity.sampled import Sampled, sampled
+from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
+from mdp.model import MDP
 from mdp.parameters import Parameter
+from mdp.parametric import Parametric, parametric
+from mdp.scenario import Scenario
 from mdp.table import Floats
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+OUTPUTS = ("optimal", "fixed", "regret")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design:
+    """A model, and the parameters that vary over their ranges.
+
+    Attributes
+    ----------
+    model : Parametric
+    spans : {Parameter: Range}
+        The P parameters, each with a range that is not empty.
+    """
+
+    model: Parametric
+    spans: Mapping[Parameter, Range]
+
+    @classmethod
+    def of(
+        cls,
+        source: Scenario | MDP | Parametric,
+        names: Iterable[str] | None,
+        ranges: Mapping[str, object] | None,
+        relative: Fraction | None,
+    ) -> Design:
+        """Return the design of what is asked for; see `analysis.sensitivity.ranges.spans_of`."""
+        model = parametric(source)
+        chosen = None if names is None else list(names)
+        return cls(model=model, spans=spans_of(model, chosen, ranges, relative))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters, in the order of the draws' columns."""
+        return tuple(self.spans)
+
+    @property
+    def ranges(self) -> dict[str, Range]:
+        """Their ranges by name."""
+        return {parameter.name: span for parameter, span in self.spans.items()}
+
+    @cached_property
+    def problem(self) -> dict[str, Any]:
+        """Parameters and ranges as SALib states a problem."""
+        return problem_of(self.spans)
+
+    def draws(
+        self, sample: Callable[..., Floats], count: int, sequence: SeedSequence, **settings: Any
+    ) -> Floats:
+        """Return (D, P) draws by a sampling method of SALib."""
+        drawn = sample(self.problem, count, seed=whole_seed(sequence), **settings)
+        return inside(drawn, self.spans)
+
+    def solved(self, draws: Floats, policy: object, **how: Any) -> Sampled:
+        """Return the values at every draw: the optimum's, and the policy's."""
+        return sampled(self.model, self.problem["names"], draws, [policy], **how)
+
+
+def outputs_of(found: Sampled) -> dict[str, Floats]:
+    """Return the outputs that are analysed, (D,) each, by name."""
+    every = found.optimal, found.fixed[:, 0], found.regret[:, 0]
+    return dict(zip(OUTPUTS, every, strict=True))
+
+
+def check_output(output: str, where: str) -> None:
+    """Raise ModelError unless an output has this name."""
+    if output not in OUTPUTS:
+        raise ModelError(
+            f"unknown output {output!r}", where=where, fix=f"choose one of {', '.join(OUTPUTS)}"
+        )
+
+
+def frame_of(
+    ranges: Mapping[str, Range],
+    parameters: Sequence[Parameter],
+    measures: Mapping[str, Floats],
+    by: Floats,
+    attrs: Mapping[str, object],
+) -> DataFrame:
+    """Return one row for each parameter, with measures (P,) of it, the largest `by` (P,) first."""
+    from pandas import DataFrame
+
+    spans = [ranges[parameter.name] for parameter in parameters]
+    table = DataFrame(
+        {
+            "parameter": [parameter.name for parameter in parameters],
+            "unit": [unit_of(parameter) for parameter in parameters],
+            "low": [float(span.low) for span in spans],
+            "high": [float(span.high) for span in spans],
+            **measures,
+            "claim": "estimated",
+        }
+    )
+    table = table.iloc[np.argsort(-by, kind="stable")].reset_index(drop=True)
+    table.attrs |= attrs
+    return table
 
 
 def salib(module: str) -> Any:

@@ -12,17 +12,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.distributions import EFFECTIVE_SAMPLE_SIZE, Uncertainty, uncertainty
+from analysis.sensitivity.base_case import digest
+from analysis.sensitivity.distributions import Uncertainty
+from analysis.sensitivity.draw_blocks import run, whole_number
+from analysis.sensitivity.draw_solver import DrawSolver, solver_of
 from analysis.sensitivity.intervals import mean_loss
-from analysis.sensitivity.psa import whole
-from analysis.sensitivity.psa_models import Arrays, Solver, run, solver_of
+from analysis.sensitivity.parameter_uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
 from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
 from mdp.fingerprint import fingerprint
@@ -30,6 +31,7 @@ from mdp.model import MDP
 from mdp.parametric import Parametric, parameter_of, parametric, placed
 from mdp.scenario import Scenario
 from mdp.table import Floats
+from solvers.pieces import Arrays
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -134,7 +136,7 @@ def expected_loss(
     True
     """
     model = parametric(source)
-    samples, seed = whole(samples, "samples", 0), whole(seed, "seed", 0)
+    samples, seed = whole_number(samples, "samples", 0), whole_number(seed, "seed", 0)
     if len(points) == 0 or not policies or samples < 2:
         raise ModelError(
             f"{len(points)} points, {len(policies)} policies, {samples} draws",
@@ -142,7 +144,7 @@ def expected_loss(
             fix="give at least one point, one policy and two draws",
         )
     solver = solver_of(model)
-    weights = [solver.held(policy) for policy in policies.values()]
+    weights = [solver.base.held(policy) for policy in policies.values()]
     pieces: list[Any] = []
     for point in points:
         if along == SAMPLE_SIZE:
@@ -167,11 +169,11 @@ def expected_loss(
         partial(_point, solver, weights),
         pieces,
         {
-            "model": fingerprint(solver.mdp),
+            "model": fingerprint(solver.base.mdp),
             "along": along,
             "seed": seed,
             "samples": samples,
-            "policies": [sha256(each.astype("<f8").tobytes()).hexdigest() for each in weights],
+            "policies": [digest(each) for each in weights],
             "points": [
                 [float(point), *([*p.names, p.kind, p.size, *p.mean] for p in piece[0].parts)]
                 for point, piece in zip(points, pieces, strict=True)
@@ -194,7 +196,7 @@ def expected_loss(
 
 
 def _point(
-    solver: Solver,
+    solver: DrawSolver,
     weights: Sequence[Floats],
     piece: tuple[Uncertainty, Mapping[str, float], int, int],
 ) -> Arrays:

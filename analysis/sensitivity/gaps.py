@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.sensitivity.exact_chain import LARGEST, rational
-from analysis.sensitivity.gradient import refuse_endless
+from analysis.sensitivity.gradient_exact import refuse_endless
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.row_change import RowChange, reward_entries, transition_entries

@@ -4,7 +4,7 @@ With V and d each within e_V and e_d of the exact ones,
 
     |error| ≤ Σ_l [e_d |c| + (d + e_d) (γ Σ |∂P| e_V + |∂γ| Σ P e_V)] + rounding,
 
-c being what a pair earns in `analysis.sensitivity.gradient`. The derivative is that of the
+c being what a pair earns in `analysis.sensitivity.gradient_exact`. The derivative is that of the
 optimum only where the policy is the only optimal one; gaps within the error bound count as ties,
 and are refused.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.sensitivity.gradient import refuse_endless
+from analysis.sensitivity.gradient_exact import refuse_endless
 from mdp.chain import reachable
 from mdp.errors import ModelError
 from mdp.model import MDP

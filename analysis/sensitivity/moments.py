@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from analysis.sensitivity.gradient import earnings
+from analysis.sensitivity.gradient_exact import earnings
+from analysis.sensitivity.rational_rows import by_pair, by_pair_slopes, dot, worth
 from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
 from mdp.model import MDP
@@ -35,7 +36,7 @@ from mdp.row_change import (
     square_entries,
 )
 from mdp.scenario import Scenario
-from mdp.table import Integers, Numbers
+from mdp.table import Numbers
 from solvers.rounding import UNIT
 from solvers.solution import Bounded, Certified
 
@@ -118,10 +119,10 @@ class _Moments:
         self.mdp, self.chain = mdp, ExactChain(mdp, policy)
         chain, zero = self.chain, rational(0)
         self.value = chain.values(chain.reward)
-        self.joint = _by_pair(joint_entries(mdp), mdp.n_states, mdp.n_pairs)
+        self.joint = by_pair(joint_entries(mdp), mdp.n_states, mdp.n_pairs)
         _, top, bottom = square_entries(mdp)
         square = [rational(Fraction(int(a), int(b))) for a, b in zip(top, bottom, strict=True)]
-        self.crossed = [_dot(row, self.value) for row in self.joint]
+        self.crossed = [dot(row, self.value) for row in self.joint]
         pairs = zip(square, self.crossed, strict=True)
         self.second = chain.values([q + 2 * chain.rate * x for q, x in pairs], power=2)
         start = chain.start
@@ -133,8 +134,8 @@ class _Moments:
                 for state, amount in row:
                     begin[state] += 2 * chain.rate * used * amount
         self.crossed_uses = chain.uses(chain.discounted(begin))
-        self.mean = _dot(list(enumerate(start)), self.value)
-        self.variance = _dot(list(enumerate(start)), self.second) - self.mean**2
+        self.mean = dot(list(enumerate(start)), self.value)
+        self.variance = dot(list(enumerate(start)), self.second) - self.mean**2
         columns = mdp.components.T.tolist()
         self.parts = [chain.values([rational(Fraction(c)) for c in column]) for column in columns]
         self.part_sizes = [
@@ -150,10 +151,10 @@ class _Moments:
         chain = self.chain
         change = row_change(model, name, piece, base=self.mdp)
         earned = earnings(chain, change, self.value)
-        mean = _total(self.uses, earned)
-        second = _total(self.crossed_uses, earned)
-        second += _total(self.squared_uses, self._second_earnings(model, name, piece))
-        transition = _by_pair_slopes(change.transition.key, change.transition.slope, self.mdp)
+        mean = worth(self.uses, earned)
+        second = worth(self.crossed_uses, earned)
+        second += worth(self.squared_uses, self._second_earnings(model, name, piece))
+        transition = by_pair_slopes(change.transition.key, change.transition.slope, self.mdp)
         rate = rational(change.discount)
         if rate:
             for pair, used in enumerate(self.squared_uses):
@@ -161,7 +162,7 @@ class _Moments:
                     ahead = self.crossed[pair] + chain.rate * chain.ahead(pair, self.second)
                     second += 2 * rate * used * ahead
         for pair, row in transition.items():
-            second += self.squared_uses[pair] * chain.rate**2 * _dot(row, self.second)
+            second += self.squared_uses[pair] * chain.rate**2 * dot(row, self.second)
         variance = second - 2 * self.mean * mean
         return Movement(
             parameter=parameter,
@@ -180,8 +181,8 @@ class _Moments:
         for pair, slope in zip(square.key.tolist(), square.slope, strict=True):
             found[pair] = rational(slope)
         joint = changes(samples, steps, joint_entries)
-        for pair, row in _by_pair_slopes(joint.key, joint.slope, mdp).items():
-            found[pair] = found.get(pair, rational(0)) + 2 * rate * _dot(row, self.value)
+        for pair, row in by_pair_slopes(joint.key, joint.slope, mdp).items():
+            found[pair] = found.get(pair, rational(0)) + 2 * rate * dot(row, self.value)
         return found
 
     def _sd(self, slope: float) -> Bounded | None:
@@ -217,9 +218,9 @@ class _Moments:
                 total += self.uses[pair] * rational(slope)
                 error += self.uses[pair] * rational(Fraction(float(largest[pair]))) * unit
             for pair, row in transition.items():
-                total += self.uses[pair] * self.chain.rate * _dot(row, value)
+                total += self.uses[pair] * self.chain.rate * dot(row, value)
                 bound = [(state, abs(slope)) for state, slope in row]
-                error += self.uses[pair] * rational(Fraction(UNIT)) * _dot(bound, size)
+                error += self.uses[pair] * rational(Fraction(UNIT)) * dot(bound, size)
             if rate:
                 for pair, used in enumerate(self.uses):
                     if used:
@@ -264,27 +265,3 @@ def _objects(ratios: Sequence[tuple[int, int]]) -> tuple[Numbers, Numbers]:
     top, bottom = np.empty(len(ratios), dtype=object), np.empty(len(ratios), dtype=object)
     top[:], bottom[:] = [a for a, _ in ratios], [b for _, b in ratios]
     return top, bottom
-
-
-def _by_pair(entries: Entries, states: int, pairs: int) -> list[list[tuple[int, fmpq]]]:
-    rows: list[list[tuple[int, fmpq]]] = [[] for _ in range(pairs)]
-    key, top, bottom = entries
-    for number, a, b in zip(key.tolist(), top, bottom, strict=True):
-        rows[number // states].append((number % states, rational(Fraction(int(a), int(b)))))
-    return rows
-
-
-def _by_pair_slopes(key: Integers, slope: Numbers, mdp: MDP) -> dict[int, list[tuple[int, fmpq]]]:
-    rows: dict[int, list[tuple[int, fmpq]]] = {}
-    for number, each in zip(key.tolist(), slope, strict=True):
-        pair, state = divmod(number, mdp.n_states)
-        rows.setdefault(pair, []).append((state, rational(each)))
-    return rows
-
-
-def _dot(row: Sequence[tuple[int, fmpq]], value: Sequence[fmpq]) -> fmpq:
-    return sum((amount * value[state] for state, amount in row), rational(0))
-
-
-def _total(uses: Sequence[fmpq], earned: dict[int, fmpq]) -> fmpq:
-    return sum((uses[pair] * gain for pair, gain in earned.items()), rational(0))

@@ -23,14 +23,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.random import default_rng
 
-from analysis.sensitivity.design import check_confidence, inside, problem_of, salib, whole_seed
+from analysis.sensitivity.design import (
+    Design,
+    check_confidence,
+    check_output,
+    frame_of,
+    outputs_of,
+    salib,
+    whole_seed,
+)
 from analysis.sensitivity.ranges import Range
-from analysis.sensitivity.sampled import sampled, spans_of
-from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.parameters import Parameter
-from mdp.parametric import Parametric, parametric
+from mdp.parametric import Parametric
 from mdp.scenario import Scenario
 from mdp.table import Floats
 from solvers.sampler import child
@@ -39,7 +45,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 RESAMPLES = 1000
-OUTPUTS = ("optimal", "fixed", "regret")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,33 +108,22 @@ class Morris:
         ----------
         output : "optimal", "fixed" or "regret"
         """
-        from pandas import DataFrame
-
         found = effects_of(self, output)
-        table = DataFrame(
-            {
-                "parameter": self.names,
-                "unit": [unit_of(parameter) for parameter in self.parameters],
-                "low": [float(self.ranges[name].low) for name in self.names],
-                "high": [float(self.ranges[name].high) for name in self.names],
-                "mu (reward per range)": found.mu,
-                "mu* (reward per range)": found.mu_star,
-                "mu* ±": found.mu_star_half,
-                "sigma (reward per range)": found.sigma,
-                "sigma ±": found.sigma_half,
-                "claim": "estimated",
-            }
-        )
-        order = np.argsort(-found.mu_star, kind="stable")
-        table = table.iloc[order].reset_index(drop=True)
-        table.attrs |= {
+        measures = {
+            "mu (reward per range)": found.mu,
+            "mu* (reward per range)": found.mu_star,
+            "mu* ±": found.mu_star_half,
+            "sigma (reward per range)": found.sigma,
+            "sigma ±": found.sigma_half,
+        }
+        attrs = {
             "output": output,
             "confidence": self.confidence,
             "trajectories": self.trajectories,
             "levels": self.levels,
             "seed": self.seed,
         }
-        return table
+        return frame_of(self.ranges, self.parameters, measures, found.mu_star, attrs)
 
 
 def morris(
@@ -176,8 +170,7 @@ def morris(
     """
     sample, analyze = salib("sample.morris").sample, salib("analyze.morris").analyze
 
-    model = parametric(source)
-    spans = spans_of(model, None if names is None else list(names), ranges, relative)
+    design = Design.of(source, names, ranges, relative)
     check_confidence(confidence)
     for what, count, least in (("trajectories", trajectories, 2), ("levels", levels, 2)):
         if isinstance(count, bool) or not isinstance(count, int) or count < least:
@@ -185,24 +178,16 @@ def morris(
     if levels % 2:
         raise ModelError(f"{levels} levels", where="morris", fix="choose an even number")
     first, second, third = (child(seed, number) for number in range(3))
-    problem = problem_of(spans)
-    draws = inside(sample(problem, trajectories, num_levels=levels, seed=whole_seed(first)), spans)
-    found = sampled(
-        model,
-        problem["names"],
-        draws,
-        [policy],
-        n_jobs=n_jobs,
-        scheduler=scheduler,
-        folder=folder,
-        progress=progress,
+    draws = design.draws(sample, trajectories, first, num_levels=levels)
+    found = design.solved(
+        draws, policy, n_jobs=n_jobs, scheduler=scheduler, folder=folder, progress=progress
     )
-    low, high = np.array(problem["bounds"]).T
-    unit = ((draws - low) / (high - low)).reshape(trajectories, len(spans) + 1, len(spans))
+    low, high = np.array(design.problem["bounds"]).T
+    unit = ((draws - low) / (high - low)).reshape(trajectories, -1, len(design.spans))
 
     def effects(output: Floats) -> Effects:
         result = analyze(
-            problem,
+            design.problem,
             draws,
             output,
             num_levels=levels,
@@ -221,11 +206,10 @@ def morris(
             sigma_half=NormalDist().inv_cdf(0.5 + confidence / 2) * spread.std(axis=0, ddof=1),
         )
 
-    outputs = (found.optimal, found.fixed[:, 0], found.regret[:, 0])
     return Morris(
-        parameters=tuple(spans),
-        ranges={parameter.name: span for parameter, span in spans.items()},
-        **dict(zip(OUTPUTS, map(effects, outputs), strict=True)),
+        parameters=design.parameters,
+        ranges=design.ranges,
+        **{name: effects(output) for name, output in outputs_of(found).items()},
         trajectories=trajectories,
         levels=levels,
         confidence=confidence,
@@ -235,10 +219,7 @@ def morris(
 
 def effects_of(found: Morris, output: str) -> Effects:
     """Return the effects on an output by name."""
-    if output not in OUTPUTS:
-        raise ModelError(
-            f"unknown output {output!r}", where="morris", fix=f"choose one of {', '.join(OUTPUTS)}"
-        )
+    check_output(output, "morris")
     return getattr(found, output)
 
 

@@ -21,7 +21,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from analysis.sensitivity.multi_model_search import Problem, weighted
+from analysis.sensitivity.multi_model_heuristics import improved, weight_select_update
+from analysis.sensitivity.multi_model_problem import Problem, weighted
+from analysis.sensitivity.multi_model_search import search
 from mdp.model import MDP
 from mdp.table import Floats, Integers
 from solvers import solve
@@ -147,11 +149,11 @@ def multi_model(
 
     note("mean-value policy", solve(problem.mean).pairs)
     if problem.order is not None:
-        note("weight-select-update", problem.weight_select_update())
+        note("weight-select-update", weight_select_update(problem))
     first = max(found.values(), key=lambda each: each[0].value)
-    found["improved"] = problem.improved(*first)
+    found["improved"] = improved(problem, *first)
     best = max(found.values(), key=lambda each: each[0].interval[0])
-    upper, best, used = problem.search(best, gap, parts)
+    upper, best, used = search(problem, best, gap, parts)
     found["branch and bound"] = best
     upper = max(upper, best[0].interval[0])
     pairs = best[1]

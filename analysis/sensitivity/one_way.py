@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from analysis.sensitivity.base_case import BaseCase
 from analysis.sensitivity.ranges import Range, around, checked
 from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
@@ -28,7 +27,6 @@ from mdp.parametric import Parametric, parameter_of, parametric
 from mdp.scenario import Scenario
 from mdp.table import Floats
 from solvers import evaluate, solve
-from solvers.policy_chain import PolicyChain
 from solvers.solution import Bounded
 
 if TYPE_CHECKING:
@@ -173,7 +171,7 @@ def one_way(
     model = parametric(source)
     parameter = parameter_of(model, name)
     span = around(parameter) if bounds is None else checked(model, {name: bounds})[name]
-    weights = held(model, policy)
+    weights = BaseCase(mdp=model.at({})).held(policy)
     step = (span.high - span.low) / (points - 1)
     values = [span.low + k * step for k in range(points)]
     return Curve(parameter=parameter, points=tuple(_point(model, name, v, weights) for v in values))
@@ -218,7 +216,8 @@ def tornado(
     chosen = list(stated) if names is None and stated else names
     if chosen is None:
         chosen = [parameter.name for parameter in model.parameters]
-    weights = held(model, policy)
+    mdp = model.at({})
+    weights = BaseCase(mdp=mdp).held(policy)
     share = {} if relative is None else {"relative": relative}
     bars = []
     for name in chosen:
@@ -228,19 +227,8 @@ def tornado(
         high = low if span.high == span.low else _point(model, name, span.high, weights)
         bars.append(Bar(parameter=parameter, low=low, high=high))
     bars.sort(key=lambda bar: -bar.swing)
-    mdp = model.at({})
     today = _values(mdp, None, weights)
     return Tornado(today=today, bars=tuple(bars))
-
-
-def held(model: Parametric, policy: object) -> Floats:
-    """Return (L,) the weights of the policy that is held fixed."""
-    mdp = model.at({})
-    if isinstance(policy, str) and policy == "optimal":
-        weights = np.zeros(mdp.n_pairs)
-        weights[solve(mdp).pairs] = 1.0
-        return weights
-    return PolicyChain.of(mdp, policy).chosen
 
 
 def _point(model: Parametric, name: str, value: Fraction, weights: Floats) -> Point:

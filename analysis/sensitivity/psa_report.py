@@ -1,38 +1,30 @@
-"""What `exact-mdp sensitivity MODEL psa` tells."""
+"""What `exact-mdp sensitivity MODEL psa` draws, and tells."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from analysis.cli_common import whole_of
-from analysis.cli_output import Grid, number
-from analysis.sensitivity.distributions import EFFECTIVE_SAMPLE_SIZE, Uncertainty, uncertainty
+from analysis.sensitivity.base_case import digest
+from analysis.sensitivity.distributions import Uncertainty
+from analysis.sensitivity.draw_solver import solver_of
 from analysis.sensitivity.expected_loss import LossCurve, expected_loss
-from analysis.sensitivity.intervals import (
-    FEW,
-    MeanLoss,
-    mean_loss,
-    mean_of,
-    quantiles,
-    tolerances_of,
-)
-from analysis.sensitivity.psa import PSA, psa
-from analysis.sensitivity.psa_models import solver_of
-from analysis.sensitivity.report import Report, model_of, policy_from
+from analysis.sensitivity.parameter_uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
+from analysis.sensitivity.psa import psa
+from analysis.sensitivity.psa_json import result_of
+from analysis.sensitivity.psa_result import PSA
+from analysis.sensitivity.psa_tables import facts_of, grids_of
+from analysis.sensitivity.report import Report, written
+from analysis.sensitivity.report_options import model_of, policy_from, work_from
 from analysis.sensitivity.row_family import row_family
 from analysis.sensitivity.uncertainty_file import load_uncertainty
-from analysis.sensitivity.value_of_information import FEWEST, PartialInformation
+from analysis.sensitivity.value_of_information import FEWEST
 from mdp.errors import ModelError
 from mdp.parametric import Parametric
 from mdp.table import exact
 from solvers import solve
-from solvers.solution import Estimated
 
 if TYPE_CHECKING:
     from mdp.load import Loaded
@@ -40,7 +32,6 @@ if TYPE_CHECKING:
 DRAWS, SLOW_DRAWS = "10000", "500"
 CURVE_DRAWS = 2000  # at each point of the expected loss curve; a tenth of all, of slow models
 SIZES = (10.0, 30.0, 100.0, 300.0, 1000.0)
-SHOWN = 16  # rows of a table for people
 
 
 def psa_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
@@ -57,30 +48,21 @@ def psa_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     chosen = _uncertain(model, options, stated, size, names)
     compiled = solver_of(model).compiled
     samples = options.get("samples") or (DRAWS if compiled else SLOW_DRAWS)
-    jobs = options.get("n_jobs")
     form = options.get("policy") or "optimal"
-    how = {
-        "n_jobs": None if jobs is None else whole_of(str(jobs), "--n-jobs", 1, 1024),
-        "scheduler": options.get("scheduler"),
-        "progress": True,
-    }
+    how = work_from(options)
     found = psa(
         model,
         whole_of(str(samples), "--samples", 1, 10**8),
         seed=whole_of(str(options.get("seed") or 0), "--seed", most=2**128),
         uncertain=chosen,
         policy=policy_from(loaded, {**options, "policy": form}),
-        folder=options.get("out"),
         **how,
     )
     partial = found.evppi() if len(found) >= FEWEST else {}
-    curve = _curve(model, found, stated, names, options.get("out"), how)
-    result = _result(loaded, found, partial, curve, form, size)
-    if options.get("out") is not None:
-        from analysis.sensitivity.global_report import written
-
-        result = written(loaded, options, result, "psa")
-    return result, _facts(result, found), _grids(result, found, partial)
+    curve = _curve(model, found, stated, names, how)
+    result = result_of(solve(loaded.mdp).start, found, partial, curve, form, size)
+    result = written(loaded, options, result, "psa")
+    return result, facts_of(result, found), grids_of(result, found, partial)
 
 
 def _stated(
@@ -135,7 +117,6 @@ def _curve(
     found: PSA,
     stated: Mapping[str, Mapping[str, object]],
     names: Sequence[str] | None,
-    out: str | None,
     how: Mapping[str, Any],
 ) -> LossCurve | None:
     """Return expected losses by sample size, where that says something and draws suffice."""
@@ -143,6 +124,10 @@ def _curve(
     ends = [uncertainty(model, stated, default=size, names=names) for size in SIZES[::4]]
     if draws < 2 or ends[0].parts == ends[1].parts:
         return None
+    folder = how["folder"]
+    if folder is not None:
+        told = digest(*(candidate.weights for candidate in found.candidates))
+        folder = Path(folder) / f"loss-{told[:12]}-{draws}"
     return expected_loss(
         model,
         {candidate.name: candidate.weights for candidate in found.candidates},
@@ -151,270 +136,5 @@ def _curve(
         samples=draws,
         stated=stated,
         names=names,
-        folder=None if out is None else Path(out) / f"loss-{_digest(found)}-{draws}",
-        **how,
+        **{**how, "folder": folder},
     )
-
-
-def _digest(found: PSA) -> str:
-    """Return what tells the policies of one analysis from those of another."""
-    weights = b"".join(candidate.weights.tobytes() for candidate in found.candidates)
-    return sha256(weights).hexdigest()[:12]
-
-
-def _result(
-    loaded: Loaded,
-    found: PSA,
-    partial: Mapping[str, PartialInformation],
-    curve: LossCurve | None,
-    form: str,
-    size: float,
-) -> dict[str, Any]:
-    start = solve(loaded.mdp).start
-    worth = found.evpi()
-    regret = found.regret()
-    tolerances = tolerances_of([regret])
-    accepted, least, most = found.accepted(tolerances)
-    share, low, high = found.probability_optimal()
-    return {
-        "start_value": start.value,
-        "error_bound": start.error,
-        "claim": "estimated",
-        "policy": form,
-        "draws": len(found),
-        "seed": found.seed,
-        "effective_sample_size": size,
-        "drawn": {
-            name: {"distribution": part.kind, "size": part.size, "mean": mean, "sd": sd}
-            for part in found.uncertainty.parts
-            for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True)
-        },
-        "fixed": dict(found.uncertainty.fixed),
-        "clipped": None if found.clipped is None else _estimate(found.clipped),
-        "value": _spread(found.start),
-        "regret": _spread(regret, mean_loss(regret)),
-        "acceptability": {
-            "policy": form,
-            "tolerance": tolerances.tolist(),
-            "probability": accepted.tolist(),
-            "low": least.tolist(),
-            "high": most.tolist(),
-            "candidates": {
-                candidate.name: found.accepted(tolerances, n)[0].tolist()
-                for n, candidate in enumerate(found.candidates)
-            },
-        },
-        "evpi": worth.high.value,
-        "evpi_bounds": {
-            "low": _estimate(worth.low),
-            "high": _estimate(worth.high),
-            "best_policy": worth.best,
-        },
-        "evpi_of_candidates": _estimate(found.evpi_of_candidates()),
-        "evppi": {name: each.regression.value for name, each in partial.items()},
-        "evppi_details": {
-            name: {
-                "parameters": list(each.names),
-                "regression": _estimate(each.regression),
-                "lower": _estimate(each.lower),
-                "reliable": each.reliable,
-                "doubts": list(each.doubts),
-            }
-            for name, each in partial.items()
-        },
-        "p_optimal": {
-            label: {
-                action: {
-                    "probability": float(share[x, a]),
-                    "low": float(low[x, a]),
-                    "high": float(high[x, a]),
-                }
-                for a, action in enumerate(found.actions)
-            }
-            for x, label in enumerate(found.labels)
-        },
-        "candidates": [
-            {
-                "name": candidate.name,
-                "actions": candidate.actions,
-                "mean": _estimate(mean_of(found.values[:, n])),
-                "expected_loss": _estimate(mean_loss(found.regret(n))),
-                "probability_optimal": found.acceptability([0.0], n)[0].value,
-                "draws_whose_optimum_it_was": candidate.frequency,
-            }
-            for n, candidate in enumerate(found.candidates)
-        ],
-        "expected_loss": None if curve is None else _losses(curve),
-    }
-
-
-def _losses(curve: LossCurve) -> dict[str, Any]:
-    columns = ("loss", "standard_error", "low", "high", "carried", "optimal")
-    keys = {"carried": "draws_that_carry_it", "optimal": "probability_optimal"}
-    return {
-        "along": curve.along,
-        "unit": curve.unit,
-        "draws": curve.draws,
-        "points": curve.points.tolist(),
-        "policies": {
-            name: {keys.get(each, each): getattr(curve, each)[:, n].tolist() for each in columns}
-            for n, name in enumerate(curve.policies)
-        },
-    }
-
-
-def _estimate(found: Estimated) -> dict[str, Any]:
-    low, high = found.interval
-    told: dict[str, Any] = {
-        "value": found.value,
-        "standard_error": found.standard_error,
-        "interval": [low, high],
-    }
-    if isinstance(found, MeanLoss):
-        told |= {"draws_that_carry_it": found.carried, "few_draws": found.few}
-    return told
-
-
-def _spread(values: np.ndarray, found: Estimated | None = None) -> dict[str, Any]:
-    sd = float(values.std(ddof=1)) if len(values) > 1 else float("nan")
-    mean = _estimate(found or mean_of(values))
-    return {
-        "mean": mean.pop("value"),
-        **mean,
-        "sd": sd,
-        "quantiles": [asdict(each) for each in quantiles(values)],
-    }
-
-
-def _facts(result: Mapping[str, Any], found: PSA) -> dict[str, str]:
-    value, regret, bounds = result["value"], result["regret"], result["evpi_bounds"]
-    accepted = result["acceptability"]
-    clipped = found.clipped
-    return {
-        "draws": f"{result['draws']:,}, seed {result['seed']}; every draw re-solved",
-        "drawn, held": f"{len(result['drawn'])}, {len(result['fixed'])} parameters; "
-        f"effective sample size {result['effective_sample_size']:g} unless stated",
-        "start value today": number(result["start_value"], result["error_bound"]),
-        "V* over the draws": f"mean {_told(value)}, sd {value['sd']:.4g}, "
-        f"95 % of draws {_middle(value['quantiles'])}",
-        "policy held fixed": result["policy"],
-        "its regret": f"mean {_told(regret)}, 95 % of draws {_middle(regret['quantiles'])}",
-        "it is optimal in": f"{accepted['probability'][0]:.1%} of draws",
-        "EVPI": f"{_pair(bounds['low'])} to {_pair(bounds['high'])} (best policy found: "
-        f"{bounds['best_policy']})",
-        **({"chances cut off at 1": f"in {clipped.value:.2%} of draws"} if clipped else {}),
-        **_warned(result),
-        "claim": "estimated; ± is the standard error",
-    }
-
-
-def _warned(result: Mapping[str, Any]) -> dict[str, str]:
-    """Return a line on means that few draws carry, whose intervals may be too short."""
-    means = {
-        "regret": result["regret"],
-        "EVPI's upper end": result["evpi_bounds"]["high"],
-        "EVPI's lower end": result["evpi_bounds"]["low"],
-    }
-    few = [
-        f"{name} by {told['draws_that_carry_it']:.0f}"
-        for name, told in means.items()
-        if told["few_draws"] and told.get("value", told.get("mean"))
-    ]
-    if not few:
-        return {}
-    return {"carried by few draws": f"{', '.join(few)}: take more draws to rely on it"}
-
-
-def _told(spread: Mapping[str, Any]) -> str:
-    return f"{number(spread['mean'], spread['standard_error'])} ± {spread['standard_error']:.1g}"
-
-
-def _pair(estimate: Mapping[str, Any]) -> str:
-    error = estimate["standard_error"]
-    return f"{number(estimate['value'], error)} ± {error:.1g}"
-
-
-def _middle(found: Sequence[Mapping[str, Any]]) -> str:
-    values = {each["probability"]: each["value"] for each in found}
-    return f"{values[0.025]:.4g} to {values[0.975]:.4g}"
-
-
-def _grids(
-    result: Mapping[str, Any], found: PSA, partial: Mapping[str, PartialInformation]
-) -> list[Grid]:
-    share, low, high = found.probability_optimal()
-    rows = [
-        (label, *(f"{share[x, a]:.4f}" for a in range(len(found.actions))))
-        for x, label in enumerate(found.labels[:SHOWN])
-    ]
-    more = f", the first {SHOWN} of {len(found.labels)}" if len(found.labels) > SHOWN else ""
-    where = "at subtask 0, trial 0; " if found.compiled else ""
-    reach = float(np.maximum(high - share, share - low).max())
-    grids = [
-        Grid(
-            title=f"share of draws in which an action is optimal, {where}ends of Wilson's 95 % "
-            f"intervals are within {reach:.2g}{more}",
-            headings=("status" if found.compiled else "state", *found.actions),
-            rows=rows,
-            numeric=frozenset(range(1, 1 + len(found.actions))),
-        ),
-        Grid(
-            title="policies held fixed in every draw",
-            headings=("policy", "mean value", "expected loss", "s.e.", "optimal in"),
-            rows=[
-                (
-                    each["name"],
-                    f"{each['mean']['value']:.6g}",
-                    f"{each['expected_loss']['value']:.4g}",
-                    f"{each['expected_loss']['standard_error']:.1g}",
-                    f"{each['probability_optimal']:.1%}",
-                )
-                for each in result["candidates"]
-            ],
-            numeric=frozenset(range(1, 5)),
-        ),
-    ]
-    losses = result["expected_loss"]
-    if losses is not None:
-        grids.append(
-            Grid(
-                title="expected loss by effective sample size of what nothing is stated of, "
-                f"{losses['draws']:,} draws each; ~ marks what fewer than {FEW:g} draws carry",
-                headings=("policy", *(f"{point:g}" for point in losses["points"])),
-                rows=[
-                    (
-                        name,
-                        *(
-                            f"{loss:.4g}{'~' if 0 < carried < FEW else ''}"
-                            for loss, carried in zip(
-                                each["loss"], each["draws_that_carry_it"], strict=True
-                            )
-                        ),
-                    )
-                    for name, each in losses["policies"].items()
-                ],
-                numeric=frozenset(range(1, 1 + len(losses["points"]))),
-            )
-        )
-    if partial:
-        ordered = sorted(partial.items(), key=lambda item: -item[1].regression.value)[:SHOWN]
-        grids.append(
-            Grid(
-                title="EVPPI, choosing among these policies: by regression, at most their EVPI, "
-                "and a lower estimate; ? marks what is not to be relied on",
-                headings=("known", "regression", "s.e.", "lower", "s.e.", ""),
-                rows=[
-                    (
-                        name,
-                        f"{each.regression.value:.4g}",
-                        f"{each.regression.standard_error:.1g}",
-                        f"{each.lower.value:.4g}",
-                        f"{each.lower.standard_error:.1g}",
-                        "" if each.reliable else "?",
-                    )
-                    for name, each in ordered
-                ],
-                numeric=frozenset({1, 2, 3, 4}),
-            )
-        )
-    return grids

@@ -6,7 +6,7 @@ A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the do
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -14,7 +14,7 @@ from pathlib import Path
 from mdp.errors import ModelError
 from mdp.files import read_text
 from mdp.parameters import Parameter
-from mdp.parametric import Parametric, parameter_of
+from mdp.parametric import DISCOUNT, Parametric, parameter_of
 from mdp.table import exact, shown
 
 RELATIVE = Fraction(1, 5)
@@ -131,3 +131,45 @@ def load_ranges(model: Parametric, path: str | Path) -> dict[str, Range]:
         return checked(model, flat)
     except ModelError as error:
         raise ModelError(error.what, where=f"{path}, {error.where}", fix=error.fix) from error
+
+
+def usual(model: Parametric) -> list[str]:
+    """Return the names of the parameters to vary together: all but the discount.
+
+    The discount is no number of the tables, and a share of it is a change of another kind: from 1
+    to 4/5 it would outweigh them all. It is varied where it is named, or where there is no other.
+    """
+    names = [parameter.name for parameter in model.parameters]
+    return [name for name in names if name != DISCOUNT] or names
+
+
+def spans_of(
+    model: Parametric,
+    names: Sequence[str] | None = None,
+    ranges: Mapping[str, object] | None = None,
+    relative: Fraction | None = None,
+) -> dict[Parameter, Range]:
+    """Return the parameters that have a range, with it: stated, or today's value ± a share of it.
+
+    Parameters that are 0 today, and so have no range around it, are left out unless one is stated;
+    so is the discount, see `usual`.
+
+    Raises
+    ------
+    ModelError
+        For unknown names, empty stated ranges, and where no parameter has a range.
+    """
+    stated = checked(model, ranges or {})
+    chosen = names or list(stated) or usual(model)
+    share = {} if relative is None else {"relative": relative}
+    found = {}
+    for name in dict.fromkeys(chosen):
+        parameter = parameter_of(model, name)
+        span = stated.get(name) or around(parameter, **share)
+        if span.low < span.high:
+            found[parameter] = span
+    if not found:
+        raise ModelError(
+            "no parameter has a range", where=f"model {model.name}", fix="state a range"
+        )
+    return found

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
-from analysis.cli_common import policy_of
 from analysis.cli_output import Grid, number
 from analysis.sensitivity.ranges import RELATIVE
-from analysis.sensitivity.robust import SETS, Robust, ambiguity_of, robust
+from analysis.sensitivity.report import SHOWN, Report, only_first
+from analysis.sensitivity.report_options import policy_from
+from analysis.sensitivity.robust import SETS, ambiguity_of, robust
+from analysis.sensitivity.robust_result import Robust
 from mdp.errors import ModelError, suggest
 from mdp.table import exact, shown
 from solvers.solution import Bounded
@@ -17,8 +19,6 @@ from solvers.solution import Bounded
 if TYPE_CHECKING:
     from mdp.load import Loaded
 
-Report = tuple[dict[str, Any], dict[str, str], list[Grid]]
-SHOWN = 40
 BOX = "box"
 MOST_APART = 2  # the L1 distance of laws that have nothing in common
 RADII = {"interval": RELATIVE, "absolute": "0.02", "l1": "0.1", "kl": "0.01", "entropy": "0.01"}
@@ -48,9 +48,7 @@ def robust_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
         fix = suggest(kind, [*SETS, BOX])
         raise ModelError(f"unknown set {kind!r}", where="--set-kind", fix=fix)
     form = options.get("policy") or "optimal"
-    perception = options.get("perception")
-    chosen = form == "optimal" and perception is None
-    policy = form if chosen else policy_of(loaded.mdp, form, perception)
+    policy = policy_from(loaded, {**options, "policy": form})
     if kind == BOX:
         from analysis.sensitivity.box_report import box_report
 
@@ -106,10 +104,10 @@ def robust_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     ]
     changed = result["policy_changes"]
     if changed:
-        more = f", the first {SHOWN} of {len(changed)}" if len(changed) > SHOWN else ""
         grids.append(
             Grid(
-                title=f"states in which the robust policy does something else{more}",
+                title="states in which the robust policy does something else"
+                + only_first(len(changed)),
                 headings=("state", "held", "robust"),
                 rows=[(each["state"], each["before"], each["after"]) for each in changed[:SHOWN]],
             )

@@ -9,7 +9,7 @@ the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from analysis.sensitivity.one_way import held
-from analysis.sensitivity.ranges import Range, around, checked
+from analysis.sensitivity.base_case import BaseCase, digest
+from analysis.sensitivity.care_draws import by_state
 from mdp.errors import ModelError
 from mdp.fingerprint import fingerprint
-from mdp.parameters import Parameter
-from mdp.parametric import DISCOUNT, Parametric, parameter_of
+from mdp.parametric import Parametric, parameter_of
 from mdp.scenario_family import ScenarioFamily
 from mdp.table import Floats
 from solvers import evaluate, solve
@@ -107,16 +106,17 @@ def sampled(
     ([2.0, 4.0], [[0.0], [0.0]])
     """
     names, draws = tuple(names), _draws(model, names, draws)
-    weights = [held(model, policy) for policy in policies]
+    base = BaseCase(mdp=model.at({}))
+    weights = [base.held(policy) for policy in policies]
     batch = isinstance(model, ScenarioFamily) and len(model.scenario.statuses) <= MOST_STATUSES
     size = BATCH if batch else BLOCK
     key = {
-        "model": fingerprint(model.at({})),
+        "model": fingerprint(base.mdp),
         # Two families may agree today and differ elsewhere.
         "first_draw": fingerprint(_at(model, names, draws, 0)),
         "parameters": list(names),
         "draws": sha256(np.ascontiguousarray(draws, dtype="<f8")).hexdigest(),
-        "policies": [sha256(np.asarray(w, dtype="<f8").tobytes()).hexdigest() for w in weights],
+        "policies": [digest(weight) for weight in weights],
         "draws_per_file": size,
         "compiled": batch,
     }
@@ -125,7 +125,7 @@ def sampled(
     if batch:
         # Threads of this process share the loops; workers elsewhere take a block each.
         threads = 1 if scheduler is not None else n_jobs
-        tables = _by_state(model, weights)
+        tables = np.array([by_state(base.mdp, model.scenario, weight) for weight in weights])
         work = partial(_solve_batch, model, names, tables, threads)
         n_jobs = 1 if scheduler is None else n_jobs
     done = many(
@@ -162,48 +162,6 @@ def values(
     if policy is None:
         return sampled(model, names, draws, **how).optimal
     return sampled(model, names, draws, [policy], **how).fixed[:, 0]
-
-
-def usual(model: Parametric) -> list[str]:
-    """Return the names of the parameters to vary together: all but the discount.
-
-    The discount is no number of the tables, and a share of it is a change of another kind: from 1
-    to 4/5 it would outweigh them all. It is varied where it is named, or where there is no other.
-    """
-    names = [parameter.name for parameter in model.parameters]
-    return [name for name in names if name != DISCOUNT] or names
-
-
-def spans_of(
-    model: Parametric,
-    names: Sequence[str] | None = None,
-    ranges: Mapping[str, object] | None = None,
-    relative: Any = None,
-) -> dict[Parameter, Range]:
-    """Return the parameters that have a range, with it: stated, or today's value ± a share of it.
-
-    Parameters that are 0 today, and so have no range around it, are left out unless one is stated;
-    so is the discount, see `usual`.
-
-    Raises
-    ------
-    ModelError
-        For unknown names, empty stated ranges, and where no parameter has a range.
-    """
-    stated = checked(model, ranges or {})
-    chosen = names or list(stated) or usual(model)
-    share = {} if relative is None else {"relative": relative}
-    found = {}
-    for name in dict.fromkeys(chosen):
-        parameter = parameter_of(model, name)
-        span = stated.get(name) or around(parameter, **share)
-        if span.low < span.high:
-            found[parameter] = span
-    if not found:
-        raise ModelError(
-            "no parameter has a range", where=f"model {model.name}", fix="state a range"
-        )
-    return found
 
 
 def _draws(model: Parametric, names: Sequence[str], draws: Floats) -> Floats:
@@ -259,22 +217,6 @@ def _solve_block(
 
 
 # ---- compiled loops ------------------------------------------------------------------------------
-
-
-def _by_state(model: ScenarioFamily, weights: Sequence[Floats]) -> Floats:
-    """Return (N, subtasks, trials, flags, V, A) action probabilities from (L,) weights of pairs."""
-    mdp, scenario = model.at({}), model.scenario
-    sizes = {column.name: column.size for column in mdp.space.columns}
-    flags, vectors = sizes.get("skipped", 1), sizes["status"]
-    tables = []
-    for weight in weights:
-        table = np.zeros((mdp.n_states, mdp.n_actions))
-        table[mdp.pair_state, mdp.pair_action] = weight
-        shape = (sizes["subtask"], sizes["trial"], flags, vectors, mdp.n_actions)
-        numbers = [mdp.action(name) for name in scenario.actions]
-        # A last trial in which a skip is the only action is no trial of the loops.
-        tables.append(table[: mdp.space.regular].reshape(shape)[:, : scenario.trials][..., numbers])
-    return np.array(tables)
 
 
 def _solve_batch(

@@ -21,14 +21,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.sensitivity.design import check_confidence, inside, problem_of, salib, whole_seed
+from analysis.sensitivity.design import (
+    Design,
+    check_confidence,
+    check_output,
+    frame_of,
+    outputs_of,
+    salib,
+    whole_seed,
+)
 from analysis.sensitivity.ranges import Range
-from analysis.sensitivity.sampled import sampled, spans_of
-from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.parameters import Parameter
-from mdp.parametric import Parametric, parametric
+from mdp.parametric import Parametric
 from mdp.scenario import Scenario
 from mdp.table import Floats
 from solvers.sampler import child
@@ -38,7 +44,6 @@ if TYPE_CHECKING:
 
 CONFIDENCE = 0.95
 RESAMPLES = 200
-OUTPUTS = ("optimal", "fixed", "regret")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,25 +116,14 @@ class Sobol:
         ----------
         output : "optimal", "fixed" or "regret"
         """
-        from pandas import DataFrame
-
         found = indices_of(self, output)
-        table = DataFrame(
-            {
-                "parameter": self.names,
-                "unit": [unit_of(parameter) for parameter in self.parameters],
-                "low": [float(self.ranges[name].low) for name in self.names],
-                "high": [float(self.ranges[name].high) for name in self.names],
-                "first order (share of variance)": found.first,
-                "first order ±": found.first_half,
-                "total (share of variance)": found.total,
-                "total ±": found.total_half,
-                "claim": "estimated",
-            }
-        )
-        order = np.argsort(-np.nan_to_num(found.total), kind="stable")
-        table = table.iloc[order].reset_index(drop=True)
-        table.attrs |= {
+        measures = {
+            "first order (share of variance)": found.first,
+            "first order ±": found.first_half,
+            "total (share of variance)": found.total,
+            "total ±": found.total_half,
+        }
+        attrs = {
             "output": output,
             "mean (reward)": found.mean,
             "sd (reward)": found.sd,
@@ -137,7 +131,7 @@ class Sobol:
             "samples": self.samples,
             "seed": self.seed,
         }
-        return table
+        return frame_of(self.ranges, self.parameters, measures, np.nan_to_num(found.total), attrs)
 
 
 def sobol(
@@ -191,8 +185,7 @@ def sobol(
     """
     sample, analyze = salib("sample.sobol").sample, salib("analyze.sobol").analyze
 
-    model = parametric(source)
-    spans = spans_of(model, None if names is None else list(names), ranges, relative)
+    design = Design.of(source, names, ranges, relative)
     check_confidence(confidence)
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
         raise ModelError(f"{samples!r} samples", where="sobol", fix="ask for at least 2")
@@ -204,29 +197,20 @@ def sobol(
             fix=f"ask for {near} or {2 * near}",
         )
     first, second = child(seed, 0), child(seed, 1)
-    problem = problem_of(spans)
-    draws = inside(sample(problem, samples, calc_second_order=False, seed=whole_seed(first)), spans)
-    found = sampled(
-        model,
-        problem["names"],
-        draws,
-        [policy],
-        n_jobs=n_jobs,
-        scheduler=scheduler,
-        folder=folder,
-        progress=progress,
+    draws = design.draws(sample, samples, first, calc_second_order=False)
+    found = design.solved(
+        draws, policy, n_jobs=n_jobs, scheduler=scheduler, folder=folder, progress=progress
     )
-    outputs = (found.optimal, found.fixed[:, 0], found.regret[:, 0])
 
     def indices(output: Floats) -> Indices:
         points = output.reshape(samples, -1)[:, [0, -1]]  # the two independent samples
         mean, sd = float(points.mean()), float(points.std(ddof=1))
         if np.ptp(output) <= found.noise:
-            nothing = np.full(len(spans), np.nan)
+            nothing = np.full(len(design.spans), np.nan)
             parts = dict.fromkeys(("first", "first_half", "total", "total_half"), nothing)
             return Indices(mean=mean, sd=0.0, **parts)
         result = analyze(
-            problem,
+            design.problem,
             output,
             calc_second_order=False,
             num_resamples=RESAMPLES,
@@ -243,9 +227,9 @@ def sobol(
         )
 
     return Sobol(
-        parameters=tuple(spans),
-        ranges={parameter.name: span for parameter, span in spans.items()},
-        **dict(zip(OUTPUTS, map(indices, outputs), strict=True)),
+        parameters=design.parameters,
+        ranges=design.ranges,
+        **{name: indices(output) for name, output in outputs_of(found).items()},
         samples=samples,
         confidence=confidence,
         seed=seed,
@@ -254,8 +238,5 @@ def sobol(
 
 def indices_of(found: Sobol, output: str) -> Indices:
     """Return the indices of an output by name."""
-    if output not in OUTPUTS:
-        raise ModelError(
-            f"unknown output {output!r}", where="sobol", fix=f"choose one of {', '.join(OUTPUTS)}"
-        )
+    check_output(output, "sobol")
     return getattr(found, output)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.sensitivity.base_case import digest
 from analysis.sensitivity.carried import Today, best_pairs
 from analysis.sensitivity.gradient import gradient
 from analysis.sensitivity.joint import joint_radius
@@ -135,4 +135,4 @@ def _policy(
 def hashed(mdp: MDP, name: str, form: object, perception: Floats | None = None) -> str:
     """Return a policy's name and the hash of what it does; raises ModelError where it cannot."""
     weights = _policy(mdp, PRESENT, name, form, perception)
-    return f"{name} {sha256(weights.astype('<f8').tobytes()).hexdigest()}"
+    return f"{name} {digest(weights)}"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.sensitivity.gaps import Gaps, Rows
-from analysis.sensitivity.gradient import proven
+from analysis.sensitivity.proven_optimum import proven
 from analysis.sensitivity.roots import Root, roots, sign, simple
 from mdp.model import MDP
 from mdp.table import Integers

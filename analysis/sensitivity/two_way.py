@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.sensitivity.one_way import held
+from analysis.sensitivity.base_case import BaseCase
 from analysis.sensitivity.ranges import Range, around, checked
 from mdp.chain import reachable
 from mdp.errors import ModelError
@@ -136,7 +136,8 @@ def two_way(
         )
     spans = [stated.get(axis.name) or around(axis) for axis in axes]
     grids = [[s.low + (s.high - s.low) * k / (points - 1) for k in range(points)] for s in spans]
-    weights, base = held(model, policy), model.at({})
+    base = model.at({})
+    weights = BaseCase(mdp=base).held(policy)
     value, fixed, error = np.zeros((3, points, points))
     choices = np.zeros((points, points, base.n_states), dtype=np.int64)
     number = np.zeros((points, points), dtype=np.int64)

@@ -20,7 +20,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from analysis.sensitivity.distributions import SETTINGS, number_of
+from analysis.sensitivity.uncertainty_settings import SETTINGS, number_of
 from mdp.errors import ModelError, suggest
 from mdp.files import read_text
 

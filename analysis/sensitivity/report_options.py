@@ -1,0 +1,83 @@
+"""What the options of `exact-mdp sensitivity` ask for: a model, a policy, ranges, workers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from analysis.cli_common import policy_of, whole_of
+from analysis.sensitivity.ranges import Range, around, checked, load_ranges, whole
+from mdp.errors import ModelError
+from mdp.parametric import Parametric, parameter_of, parametric
+from mdp.table import exact
+
+if TYPE_CHECKING:
+    from mdp.load import Loaded
+
+
+def model_of(loaded: Loaded) -> Parametric:
+    """Return the loaded model with its parameters."""
+    return parametric(loaded.scenario if loaded.scenario is not None else loaded.mdp)
+
+
+def policy_from(loaded: Loaded, options: Mapping[str, Any]) -> object:
+    """Return the policy that the options name, or "optimal"."""
+    form, perception = options["policy"], options.get("perception")
+    if form == "optimal" and perception is None:
+        return form
+    return policy_of(loaded.mdp, form, perception)
+
+
+def ranges_from(model: Parametric, options: Mapping[str, Any]) -> dict[str, Range]:
+    """Return the range of each parameter that is asked for."""
+    stated: dict[str, Range] = {}
+    if options["range_file"] is not None:
+        stated |= load_ranges(model, options["range_file"])
+    for text in options["ranges"]:
+        name, equals, ends = text.partition("=")
+        low, colon, high = ends.partition(":")
+        if not equals or not colon:
+            raise ModelError(f"{text!r} is not a range", where="--range", fix="write NAME=LOW:HIGH")
+        stated |= checked(model, {name.strip(): (low.strip(), high.strip())})
+    if options["relative"] is not None and options["whole"]:
+        raise ModelError("both --relative and --whole", where="options", fix="give one of them")
+    names = options["parameters"] or list(stated) or [p.name for p in model.parameters]
+    found = {}
+    for name in names:
+        parameter = parameter_of(model, name)
+        if name in stated:
+            found[name] = stated[name]
+        elif options["whole"]:
+            found[name] = whole(parameter)
+        elif options["relative"] is not None:
+            found[name] = around(parameter, exact(options["relative"]))
+        else:
+            found[name] = around(parameter)
+    return found
+
+
+def not_empty(spans: Mapping[str, Range]) -> tuple[dict[str, Range], list[str]]:
+    """Return the ranges that are more than a point, and the names of the others.
+
+    A parameter that is 0 today has no range around it.
+    """
+    ranges = {name: span for name, span in spans.items() if span.low < span.high}
+    return ranges, sorted(set(spans) - set(ranges))
+
+
+def any_range(options: Mapping[str, Any]) -> bool:
+    """Return whether the options state ranges."""
+    return bool(
+        options["ranges"] or options["range_file"] or options["relative"] or options["whole"]
+    )
+
+
+def work_from(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the work is done, from the options."""
+    jobs = options.get("n_jobs")
+    return {
+        "n_jobs": None if jobs is None else whole_of(str(jobs), "--n-jobs", 1, 1024),
+        "scheduler": options.get("scheduler"),
+        "folder": options.get("out"),
+        "progress": True,
+    }
