@@ -158,10 +158,12 @@ def _from_rows(
         rows.sum_duplicates()
         if rows.nnz and rows.data.min() <= 0:
             rows.eliminate_zeros()
+        rising = True
         offsets, following = rows.indptr.astype(np.int64), rows.indices
         weight: Numbers = rows.data
         denominator = ones(len(state))
     else:
+        rising = False
         kept = np.array(rows != 0, dtype=bool)
         pair, following = np.nonzero(kept)
         offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
@@ -180,6 +182,8 @@ def _from_rows(
         gain=gain,
         gain_denominator=gain_denominator,
     )
+    if rising:
+        vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
     if reward.ndim == 2:
         table = _by_outcome(table)
     return _assemble(state, action, table, size, discount, start, names)

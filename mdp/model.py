@@ -363,11 +363,11 @@ def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
 
 def _transition(table: OutcomeTable, states: int) -> sp.csr_array:
     """Return the (L, S) matrix: outcomes with the same next state added up, rounded once."""
-    same = table.next[1:] == table.next[:-1]
-    same[table.offsets[1:-1] - 1] = False  # from one pair to the next
-    if not same.any():
+    if table.rising:
         data, indices, indptr = table.probabilities(), table.next, table.offsets
     else:
+        same = table.next[1:] == table.next[:-1]
+        same[table.offsets[1:-1] - 1] = False  # from one pair to the next
         first = np.flatnonzero(np.concatenate([[True], ~same]))
         merged = OutcomeTable(
             offsets=np.searchsorted(first, table.offsets).astype(np.int64),

@@ -12,10 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from math import lcm, log10
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from mdp.errors import ModelError
@@ -69,6 +71,16 @@ class OutcomeTable:
     def joint(self) -> bool:
         """True where the reward differs between outcomes of a pair."""
         return len(self.gain) == len(self.next) and self.pairs != len(self.next)
+
+    @cached_property
+    def rising(self) -> bool:
+        """True where the next states of every pair rise strictly: sorted, none of them twice."""
+        offsets = self.offsets
+        if len(self.next) < 2**31 and self.next.dtype == np.int32:
+            offsets = offsets.astype(np.int32)
+        # A matrix of any numbers with these rows: what is asked does not depend on the numbers.
+        shape = (self.pairs, int(self.next.max(initial=0)) + 1)
+        return bool(sp.csr_array((self.next, self.next, offsets), shape).has_canonical_format)
 
     def probabilities(self) -> Floats:
         """Return the (N,) outcome probabilities, each rounded once."""

@@ -101,8 +101,8 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
                 where="outcome table",
                 fix="give one entry for each row or outcome",
             )
-    steps = np.diff(table.offsets)
-    if table.offsets[0] != 0 or table.offsets[-1] != outcomes or (steps < 0).any():
+    rising = np.diff(table.offsets).min(initial=0) >= 0
+    if table.offsets[0] != 0 or table.offsets[-1] != outcomes or not rising:
         raise ModelError(
             "offsets do not run from 0 to the number of outcomes",
             where="outcome table",
@@ -132,17 +132,17 @@ def _check_numbers(mdp: MDP) -> None:
                 fix="use 64-bit or Python integers, or floats",
             )
     for name in ("denominator", "gain_denominator"):
-        if (getattr(table, name) <= 0).any():
+        if not getattr(table, name).min(initial=1) > 0:
             raise ModelError(f"a {name} is not positive", where="outcome table", fix="make it > 0")
 
 
 def _check_rows(mdp: MDP) -> None:
     table = mdp.table
-    empty = np.diff(table.offsets) == 0
-    if empty.any():
+    steps = np.diff(table.offsets)
+    if steps.min() == 0:
         raise ModelError(
             "transition probabilities sum to 0, not 1",
-            where=mdp.where(int(np.flatnonzero(empty)[0])),
+            where=mdp.where(int(np.flatnonzero(steps == 0)[0])),
             fix="add the outcomes of this pair",
         )
     if not table.weight.min() > 0:
@@ -154,6 +154,31 @@ def _check_rows(mdp: MDP) -> None:
             fix="probabilities are positive; leave out those that are 0",
         )
     sums = _row_sums(table)
+    if not _all_one(table, sums):
+        _refuse_sums(mdp, sums)
+    if table.rising:
+        return
+    falls = table.next[1:] < table.next[:-1]
+    falls[table.offsets[1:-1] - 1] = False  # from one pair to the next
+    if falls.any():
+        raise ModelError(
+            "outcomes of a pair are not sorted by next state",
+            where="outcome table",
+            fix="use MDP.from_pairs or MDP.from_outcomes, which sort them",
+        )
+
+
+def _all_one(table: OutcomeTable, sums: NDArray[Any]) -> bool:
+    """Return whether no row of floats over 1 sums to anything but 1, by the extremes alone."""
+    if table.weight.dtype != np.float64 or table.denominator.dtype != np.int64:
+        return False
+    apart = max(1 - float(sums.min()), float(sums.max()) - 1)
+    over_one = table.denominator.min() == table.denominator.max() == 1
+    return bool(over_one and apart <= FLOAT_ROW_TOLERANCE)
+
+
+def _refuse_sums(mdp: MDP, sums: NDArray[Any]) -> None:
+    table = mdp.table
     if table.weight.dtype == np.float64:
         wrong = ~(np.abs(sums - table.denominator) <= FLOAT_ROW_TOLERANCE * table.denominator)
     else:
@@ -168,14 +193,6 @@ def _check_rows(mdp: MDP) -> None:
             "not 1",
             where=mdp.where(pair),
             fix="add the missing outcome, or correct a probability in this row",
-        )
-    falls = table.next[1:] < table.next[:-1]
-    falls[table.offsets[1:-1] - 1] = False  # from one pair to the next
-    if falls.any():
-        raise ModelError(
-            "outcomes of a pair are not sorted by next state",
-            where="outcome table",
-            fix="use MDP.from_pairs or MDP.from_outcomes, which sort them",
         )
 
 

@@ -32,9 +32,9 @@ from mdp.model import MDP
 from mdp.table import Floats, Integers
 from solvers.gains import COMPILED, Gain, gains, greedy, rounding_facts
 from solvers.linear import LinearSystem, policy_chain
-from solvers.rounding import SLACK, TINY, UNIT
+from solvers.rounding import SLACK, TINY, UNIT, gamma
 from solvers.solution import SolverError, Status
-from solvers.sweeps import Sweeps
+from solvers.sweeps import sweeps_of
 
 __all__ = ["Bounds", "Gain", "Weights", "bounds", "gains", "greedy", "levels", "margin_weights"]
 
@@ -45,11 +45,31 @@ _LEVELS: WeakKeyDictionary[MDP, Integers | None] = WeakKeyDictionary()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Weights:
-    """Weights w (S,) with the bounds (L,) that their margins were verified to lie between."""
+    """Weights with their verified margins.
+
+    Attributes
+    ----------
+    value : (S,)
+        The weights w.
+    margin : (L,)
+        The margins m, rounded; 1 for pairs of terminal states.
+    error : float
+        The greatest error of any of them.
+    """
 
     value: Floats
-    least: Floats
-    most: Floats
+    margin: Floats
+    error: float
+
+    @property
+    def least(self) -> Floats:
+        """(L,) lower bounds of the margins."""
+        return np.asarray(self.margin - self.error)
+
+    @property
+    def most(self) -> Floats:
+        """(L,) upper bounds of the margins."""
+        return np.asarray(self.margin + self.error)
 
     def ratio(self, gain: Floats) -> Floats:
         """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
@@ -122,7 +142,7 @@ def bounds(mdp: MDP, value: Floats, pairs: Integers | None = None) -> Bounds:
     live = ~mdp.terminal
     if np.any(value[~live]):
         raise ValueError("terminal states are worth 0")
-    found = Sweeps(mdp, weights).improve(value)
+    found = sweeps_of(mdp, weights).judge(value)
     low, high = found.low, found.high
     if pairs is None:
         pairs = found.pairs
@@ -208,34 +228,41 @@ def _expected_steps(mdp: MDP) -> Floats:
     raise SolverError(Status.NO_BOUND, "the end is too many steps away")
 
 
-def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, Floats]:
-    """Return bounds (L,), (L,) of the margins w - γ P w."""
+def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
+    """Return the margins (L,) w - γ P w, 1 for pairs of terminal states, and their error."""
+    facts, ended = rounding_facts(mdp), mdp.terminal
+    if (weight == 1.0).all():
+        size = max(abs(float(facts.leak.min())), abs(float(facts.leak.max())))
+        return facts.leak, float((gamma(4) * size + facts.leak_error + TINY) * SLACK)
     if mdp.n_transitions < COMPILED:
         margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
-        return -margin.value - margin.error, -margin.value + margin.error
+        open_pairs = ~ended[mdp.pair_state]
+        error = margin.error[open_pairs].max(initial=0.0)
+        return np.where(open_pairs, -margin.value, 1.0), float(error)
     from solvers.kernels import bellman, blocks
 
-    matrix, facts = mdp.transition, rounding_facts(mdp)
+    matrix = mdp.transition
     rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
     rounded = (facts.leak, facts.leak_error, facts.merged)
     tiny = TINY * (1 + float(np.abs(weight).max()))
-    least, most = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
-    blocks.run_blocks(
-        blocks.block_ends(matrix.indptr),
-        lambda _, first, last: bellman.margins(
-            first, last, *rows, *rounded, mdp.discount, weight, tiny, least, most
-        ),
-    )
-    return least, most
+    ends, found = blocks.block_ends(matrix.indptr), np.empty(mdp.n_pairs)
+    worst = np.zeros(len(ends) - 1)
+
+    def work(number: int, first: int, last: int) -> None:
+        worst[number] = bellman.margins(
+            first, last, *rows, *rounded, mdp.discount, ended, weight, tiny, found
+        )
+
+    blocks.run_blocks(ends, work)
+    return found, float(worst.max())
 
 
 def _verified(mdp: MDP, weight: Floats) -> Weights:
-    live = ~mdp.terminal
-    least, most = _margins(mdp, weight)
-    open_pairs = live[mdp.pair_state]
+    margin, error = _margins(mdp, weight)
     if not (
-        np.all(np.isfinite(weight)) and (weight[live] > 0).all() and (least[open_pairs] > 0).all()
+        np.all(np.isfinite(weight))
+        and (weight[~mdp.terminal] > 0).all()
+        and margin.min() - error > 0
     ):
         raise SolverError(Status.NO_BOUND, "the end is too many steps away")
-    least[~open_pairs] = most[~open_pairs] = 1.0
-    return Weights(value=weight, least=least, most=most)
+    return Weights(value=weight, margin=margin, error=error)

@@ -20,9 +20,10 @@ from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.table import Floats
 from solvers.bounds import Bounds, margin_weights
+from solvers.partial_evaluation import Iterate
 from solvers.rounding import SLACK, UNIT
 from solvers.solution import PrecisionWarning, Solution, SolverError, Status
-from solvers.sweeps import Pass, Sweeps
+from solvers.sweeps import Pass, sweeps_of
 
 RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20
@@ -55,10 +56,15 @@ class Watch:
 
     def __init__(self, mdp: MDP, tol: float | None) -> None:
         self.tol = tol
-        self.sweeps = Sweeps(mdp, margin_weights(mdp), strict=tol is not None)
+        self.sweeps = sweeps_of(mdp, margin_weights(mdp), strict=tol is not None)
         self.weight = float(self.sweeps.weights.value.max(initial=0.0))
         self.half = self._best = np.inf
-        self._idle, self._stalled = 0, False
+        self._idle, self._stalled, self._doubt = 0, False, 1.0
+
+    @property
+    def enough(self) -> float:
+        """An error within a policy, in units of w, below which the tolerance asks for no less."""
+        return 0.0 if self.tol is None or self.weight == 0 else self.tol / (2 * self.weight)
 
     def limit(self, value: Floats) -> float:
         """Return the greatest absolute error allowed."""
@@ -66,37 +72,44 @@ class Watch:
             return self.tol
         return RELATIVE_TOLERANCE * max(1.0, float(np.abs(value).max()))
 
-    def ready(self, found: Pass, value: Floats) -> bool:
-        """Take note of a pass over h = `value` (S,); return whether it may be the last."""
+    def ready(self, found: Pass, iterate: Iterate) -> bool:
+        """Take note of a pass around an iterate; return whether it may be the last."""
         self.half = (found.high - found.low) / 2 * self.weight
         self._idle = 0 if self.half < self._best else self._idle + 1
         self._best = min(self._best, self.half)
         quiet = self.half == 0 or self._idle >= PATIENCE
         self._stalled = quiet and self.half <= 4 * found.floor * self.weight
-        return self._stalled or self.half <= self.limit(self._middle(found, value))
+        if self._stalled:
+            return True
+        # What the tolerance is relative to is worked out only where it has to be.
+        middle = self._middle(found, iterate.value) if self.tol is None else iterate.value
+        return self._doubt * self.half <= self.limit(middle)
 
-    def verdict(self, found: Pass, value: Floats) -> tuple[Status, Bounds] | None:
+    def verdict(self, found: Pass, iterate: Iterate) -> tuple[Status, Bounds] | None:
         """Return how it ended, or None where more sweeps are needed."""
-        end = self.bounds(found, value)
+        end = self.bounds(found, iterate)
         if end.error <= self.limit(end.value):
             return Status.CONVERGED, end
+        # What fell short of the proven error is not to be taken for the whole of it again.
+        self._doubt = end.error / self.half if self.half > 0 else 1.0
         return (Status.PRECISION, end) if self._stalled else None
 
-    def bounds(self, found: Pass, value: Floats) -> Bounds:
-        """Return the bounds of a pass over h = `value` (S,), around their middle."""
+    def bounds(self, found: Pass, iterate: Iterate) -> Bounds:
+        """Return the proven bounds of a pass, around their middle."""
+        judged, value = iterate.judge(found), iterate.value
         weight = self.sweeps.weights.value
-        middle = self._middle(found, value)
+        middle = self._middle(judged, value)
         live = weight > 0
-        centre = (found.low + found.high) / 2
+        centre = (judged.low + judged.high) / 2
         # The middle is rounded three times, and the lines below a few times more.
         lost = 2 * UNIT * (np.abs(middle) + 2 * abs(centre) * weight)[live] / weight[live]
         rounding = float(lost.max(initial=0.0)) + 8 * UNIT * abs(centre)
         return Bounds(
             value=middle,
             weight=weight,
-            pairs=found.pairs,
-            low=(found.low - centre) * SLACK - rounding,
-            high=(found.high - centre) * SLACK + rounding,
+            pairs=judged.pairs,
+            low=(judged.low - centre) * SLACK - rounding,
+            high=(judged.high - centre) * SLACK + rounding,
         )
 
     def _middle(self, found: Pass, value: Floats) -> Floats:

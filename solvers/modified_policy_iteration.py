@@ -72,15 +72,16 @@ class ModifiedPolicyIteration:
         while True:
             iteration += 1
             found = iterate.improve()
-            ready = watch.ready(found, iterate.value)
-            if ready and polished and (end := watch.verdict(found, iterate.value)):
+            ready = watch.ready(found, iterate)
+            if ready and polished and (end := watch.verdict(found, iterate)):
                 status, reached = end
                 break
             if iteration == self.max_iterations:
-                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate.value)
+                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate)
                 break
             polished = ready or self.tol is not None
-            goal = 0.0 if ready else (found.high - found.low) / 20
+            goal = 0.0 if ready else max((found.high - found.low) / 20, watch.enough)
             iterate.take(found)
-            iterate.evaluate(found.pairs, goal, self.sweeps)
+            if iteration > 1:
+                iterate.evaluate(goal, self.sweeps)
         return conclude(mdp, self, reached, status=status, iterations=iteration, started=started)

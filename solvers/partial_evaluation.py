@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mdp.table import Floats, Integers
+from mdp.table import Floats
+from solvers.gains import COMPILED
 from solvers.linear import LinearSystem, policy_chain
-from solvers.sweeps import Pass, Sweeps
+from solvers.sweeps import Judged, Pass, Sweeps
 
 FIRST_SWEEPS = 12
 CORRECTIONS = 30
@@ -35,18 +36,24 @@ class Iterate:
         h.
     shift : float
         c, which is 0 but where a shift of all values is only a shift.
-    settled : bool
-        Whether values have been carried along a slowly mixing model once.
+    slow : bool
+        Whether sweeps were found to be too slow for this model.
     """
 
     sweeps: Sweeps
     value: Floats
     shift: float = 0.0
-    settled: bool = False
+    slow: bool = False
 
     def improve(self) -> Pass:
-        """Return a pass over all pairs."""
+        """Return a pass over all pairs, whose policy is the one to `evaluate`."""
         return self.sweeps.improve(self.value, self.shift)
+
+    def judge(self, found: Pass) -> Judged:
+        """Return the proven bounds of a pass found here."""
+        if isinstance(found, Judged):
+            return found
+        return self.sweeps.judge(self.value, self.shift)
 
     def take(self, found: Pass) -> None:
         """Move on to T V."""
@@ -57,8 +64,8 @@ class Iterate:
         if self.sweeps.uniform:
             self.shift += self.sweeps.mdp.discount * middle
 
-    def evaluate(self, pairs: Integers, goal: float, most: int) -> None:
-        """Move close to the values of the policy's `pairs` (S,).
+    def evaluate(self, goal: float, most: int) -> None:
+        """Move close to the values of the policy of the last pass, where it has one.
 
         Parameters
         ----------
@@ -67,51 +74,59 @@ class Iterate:
         most : int
             Sweeps that are too many.
         """
+        if self.sweeps.policy is None or (not self.slow and self._sweep(goal, most)):
+            return
+        large = self.sweeps.mdp.n_transitions >= COMPILED
+        if large and goal > 0 and not self.slow:
+            self._settle()
+        self.slow = True
+        self._correct(goal)
+        if large and goal > 0:
+            self._relax(1)
+
+    def _sweep(self, goal: float, most: int) -> bool:
+        """Follow the policy; return whether that came as close as asked for."""
         errors: list[float] = []
         while len(errors) < most:
-            step, low, high = self.sweeps.follow(self.value, self.shift, pairs)
+            step, low, high = self.sweeps.follow(self.value, self.shift)
             error = (high - low) / 2
             if goal == 0 and errors and not error < min(errors):
-                return
+                return True
             self._move(step, (low + high) / 2)
             if not error > goal:
-                return
+                return True
             errors.append(error)
             if _slow(errors, goal, most):
                 break
-        if self.sweeps.compiled and goal > 0:
-            pairs = self._settled()
-        self._correct(pairs, goal)
-        if self.sweeps.compiled and goal > 0:
-            self._relax(1)
+        return False
 
-    def _settled(self) -> Integers:
-        """Return a policy (S,) that suits values carried along the whole model, by relaxation."""
-        if not self.settled:
-            # From below, good news is carried on as it is; from above, it would be averaged away.
-            low = self.improve().low
-            self.value += (low - self.shift) * self.sweeps.weights.value
-            self._relax(RELAXATIONS)
-            self.settled = True
-        return self.improve().pairs
+    def _settle(self) -> None:
+        """Carry values along the whole model by relaxation, and find a policy that suits them."""
+        # From below, good news is carried on as it is; from above, it would be averaged away.
+        low = self.improve().low
+        self.value += (low - self.shift) * self.sweeps.weights.value
+        self._relax(RELAXATIONS)
+        self.improve()
 
     def _relax(self, count: int) -> None:
         for _ in range(count):
             self.sweeps.relax(self.value, self.shift, backward=False)
             self.sweeps.relax(self.value, self.shift, backward=True)
 
-    def _correct(self, pairs: Integers, goal: float) -> None:
+    def _correct(self, goal: float) -> None:
+        pairs = self.sweeps.policy
+        assert pairs is not None
         chain, _ = policy_chain(self.sweeps.mdp, pairs)
         system, error = LinearSystem(chain, self.sweeps.mdp.discount), np.inf
         for _ in range(CORRECTIONS):
-            step, low, high = self.sweeps.follow(self.value, self.shift, pairs)
+            step, low, high = self.sweeps.follow(self.value, self.shift)
             before, error = error, (high - low) / 2
             if not error > goal or not error < before / 2:
                 return
             if self.sweeps.uniform:
                 middle = (low + high) / 2
                 self.shift += middle
-                step -= middle * self.sweeps.margin[pairs]
+                step -= middle * self.sweeps.weights.margin[pairs]
             self.value += system.roughly(step)
 
 

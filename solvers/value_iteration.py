@@ -65,11 +65,11 @@ class ValueIteration:
         while True:
             iteration += 1
             found = iterate.improve()
-            if watch.ready(found, iterate.value) and (end := watch.verdict(found, iterate.value)):
+            if watch.ready(found, iterate) and (end := watch.verdict(found, iterate)):
                 status, reached = end
                 break
             if iteration == self.max_iterations:
-                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate.value)
+                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate)
                 break
             iterate.take(found)
         return conclude(mdp, self, reached, status=status, iterations=iteration, started=started)

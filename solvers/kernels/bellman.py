@@ -1,12 +1,12 @@
-"""Compiled passes over a model's transitions: improve, follow a policy, relax in place.
+"""Compiled passes over a model's transitions: improve, judge, follow a policy, relax in place.
 
-For an iterate V = h + c w, held as h (S,) and the shift c, the three loops compute from
+For an iterate V = h + c w, held as h (S,) and the shift c, the loops compute from
 
     d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - leak(l) h(s),    d_c(l) = d(l) - c m(l)
 
 what pair l of state s would add to V(s); see `solvers.gains` for the form and its rounding errors,
-and `solvers.bounds` for weights w and margins m. Each reads a transition once: a sum, its flow, the
-greatest gain, the pair that has it and both bounds come out of one pass. `improve` and `follow`
+and `solvers.bounds` for weights w and margins m. Each reads a transition at most once: a sum, its
+flow, the greatest gain, the pair that has it and both bounds come out of one pass. All but `relax`
 write to each state's own place alone, so that blocks of states may run on several threads and give
 the same bits whatever their number.
 """
@@ -42,24 +42,35 @@ def leaks(
 ) -> float:
     """Write 1 - γ Σ p of pairs first … last-1 of floats into `out` (L,); return the worst error.
 
-    The sum is compensated: with the roundings of its additions added up beside it, Σ p - 1 is off
-    by its own rounding and γ(n)² (Σ p + 1) (Ogita, Rump and Oishi, SIAM J. Sci. Comput. 26, 2005,
-    proposition 4.5).
+    Sums are of integers, and so exact: of the multiples of 2^-40 in each p, and of the multiples of
+    2^-84 in what is left of it. What is then left is less than 2^-84.
     """
     worst = 0.0
     for row in range(first, last):
-        total, lost = -1.0, 0.0
+        whole, rest = np.int64(-(2**40)), np.int64(0)
         for i in range(offsets[row], offsets[row + 1]):
-            term = weight[i]
-            after = total + term
-            part = after - total
-            lost += (total - (after - part)) + (term - part)
-            total = after
-        excess = discount * (total + lost)
-        terms = offsets[row + 1] - offsets[row] + 1
+            scaled = weight[i] * 2.0**40
+            part = np.int64(scaled)
+            whole += part
+            rest += np.int64((scaled - part) * 2.0**44)
+        excess = discount * (whole * 2.0**-40 + rest * 2.0**-84)
+        lost = (offsets[row + 1] - offsets[row]) * 2.0**-84
         out[row] = leak - excess
-        worst = max(worst, 2 * UNIT * leak + 8 * UNIT * abs(excess) + 4 * gamma(terms) ** 2)
+        worst = max(worst, 2 * UNIT * leak + 8 * UNIT * abs(excess) + lost)
     return worst
+
+
+@inlined
+def added(
+    first: int, last: int, indices: Numbers, data: Floats, value: Floats, own: float
+) -> tuple[float, float]:
+    """Return Σ p (V' - V) and Σ p |V' - V| of transitions first … last-1."""
+    ahead, flow = 0.0, 0.0
+    for i in range(first, last):
+        term = data[i] * (value[indices[i]] - own)
+        ahead += term
+        flow += abs(term)
+    return ahead, flow
 
 
 @compiled
@@ -76,12 +87,8 @@ def gains(
 ) -> None:
     """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `steps` and `flow` (L,)."""
     for pair in range(first, last):
-        own, ahead, size = value[pair_state[pair]], 0.0, 0.0
-        for i in range(indptr[pair], indptr[pair + 1]):
-            term = data[i] * (value[indices[i]] - own)
-            ahead += term
-            size += abs(term)
-        steps[pair], flow[pair] = ahead, size
+        begin, end, own = indptr[pair], indptr[pair + 1], value[pair_state[pair]]
+        steps[pair], flow[pair] = added(begin, end, indices, data, value, own)
 
 
 @compiled
@@ -96,24 +103,66 @@ def margins(
     leak_error: float,
     merged: Numbers,
     discount: float,
+    ended: Numbers,
     weight: Floats,
     tiny: float,
-    least: Floats,
-    most: Floats,
-) -> None:
-    """Write bounds (L,) of the margins w(s) - γ P_l w of pairs first … last-1; see `improve`."""
+    out: Floats,
+) -> float:
+    """Write the margins w(s) - γ P_l w of pairs first … last-1 into `out` (L,); see `improve`.
+
+    Returns the greatest error. Pairs of terminal states are given a margin of 1.
+    """
+    worst = 0.0
     for pair in range(first, last):
-        own, ahead, flow = weight[pair_state[pair]], 0.0, 0.0
-        for i in range(indptr[pair], indptr[pair + 1]):
-            term = data[i] * (weight[indices[i]] - own)
-            ahead += term
-            flow += abs(term)
+        state = pair_state[pair]
+        if ended[state]:
+            out[pair] = 1.0
+            continue
+        own = weight[state]
+        ahead, flow = added(indptr[pair], indptr[pair + 1], indices, data, weight, own)
         lost = leak[pair] * own
         terms = merged[pair] if len(merged) else indptr[pair + 1] - indptr[pair]
         error = gamma(terms + 8) * discount * flow + gamma(4) * abs(lost)
         error = (error + leak_error * abs(own) + tiny * (terms + 1)) * SLACK
-        margin = lost - discount * ahead
-        least[pair], most[pair] = margin - error, margin + error
+        out[pair] = lost - discount * ahead
+        if not error <= worst:
+            worst = error
+    return worst
+
+
+@compiled
+def climb(value: Floats, before: Floats) -> float:
+    """Return the greatest rise of any value (S,) since `before` (S,), which is brought up to it."""
+    most = -np.inf
+    for state in range(len(value)):
+        most = max(most, value[state] - before[state])
+        before[state] = value[state]
+    return most
+
+
+@inlined
+def copy_row(
+    state: int,
+    pair: int,
+    indptr: Numbers,
+    indices: Numbers,
+    data: Floats,
+    reward: Floats,
+    leak: Floats,
+    margin: Floats,
+    slots: Numbers,
+    ends: Numbers,
+    chain_indices: Numbers,
+    chain_data: Floats,
+    chain: Floats,
+) -> None:
+    """Put the row of a pair where the policy's row of its state belongs; see `follow`."""
+    place = slots[state]
+    for i in range(indptr[pair], indptr[pair + 1]):
+        chain_indices[place], chain_data[place] = indices[i], data[i]
+        place += 1
+    ends[state] = place
+    chain[0, state], chain[1, state], chain[2, state] = reward[pair], leak[pair], margin[pair]
 
 
 @compiled
@@ -125,44 +174,154 @@ def improve(
     indices: Numbers,
     data: Floats,
     reward: Floats,
-    reward_error: Floats,
     leak: Floats,
-    leak_error: float,
-    least: Floats,
-    most: Floats,
+    margin: Floats,
     ended: Numbers,
     discount: float,
-    merged: Numbers,
     value: Floats,
     shift: float,
+    known: bool,
+    rise: float,
+    error: float,
+    ceilings: Floats,
+    slots: Numbers,
+    ends: Numbers,
+    chain_indices: Numbers,
+    chain_data: Floats,
+    chain: Floats,
+    step: Floats,
+    pairs: Numbers,
+    extremes: Floats,
+) -> None:
+    """Write the greatest d_c (S,) and its pair (S,) of states first … last-1.
+
+    A pair of the policy before stays where no other is better. Others are passed over where their
+    ceiling says that they are not.
+
+    Parameters
+    ----------
+    margin : (L,)
+        The margins m.
+    ended : (S,) bool
+        Terminal states; they are passed over.
+    known : bool
+        Whether `ceilings`, `pairs` and the policy's rows hold anything yet.
+    rise : float
+        How much γ P_l h has risen in all, at most.
+    error : float
+        Greatest error of any d, and of what is written into `ceilings`.
+    ceilings : (L,)
+        In and out: r(l) + γ P_l h is at most this and `rise`. Renewed for pairs that are looked at,
+        other than those of the policy.
+    slots, ends, chain_indices, chain_data, chain
+        In and out: the rows of `pairs`, see `follow`.
+    pairs : (S,) int64
+        In and out: the policy.
+    extremes : (2,)
+        Out: the least and the greatest d / m of the policy found.
+    """
+    low, high = np.inf, -np.inf
+    for state in range(first, last):
+        begin, end = pair_offsets[state], pair_offsets[state + 1]
+        if ended[state]:
+            step[state], pairs[state] = 0.0, begin
+            continue
+        own, before, chosen = value[state], -1, begin
+        kept = best = -np.inf
+        if known:
+            before = chosen = pairs[state]
+            ahead = 0.0
+            for i in range(slots[state], ends[state]):
+                ahead += chain_data[i] * (value[chain_indices[i]] - own)
+            kept = best = chain[0, state] + (discount * ahead - chain[1, state] * own)
+        for pair in range(begin, end):
+            if pair == before or (known and ceilings[pair] + (rise - own) < best):
+                continue
+            ahead = 0.0
+            for i in range(indptr[pair], indptr[pair + 1]):
+                ahead += data[i] * (value[indices[i]] - own)
+            gain = reward[pair] + (discount * ahead - leak[pair] * own)
+            ceilings[pair] = gain + error + (own - rise)
+            if gain > best:
+                best, chosen = gain, pair
+        if chosen != before:
+            if known:
+                ceilings[before] = kept + error + (own - rise)
+            model = (indptr, indices, data, reward, leak, margin)
+            copy_row(state, chosen, *model, slots, ends, chain_indices, chain_data, chain)
+        ratio = best / chain[2, state]
+        step[state], pairs[state] = best - shift * chain[2, state], chosen
+        low, high = min(low, ratio), max(high, ratio)
+    extremes[0], extremes[1] = low, high
+
+
+@compiled
+def judge(
+    first: int,
+    last: int,
+    pair_offsets: Numbers,
+    indptr: Numbers,
+    indices: Numbers,
+    data: Floats,
+    reward: Floats,
+    leak: Floats,
+    margin: Floats,
+    ended: Numbers,
+    discount: float,
+    reward_error: Floats,
+    leak_error: float,
+    margin_error: float,
+    merged: Numbers,
     tiny: float,
+    rounding: Floats,
+    value: Floats,
+    shift: float,
     strict: bool,
     still: bool,
+    known: bool,
+    rise: float,
+    spare: float,
+    alike: float,
+    ceilings: Floats,
+    policy: Numbers,
+    slots: Numbers,
+    ends: Numbers,
+    chain_indices: Numbers,
+    chain_data: Floats,
+    chain: Floats,
     step: Floats,
     pairs: Numbers,
     room: Floats,
     extremes: Floats,
 ) -> None:
-    """Write the greatest d_c (S,) and its pair (S,) of states first … last-1, and the bounds.
+    """Write the greatest d_c (S,) and its pair (S,) of states first … last-1, and proven bounds.
+
+    A pair is passed over where its ceiling proves that it is beaten, and that it does not set the
+    upper bound.
 
     Parameters
     ----------
     reward_error : (L,)
         How far each reward may be from the exact one; of length 0 where it is rounded once.
-    leak_error : float
-        Greatest error of `leak`.
-    least, most : (L,)
-        Bounds of the margins m.
-    ended : (S,) bool
-        Terminal states; they are passed over.
+    leak_error, margin_error : float
+        Greatest errors of `leak` and of `margin`.
     merged : (L,) ints
         Roundings in a row; of length 0 where there is one for each transition.
     tiny : float
         What underflow may cost each term.
+    rounding : (K,)
+        γ(n + 8) of rows of n roundings.
     strict : bool
         Whether to take pairs for tied only where the errors of d let them be.
     still : bool
         Whether all values are the same, so that transitions add nothing and need not be read.
+    known, rise, ceilings, slots, ends, chain_indices, chain_data, chain
+        What improving passes left; see `improve`. Nothing of it is changed.
+    spare, alike : float
+        Bounds over all pairs: of -c m(l) and how far from the best a pair may be for a tie; of
+        m(l) / m(l') from below.
+    policy : (S,) int64
+        The pairs of those rows.
     pairs : (S,) int64
         Out: the first pair that no other beats by more than rounding.
     room : (2, K)
@@ -172,52 +331,61 @@ def improve(
         and the greatest noise; NaN where a number is beyond the range of floats. A ratio is divided
         out only where it seems to be beyond the last; the seeming is off by a rounding or two.
     """
-    low, high, loudest, sound = np.inf, -np.inf, 0.0, True
-    length, rounded, few = -1, 0.0, gamma(4)
+    low, high, loudest, sound, few = np.inf, -np.inf, 0.0, True, gamma(4)
     for state in range(first, last):
         begin, end = pair_offsets[state], pair_offsets[state + 1]
         if ended[state]:
             step[state], pairs[state] = 0.0, begin
             continue
-        own = value[state]
-        best, sure = -np.inf, -np.inf
-        for pair in range(begin, end):
-            ahead, flow = 0.0, 0.0
-            after = indptr[pair] if still else indptr[pair + 1]
-            for i in range(indptr[pair], after):
-                term = data[i] * (value[indices[i]] - own)
-                ahead += term
-                flow += abs(term)
-            earned, lost = reward[pair], leak[pair] * own
+        own, before = value[state], policy[state] if known else begin
+        best, sure, limit = -np.inf, -np.inf, -np.inf
+        for turn in range(begin - 1, end):  # the pair of the policy comes first
+            if turn == before:
+                continue
+            pair = before if turn < begin else turn
+            place = pair - begin
+            if known and turn >= begin:
+                ceiling = ceilings[pair] + (rise - own)
+                ceiling += 4 * UNIT * (abs(ceilings[pair]) + (abs(rise) + abs(own)))
+                if ceiling + spare < sure and ceiling <= limit:
+                    room[1, place] = -np.inf
+                    continue
+            ahead, flow, earned, lost = 0.0, 0.0, reward[pair], leak[pair] * own
+            start, stop = indptr[pair], indptr[pair + 1]
+            if known and turn < begin:
+                ahead, flow = added(
+                    slots[state], ends[state], chain_indices, chain_data, value, own
+                )
+            elif not still:
+                ahead, flow = added(start, stop, indices, data, value, own)
             flow *= discount
             gain = earned + (discount * ahead - lost)
-            terms = merged[pair] if len(merged) else indptr[pair + 1] - indptr[pair]
-            if terms != length:
-                length, rounded = terms, gamma(terms + 8)
-            error = rounded * flow + few * (abs(earned) + abs(lost))
+            terms = merged[pair] if len(merged) else stop - start
+            error = rounding[terms] * flow + few * (abs(earned) + abs(lost))
             error += leak_error * abs(own) + tiny * (terms + 1)
             error += reward_error[pair] if len(reward_error) else UNIT * abs(earned) + TINY
             error *= SLACK
-            noise = rounded * (flow + abs(own) + abs(earned)) + error
+            noise = rounding[terms] * (flow + abs(own) + abs(earned)) + error
             if not noise < np.inf:
                 sound = False
             above = gain + error
-            margin = least[pair] if above > 0 else most[pair]
-            if above > high * margin:
-                high = above / margin
+            divisor = margin[pair] + (-margin_error if above > 0 else margin_error)
+            if above > high * divisor:
+                high = above / divisor
+            limit = max(limit, above * alike if above > 0 else above / alike)
             loudest = max(loudest, noise)
-            shifted = gain - shift * (0.5 * (least[pair] + most[pair]))
+            shifted = gain - shift * margin[pair]
             tied = error if strict else noise
-            room[0, pair - begin], room[1, pair - begin] = error - gain, shifted + tied
+            room[0, place], room[1, place] = error - gain, shifted + tied
             best, sure = max(best, shifted), max(sure, shifted - tied)
         chosen = begin
         while chosen < end - 1 and not room[1, chosen - begin] >= sure:
             chosen += 1
         step[state], pairs[state] = best, chosen
         below = room[0, chosen - begin]
-        margin = least[chosen] if below > 0 else most[chosen]
-        if -below < low * margin:
-            low = -below / margin
+        divisor = margin[chosen] + (-margin_error if below > 0 else margin_error)
+        if -below < low * divisor:
+            low = -below / divisor
     extremes[0], extremes[1], extremes[2] = low, high, loudest
     if not sound:
         extremes[:] = np.nan
@@ -227,14 +395,11 @@ def improve(
 def follow(
     first: int,
     last: int,
-    pairs: Numbers,
-    indptr: Numbers,
+    slots: Numbers,
+    ends: Numbers,
     indices: Numbers,
     data: Floats,
-    reward: Floats,
-    leak: Floats,
-    least: Floats,
-    most: Floats,
+    chain: Floats,
     ended: Numbers,
     discount: float,
     value: Floats,
@@ -242,10 +407,16 @@ def follow(
     step: Floats,
     extremes: Floats,
 ) -> None:
-    """Write d_c (S,) of the policy's `pairs` (S,) in states first … last-1.
+    """Write d_c (S,) of the one pair of each of the states first … last-1 that a policy takes.
 
     Parameters
     ----------
+    slots, ends : (S+1,), (S,)
+        The row of state s is slots[s] … ends[s]-1, which is no further than slots[s+1].
+    indices, data
+        Next states and probabilities.
+    chain : (3, S)
+        Reward, leak and margin of the pairs.
     extremes : (2,)
         Out: the least and the greatest d_c / m.
     """
@@ -254,11 +425,10 @@ def follow(
         if ended[state]:
             step[state] = 0.0
             continue
-        pair, own, ahead = pairs[state], value[state], 0.0
-        for i in range(indptr[pair], indptr[pair + 1]):
+        own, ahead, margin = value[state], 0.0, chain[2, state]
+        for i in range(slots[state], ends[state]):
             ahead += data[i] * (value[indices[i]] - own)
-        margin = 0.5 * (least[pair] + most[pair])
-        gain = reward[pair] + (discount * ahead - leak[pair] * own) - shift * margin
+        gain = chain[0, state] + (discount * ahead - chain[1, state] * own) - shift * margin
         step[state] = gain
         if gain < low * margin:
             low = gain / margin
@@ -276,8 +446,7 @@ def relax(
     data: Floats,
     reward: Floats,
     leak: Floats,
-    least: Floats,
-    most: Floats,
+    margin: Floats,
     ended: Numbers,
     discount: float,
     value: Floats,
@@ -301,7 +470,7 @@ def relax(
                     ahead += data[i] * (value[indices[i]] - own)
                     away += data[i]
             gain = reward[pair] + (discount * ahead - leak[pair] * own)
-            gain -= shift * (0.5 * (least[pair] + most[pair]))
+            gain -= shift * margin[pair]
             best = max(best, gain / (discount * away + leak[pair]))
         value[state] = own + best
         largest = max(largest, abs(best))

@@ -1,0 +1,168 @@
+"""Sweeps in compiled loops, on two threads, which leave out what is proven to be beaten.
+
+Improving passes allow for rounding by the greatest error there can be in any pair, which costs next
+to nothing; the judging pass counts the error of each. Both leave out pairs that are proven to be
+beaten by what `solvers.remembered` keeps. Every number is computed by one thread and minima do not
+depend on an order, so the results are the same whatever the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mdp.table import Floats, Integers
+from solvers.kernels import bellman
+from solvers.kernels.blocks import block_ends, run_blocks
+from solvers.remembered import Remembered
+from solvers.rounding import SLACK, TINY, UNIT, gamma
+from solvers.sweeps import Judged, Pass, Sweeps, finite
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sizes:
+    """Bounds over all pairs, for one h: of |d|, of its rounding error, and of that of V and q."""
+
+    gain: float
+    error: float
+    noise: float
+
+
+class CompiledSweeps(Sweeps):
+    """As `Sweeps`, for large models."""
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def improve(self, value: Floats, shift: float = 0.0) -> Pass:
+        """See `Sweeps.improve`; where all values are the same, there is no policy to follow."""
+        mdp, sizes = self.mdp, self._sizes(value)
+        if value.min() == value.max():
+            return finite(self._alone(float(value[0]), shift, sizes))
+        memory = self._memory
+        known, step, pairs = memory.move(value), np.empty(mdp.n_states), memory.pairs.copy()
+        rounded = abs(memory.rise) + float(np.abs(value).max()) + sizes.gain + sizes.error
+        error = sizes.error + 8 * UNIT * rounded
+
+        def work(first: int, last: int, extremes: Floats) -> None:
+            bellman.improve(
+                *(first, last, mdp.pair_offsets, *self._model, mdp.terminal, mdp.discount),
+                *(value, shift, known, memory.rise, error, memory.ceilings, *memory.rows),
+                *(step, pairs, extremes),
+            )
+
+        found = self._blocks(work, 2)
+        self._pairs = memory.pairs = pairs
+        low, high = float(found[:, 0].min()), float(found[:, 1].max())
+        return finite(Pass(step=step, low=low, high=high, floor=sizes.noise / self.least_margin))
+
+    def _alone(self, value: float, shift: float, sizes: _Sizes) -> Pass:
+        """Improve values that are all `value`: transitions add nothing, and are not read."""
+        first, live = self.mdp.pair_offsets[:-1], ~self.mdp.terminal
+        best = np.maximum.reduceat(self.mdp.reward - self.facts.leak * value, first)
+        margin = self.weights.margin[first]
+        ratio, floor = (best / margin)[live], sizes.noise / self.least_margin
+        low, high = float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
+        if not live.any():
+            low = high = 0.0
+        return Pass(
+            step=np.where(live, best - shift * margin, 0.0), low=low, high=high, floor=floor
+        )
+
+    def _judge(self, value: Floats, shift: float) -> Judged:
+        mdp, facts, weights, memory = self.mdp, self.facts, self.weights, self._memory
+        step, pairs = np.empty(mdp.n_states), np.empty(mdp.n_states, dtype=np.int64)
+        known = memory.before is not None and memory.move(value)
+        sizes, still = self._sizes(value), bool(value.min() == value.max())
+        tied = sizes.error if self.strict else sizes.noise
+        tiny = TINY * (1 + float(np.abs(value).max()))
+
+        def work(first: int, last: int, extremes: Floats) -> None:
+            bellman.judge(
+                *(first, last, mdp.pair_offsets, *self._model, mdp.terminal, mdp.discount),
+                *(facts.reward_error, facts.leak_error, weights.error, facts.merged, tiny),
+                *(self._rounding, value, shift, self.strict, still),
+                *(known, memory.rise, memory.drop(shift) + tied, memory.alike),
+                *(memory.ceilings, memory.pairs, *memory.rows),
+                *(step, pairs, np.empty((2, self._most_pairs)), extremes),
+            )
+
+        found = self._blocks(work, 3)
+        low, high, loudest = found[:, 0].min(), found[:, 1].max(), found[:, 2].max()
+        floor = loudest / self.least_margin
+        if mdp.terminal.all():
+            low = high = floor = np.float64(0)
+        return Judged(step=step, pairs=pairs, low=float(low), high=float(high), floor=float(floor))
+
+    def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
+        ended, rate, step, rows = (
+            self.mdp.terminal,
+            self.mdp.discount,
+            self._step,
+            self._memory.rows,
+        )
+
+        def work(first: int, last: int, extremes: Floats) -> None:
+            bellman.follow(first, last, *rows, ended, rate, value, shift, step, extremes)
+
+        found = self._blocks(work, 2)
+        return step, float(found[:, 0].min()), float(found[:, 1].max())
+
+    def _blocks(self, work: Callable[[int, int, Floats], None], count: int) -> Floats:
+        """Run `work` on all blocks of states; return what each left as its `count` extremes."""
+        extremes = np.empty((len(self._ends) - 1, count))
+        run_blocks(self._ends, lambda n, first, last: work(first, last, extremes[n]))
+        return extremes
+
+    def _sizes(self, value: Floats) -> _Sizes:
+        """Return bounds for h = `value` (S,), which never have to look at a transition."""
+        facts, (most_reward, most_leak, terms) = self.facts, self._greatest
+        span, size = float(value.max()) - float(value.min()), float(np.abs(value).max())
+        rounded = float(gamma(terms + 8))
+        # No row sums up to 1.001.
+        flow, lost = 1.001 * self.mdp.discount * span, most_leak * size
+        errors = facts.reward_error
+        earned_error = float(errors.max()) if len(errors) else UNIT * most_reward + TINY
+        error = rounded * flow + float(gamma(4)) * (most_reward + lost)
+        error += facts.leak_error * size + TINY * (1 + size) * (terms + 1) + earned_error
+        error *= SLACK
+        noise = rounded * (flow + size + most_reward) + error
+        return _Sizes(gain=most_reward + flow + lost + error, error=error, noise=noise)
+
+    @cached_property
+    def _greatest(self) -> tuple[float, float, int]:
+        """The greatest size of a reward and of a leak, and the most roundings in a row."""
+        sizes = [
+            max(abs(float(array.min())), abs(float(array.max())))
+            for array in (self.mdp.reward, self.facts.leak)
+        ]
+        return sizes[0], sizes[1], int(self.facts.terms(self.mdp).max())
+
+    @cached_property
+    def _memory(self) -> Remembered:
+        return Remembered.nothing(self.mdp, self.weights, self.facts.leak, self.facts.leak_error)
+
+    @cached_property
+    def _model(self) -> tuple[Any, ...]:
+        mdp, matrix = self.mdp, self.mdp.transition
+        rows = (matrix.indptr, matrix.indices, matrix.data)
+        return (*rows, mdp.reward, self.facts.leak, self.weights.margin)
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        return block_ends(self.mdp.transition.indptr[self.mdp.pair_offsets])
+
+    @cached_property
+    def _most_pairs(self) -> int:
+        return int(np.diff(self.mdp.pair_offsets).max())
+
+    @cached_property
+    def _rounding(self) -> Floats:
+        """γ(n + 8) of rows of n roundings."""
+        return gamma(np.arange(self._greatest[2] + 1) + 8)
+
+    @cached_property
+    def _step(self) -> Floats:
+        return np.empty(self.mdp.n_states)
