@@ -56,6 +56,11 @@ if TYPE_CHECKING:
 @click.option("--max-steps", default="10000", metavar="N", help="Cut longer episodes (10000).")
 @click.option("--jobs", metavar="N", help="Threads; all cores unless given. Changes no result.")
 @click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Train on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
+)
+@click.option(
     "--explain", is_flag=True, help="Predict how unstable the least stable status is, and why."
 )
 @model_options
@@ -65,6 +70,7 @@ def train(
     seed: str,
     out: str | None,
     jobs: str | None,
+    scheduler: str | None,
     explain: bool,
     sets: tuple[str, ...],
     discount: str | None,
@@ -91,7 +97,14 @@ def train(
         require_theory(settings)
     solve(loaded.mdp)  # a model that cannot be judged is refused before the work
     runs = train_many(
-        loaded.mdp, settings, count, seed=first, n_jobs=workers, out=out, progress=True
+        loaded.mdp,
+        settings,
+        count,
+        seed=first,
+        n_jobs=workers,
+        scheduler=scheduler,
+        out=out,
+        progress=True,
     )
     found = outcomes(loaded.mdp, runs)
     result = summary(loaded, settings, first, runs, found)

@@ -22,11 +22,16 @@ import click
     show_default=True,
     help="Folder for the report, numbers, figures and run.json; an interrupted run goes on there.",
 )
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Search the readings and train under them on a Dask cluster: tcp://HOST:PORT, or local.",
+)
 @click.option("--claim", "name", metavar="ID", help="Work out this claim alone, and print it.")
 @click.option(
     "--candidates", is_flag=True, help="Print what is found in the form of expected.toml."
 )
-def main(quick: bool, out: Path, name: str | None, candidates: bool) -> None:
+def main(quick: bool, out: Path, scheduler: str | None, name: str | None, candidates: bool) -> None:
     """Reproduce Yuan et al. (2025): every claim beside the exact answer.
 
     Exit status: 0 done, 1 a number differs from the pinned one, 2 bad input.
@@ -36,9 +41,9 @@ def main(quick: bool, out: Path, name: str | None, candidates: bool) -> None:
     started = time.perf_counter()
     try:
         if name is None:
-            failed = _all(quick, out, candidates)
+            failed = _all(quick, out, scheduler, candidates)
         else:
-            failed = _one(name, quick, out, candidates)
+            failed = _one(name, quick, out, scheduler, candidates)
     except ModelError as error:
         click.echo(f"{type(error).__name__}: {error}", err=True)
         sys.exit(2)
@@ -49,7 +54,7 @@ def main(quick: bool, out: Path, name: str | None, candidates: bool) -> None:
     sys.exit(1 if failed else 0)
 
 
-def _one(name: str, quick: bool, out: Path, candidates: bool) -> bool:
+def _one(name: str, quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
     from mdp import ModelError
     from paper_repro.claims import chosen
     from paper_repro.output import print_claim
@@ -71,18 +76,18 @@ def _one(name: str, quick: bool, out: Path, candidates: bool) -> bool:
         )
     claim = chosen(name)
     sizes, store = QUICK if quick else FULL, Store.under(out)
-    (judged,) = run_claims([claim], sizes, store, quick=quick)
+    (judged,) = run_claims([claim], sizes, store, quick=quick, scheduler=scheduler)
     print_claim(judged)
     return False
 
 
-def _all(quick: bool, out: Path, candidates: bool) -> bool:
+def _all(quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
     from paper_repro import expected
     from paper_repro.output import print_places, print_table
     from paper_repro.run import run
     from paper_repro.view import FULL, QUICK
 
-    judged, off = run(out, sizes=QUICK if quick else FULL, quick=quick)
+    judged, off = run(out, sizes=QUICK if quick else FULL, quick=quick, scheduler=scheduler)
     if candidates:
         click.echo(expected.candidates(judged))
         return False

@@ -118,6 +118,7 @@ def learning(
     seeds: int = SEEDS,
     seed: int,
     n_jobs: int | None = None,
+    scheduler: str | None = None,
     out: str | Path | None = None,
     progress: bool = False,
 ) -> LearningEvidence:
@@ -132,6 +133,8 @@ def learning(
     seed : int
     n_jobs : int, optional
         Processes; all cores where None. The result does not depend on it.
+    scheduler : str, optional
+        A Dask cluster instead, "tcp://host:port" or "local"; see `solvers.many.many`.
     out : path, optional
         Folder for finished readings; with the same seeds, they are used again, and others added.
     progress : bool
@@ -157,6 +160,7 @@ def learning(
             "seed": seed,
         },
         n_jobs=n_jobs,
+        scheduler=scheduler,
         folder=out,
         progress=progress,
         what="trained readings",

@@ -165,6 +165,7 @@ def search(
     *,
     space: ReadingSpace = PAPER_READINGS,
     n_jobs: int | None = None,
+    scheduler: str | None = None,
     out: str | Path | None = None,
     progress: bool = False,
 ) -> ReadingSearch:
@@ -178,6 +179,8 @@ def search(
         The readings; the last one is `evaluation_discount`.
     n_jobs : int, optional
         Processes; all cores where None.
+    scheduler : str, optional
+        A Dask cluster instead, "tcp://host:port" or "local"; see `solvers.many.many`.
     out : path, optional
         Folder for finished pieces; an interrupted search goes on from there.
     progress : bool
@@ -209,6 +212,7 @@ def search(
             "block": BLOCK,
         },
         n_jobs=n_jobs,
+        scheduler=scheduler,
         folder=out,
         progress=progress,
         what="readings",

@@ -99,6 +99,7 @@ def reading_study(
     seeds: int | None = None,
     judged: int | None = None,
     n_jobs: int | None = None,
+    scheduler: str | None = None,
     progress: bool = False,
 ) -> ReadingStudy:
     """Return the whole study.
@@ -121,12 +122,20 @@ def reading_study(
         `quick` unless given.
     n_jobs : int, optional
         Processes; all cores where None.
+    scheduler : str, optional
+        A Dask cluster instead, "tcp://host:port" or "local"; see `solvers.many.many`.
     progress : bool
         Show bars on standard error where that is a terminal.
     """
     folder = None if out is None else Path(out)
     count = (QUICK_JUDGED if quick else JUDGED) if judged is None else judged
-    found = search(space=space, n_jobs=n_jobs, out=folder and folder / "search", progress=progress)
+    found = search(
+        space=space,
+        n_jobs=n_jobs,
+        scheduler=scheduler,
+        out=folder and folder / "search",
+        progress=progress,
+    )
     evidence = variants(found)
     main = next(iter(evidence.values()))
     by_experiments = {each.experiments: each for each in reversed(evidence.values())}
@@ -137,6 +146,7 @@ def reading_study(
         seeds=seeds or (QUICK_SEEDS if quick else SEEDS),
         seed=seed,
         n_jobs=n_jobs,
+        scheduler=scheduler,
         out=folder and folder / ("learning-quick" if quick else "learning"),
         progress=progress,
     )

@@ -37,9 +37,11 @@ class Readings:
         return cls(search=study.search, evidence=study.main)
 
     @classmethod
-    def run(cls, folder: Path | None, *, progress: bool = False) -> Readings:
+    def run(
+        cls, folder: Path | None, *, scheduler: str | None = None, progress: bool = False
+    ) -> Readings:
         """Search alone, or read what `reading_study` or an earlier search left in the folder."""
-        found = search(out=folder and folder / "search", progress=progress)
+        found = search(scheduler=scheduler, out=folder and folder / "search", progress=progress)
         return cls(search=found, evidence=evidence(found))
 
     @property

@@ -29,7 +29,9 @@ from paper_repro.view import SEED, Sizes, View, alternatives, default_view
 ALTERNATIVES = 16
 
 
-def run(out: Path, *, sizes: Sizes, quick: bool) -> tuple[list[Judged], list[str]]:
+def run(
+    out: Path, *, sizes: Sizes, quick: bool, scheduler: str | None = None
+) -> tuple[list[Judged], list[str]]:
     """Write numbers, report, figures and run record into `out`.
 
     Parameters
@@ -37,6 +39,7 @@ def run(out: Path, *, sizes: Sizes, quick: bool) -> tuple[list[Judged], list[str
     out : folder, made where it does not exist; what an interrupted run left there is used
     sizes : how much is sampled
     quick : said in run.json
+    scheduler : a Dask cluster for the search over the readings and the training under them
 
     Returns
     -------
@@ -62,7 +65,13 @@ def run(out: Path, *, sizes: Sizes, quick: bool) -> tuple[list[Judged], list[str
     with _bar(len(claims) + ALTERNATIVES + sizes.supported + len(PICTURES) + 3) as bar:
         tick = partial(_tick, bar)
         tick("all readings of the text")
-        study = reading_study(seed=SEED, out=store.folder("readings"), quick=quick, progress=True)
+        study = reading_study(
+            seed=SEED,
+            out=store.folder("readings"),
+            quick=quick,
+            scheduler=scheduler,
+            progress=True,
+        )
         readings = Readings.of(study)
         others = list(_others(view, sizes, readings))
         # Other processes take what needs no training: other readings, and most of the figures.
@@ -96,7 +105,12 @@ def run(out: Path, *, sizes: Sizes, quick: bool) -> tuple[list[Judged], list[str
 
 
 def run_claims(
-    claims: Sequence[PaperClaim], sizes: Sizes, store: Store, *, quick: bool
+    claims: Sequence[PaperClaim],
+    sizes: Sizes,
+    store: Store,
+    *,
+    quick: bool,
+    scheduler: str | None = None,
 ) -> list[Judged]:
     """Work some claims out, with as little else as they need.
 
@@ -106,7 +120,7 @@ def run_claims(
     view = default_view(sizes, store)
     if quick or not any(claim.open for claim in claims):
         return judge(claims, view, others=alternatives(view, sizes))
-    readings = Readings.run(store.folder("readings"), progress=True)
+    readings = Readings.run(store.folder("readings"), scheduler=scheduler, progress=True)
     return judge(claims, view, others=_others(view, sizes, readings), readings=readings)
 
 

@@ -4,14 +4,16 @@ Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so that it d
 how many runs there are nor on who does them. Runs are done in blocks of `BLOCK`, which is a single
 run, so that an interruption loses no finished one; a finished block is written to its own file at
 once, whole or not at all, and read instead of done again when the training is called once more.
-Workers are threads: the compiled loop needs no interpreter lock.
+Workers are threads, as the compiled loop needs no interpreter lock, or those of a Dask cluster.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from threading import Event
 
@@ -23,6 +25,7 @@ from mdp.fingerprint import fingerprint
 from mdp.model import MDP
 from mdp.space import StateSpace
 from mdp.table import Numbers
+from solvers.many import as_done, check_jobs
 from solvers.pieces import damaged, open_folder, read_piece, write_piece
 from solvers.q_learning import QLearning, Trainer, TrainingRun
 from solvers.sampler import as_sequence, child
@@ -38,6 +41,7 @@ def train_many(
     *,
     seed: int | SeedSequence,
     n_jobs: int | None = 1,
+    scheduler: str | None = None,
     out: str | Path | None = None,
     progress: bool = False,
 ) -> list[TrainingRun]:
@@ -49,7 +53,11 @@ def train_many(
         How many. Run i is `settings.train(mdp, child(seed, i))`.
     seed : int or SeedSequence
     n_jobs : int, optional
-        Threads; all cores where None. The result does not depend on it.
+        Threads; all cores where None. With `scheduler="local"`, processes. The result does not
+        depend on it.
+    scheduler : str, optional
+        A Dask scheduler, "tcp://host:port", or "local" for one that ends with the call; see
+        `solvers.many.many`. The result does not depend on it, nor on workers that die.
     out : path, optional
         Folder for finished blocks. Those of an earlier call with the same model, settings and seed
         are used again; more runs may be asked for than before.
@@ -60,7 +68,7 @@ def train_many(
     ------
     ModelError
         Where the folder holds the training of another model, other settings or another seed, or a
-        file in it is damaged.
+        file in it is damaged; where `n_jobs` is no count, or the scheduler does not answer.
 
     Examples
     --------
@@ -74,6 +82,7 @@ def train_many(
 
     if isinstance(runs, bool) or not isinstance(runs, int) or runs < 1:
         raise ModelError(f"runs is {runs!r}", where="train_many", fix="give a whole number > 0")
+    check_jobs(n_jobs, "train_many")
     trainer = Trainer(settings, mdp)
     root = as_sequence(seed)
     folder = None if out is None else _folder(Path(out), mdp, settings, root)
@@ -90,24 +99,36 @@ def train_many(
             else:
                 done[block.start] = found
                 bar.update(len(found))
-        for block, found in _train(trainer, root, waiting, n_jobs):
-            if folder is not None:
-                write_piece(folder / _name(block), _packed(found))
-            done[block.start] = found
-            bar.update(len(found))
+        with closing(_train(trainer, root, waiting, n_jobs, scheduler)) as results:
+            for block, found in results:
+                if folder is not None:
+                    write_piece(folder / _name(block), _packed(found))
+                done[block.start] = found
+                bar.update(len(found))
     return [run for block in blocks for run in done[block.start]]
 
 
 def _train(
-    trainer: Trainer, root: SeedSequence, blocks: Sequence[range], n_jobs: int | None
-) -> Iterator[tuple[range, list[TrainingRun]]]:
+    trainer: Trainer,
+    root: SeedSequence,
+    blocks: Sequence[range],
+    n_jobs: int | None,
+    scheduler: str | None,
+) -> Generator[tuple[range, list[TrainingRun]]]:
     """Yield blocks of runs as they are finished; an interruption ends after the runs at hand."""
+    if scheduler is not None:
+        work = partial(_block, trainer, root)
+        tasks = list(enumerate(blocks))
+        with closing(as_done(work, tasks, n_jobs=n_jobs, scheduler=scheduler)) as results:
+            for place, arrays in results:
+                yield blocks[place], list(_unpacked(arrays, trainer.rows.space))
+        return
     stop = Event()
 
     def block_of(block: range) -> list[TrainingRun]:
         return [trainer.run(child(root, number)) for number in block if not stop.is_set()]
 
-    workers = max(1, (os.cpu_count() or 1) if n_jobs is None else n_jobs)
+    workers = (os.cpu_count() or 1) if n_jobs is None else n_jobs
     if workers == 1 or len(blocks) <= 1:
         for block in blocks:
             yield block, block_of(block)
@@ -122,6 +143,11 @@ def _train(
         finally:
             stop.set()
             pool.shutdown(cancel_futures=True)
+
+
+def _block(trainer: Trainer, root: SeedSequence, block: range) -> dict[str, Numbers]:
+    """Return the runs of a block as arrays, which is what crosses between processes."""
+    return _packed([trainer.run(child(root, number)) for number in block])
 
 
 # ---- files ---------------------------------------------------------------------------------------

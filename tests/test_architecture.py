@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,7 @@ def is_type_checking(test: ast.expr) -> bool:
     return False
 
 
+@cache
 def all_imports() -> list[Import]:
     return [
         found
@@ -164,6 +166,44 @@ def test_importing_a_package_loads_no_heavy_package(layer: str) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == []
+
+
+# What a module loads in a fresh process, beyond the standard library and the packages here; what is
+# loaded first has been paid for already.
+LOADED = [
+    ("mdp", "numpy, scipy.sparse", set()),
+    ("solvers", "numpy, scipy.sparse", set()),
+    ("solvers.many, solvers.training, solvers.cluster", "numpy, scipy.sparse", set()),
+    ("analysis.cli", "sys", {"click"}),
+    ("paper_repro.__main__", "sys", {"click"}),
+]
+
+
+def loaded(module: str, first: str) -> list[str]:
+    """Return the modules from elsewhere that importing `module` loads after `first`."""
+    code = f"import sys, {first}; known = set(sys.modules); import {module}; "
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code + "print(*sorted(set(sys.modules) - known))"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    own = sys.stdlib_module_names | set(LAYERS)
+    return [name for name in done.stdout.split() if name.partition(".")[0] not in own]
+
+
+@pytest.mark.parametrize(("module", "first", "allowed"), LOADED, ids=lambda value: str(value)[:20])
+def test_importing_costs_no_more_than_its_arrays(
+    module: str, first: str, allowed: set[str]
+) -> None:
+    found = loaded(module, first)
+    assert [name for name in found if name.partition(".")[0] not in allowed] == []
+
+
+def test_what_is_loaded_is_found() -> None:
+    assert "numba" in loaded("solvers.kernels.tables", "numpy, scipy.sparse")
+    assert "scipy.optimize" in loaded("scipy.optimize", "numpy, scipy.sparse")
 
 
 def test_no_module_is_called_utils() -> None:
