@@ -44,13 +44,15 @@ from solvers.solution import Solution, SolverError, Status
 if TYPE_CHECKING:
     from mdp.operator import CareOperator
 
-# Loading the compiler and the compiled loop takes as long, once in a process, as the loop in NumPy
-# does for 15 million transitions of the care model (2.4 s against 0.16 s a million, CPU time on a
-# slow machine; the compiled loop itself takes 0.02): a first solve had better not wait for it.
-COMPILED_FROM = 15_000_000
+# Loading the compiler takes 0.33 s once in a process, as long as NumPy does for four million
+# transitions of the care model; the compiled loop needs 6 ms a million. So a process works through
+# this many in NumPy, in all its solves, before it loads the compiler: never more than about twice
+# of what would have been best. Both give the same bits.
+COMPILED_FROM = 4_000_000
 LOADED_FROM = 2**14
 ROW_EXCESS = 2.0**-29  # rows of floats may sum to a little more than 1; see mdp.validate
 UNITS = UNIT * (1 + 2.0**-10)
+_in_numpy = 0  # transitions worked through so far
 SMALLEST = float(np.finfo(np.float64).tiny)  # of those floats that have all their digits
 
 
@@ -175,8 +177,12 @@ def one_pass(mdp: MDP, level: Integers | None = None) -> Pass:
     level : (S,) ints, optional
         `topological_levels`; not needed where states are numbered in order.
     """
-    compiled = mdp.n_transitions >= (LOADED_FROM if "numba" in sys.modules else COMPILED_FROM)
-    return _compiled_pass(mdp, level) if compiled else _array_pass(mdp, level)
+    global _in_numpy
+    loaded, size = "numba" in sys.modules, mdp.n_transitions
+    if size >= LOADED_FROM if loaded else _in_numpy + size >= COMPILED_FROM:
+        return _compiled_pass(mdp, level)
+    _in_numpy += size
+    return _array_pass(mdp, level)
 
 
 def _extra(mdp: MDP) -> int:

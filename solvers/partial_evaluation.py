@@ -47,6 +47,7 @@ class Iterate:
 
     def improve(self) -> Pass:
         """Return a pass over all pairs, whose policy is the one to `evaluate`."""
+        self._centre()
         return self.sweeps.improve(self.value, self.shift)
 
     def judge(self, found: Pass) -> Judged:
@@ -54,6 +55,15 @@ class Iterate:
         if isinstance(found, Judged):
             return found
         return self.sweeps.judge(self.value, self.shift)
+
+    def _centre(self) -> None:
+        """Hold what all values have in common as a shift, which costs no digits."""
+        if self.sweeps.uniform:
+            low, high = float(self.value.min()), float(self.value.max())
+            middle = (low + high) / 2
+            if abs(middle) > high - low:
+                self.value -= middle
+                self.shift += middle
 
     def take(self, found: Pass) -> None:
         """Move on to T V."""

@@ -315,3 +315,21 @@ def test_small_models_are_solved_without_numba() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["10.0", "False"]
+
+
+@pytest.mark.parametrize("states", [1_000, 2_000])
+def test_what_values_have_in_common_costs_no_digits(states: int) -> None:
+    """Policies on the way are worth a thousand times the optimum; it is reached all the same."""
+    rates = np.array([0.1, 0.3, 0.5, 0.55, 0.6])
+    state, action = np.repeat(np.arange(states), 5), np.tile(np.arange(5), states)
+    served = np.where(state > 0, rates[action], 0.0)
+    up, down = np.where(state < states - 1, 0.5 * (1 - served), 0.0), 0.5 * served
+    row = np.tile(np.arange(5 * states), 3)
+    column = [np.minimum(state + 1, states - 1), np.maximum(state - 1, 0), state]
+    entries = (np.concatenate([up, down, 1 - up - down]), (row, np.concatenate(column)))
+    rows = sp.coo_array(entries, (5 * states, states)).tocsr()
+    reward = -(state / states) - 0.5 * rates[action] ** 2
+    mdp = MDP.from_pairs(state, action, rows, reward, "9999/10000")
+    assert (mdp.n_transitions > COMPILED) == (states == 2_000)
+    solution = solve(mdp, ModifiedPolicyIteration(tol=1e-6))  # a warning would be an error
+    assert solution.error_bound <= 1e-6

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import fields
 from fractions import Fraction as F
 
@@ -116,6 +118,18 @@ def test_large_models_are_solved_by_the_compiled_form() -> None:
         assert np.array_equal(getattr(found, name), getattr(compiled, name))
     for one in (found, compiled):
         assert np.array_equal(one.errors(mdp)[0], found.errors(mdp)[0])
+
+
+def test_the_compiler_is_loaded_once_it_pays() -> None:
+    code = (
+        "import sys; from mdp import Scenario; import solvers.backward_induction as b\n"
+        "mdp = Scenario.load('yuan2025').with_(tasks=[20]).compile()\n"
+        "b.COMPILED_FROM = 3 * mdp.n_transitions\n"
+        "found = [(b.one_pass(mdp), 'numba' in sys.modules) for _ in range(4)]\n"
+        "print([one[1] for one in found], len({one[0].value.tobytes() for one in found}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[False,", "False,", "True,", "True]", "1"]
 
 
 @pytest.mark.parametrize(
