@@ -7,9 +7,10 @@ all have this form. The chain must leak: at discount 1 the rows of terminal stat
 have to be empty (`policy_chain` does that).
 
 Solving: where an order of the states is known along which the chain only falls, by substitution;
-otherwise by sparse elimination (up to 500 states, or where all transitions are to near numbers), or
-by BiCGSTAB, which does not fill the matrix, with elimination only where that does not converge.
-Steps of iterative refinement follow.
+where all transitions are to near numbers, by elimination within that band; up to 500 states, by
+sparse elimination. Otherwise by BiCGSTAB, which does not fill the matrix. Where that does not
+converge soon, by sparse elimination, if there is room for its factors; if not, by GMRES, and by
+BiCGSTAB with more patience. Steps of iterative refinement follow.
 
 Bounding: let k be at least |c + γ P x - x|, its rounding errors included. If e ≥ 0 satisfies
 e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is nonnegative. So the error solves the same
@@ -20,24 +21,23 @@ counted. That e - γ P e > 0 for some e > 0 also proves that the chain leaks
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from mdp.model import MDP
 from mdp.table import Floats, Integers
-from solvers.gains import COMPILED
+from solvers import elimination, iteration
+from solvers.elimination import Solve, TooLarge
 from solvers.rounding import SLACK, TINY, UNIT, gamma
 from solvers.solution import SolverError, Status
 
 DIRECT_STATES = 500
-KRYLOV_STEPS = 400
 MOST_FILL = 4
 REFINEMENTS = 5
+FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,13 +137,13 @@ class LinearSystem:
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def approximate(self, constant: Floats) -> Floats:
         """Return x (S,) for a constant (S,), refined, without any claim about its error."""
-        value = self._once(constant)
+        value = self._nearly(constant, FIRST)
         residual = self._residual(constant, value)
         size = float(np.abs(residual).max(initial=0.0))
         for _ in range(REFINEMENTS):
             if size == 0.0 or not np.isfinite(size):
                 break
-            better = value + self._once(residual)
+            better = value + self._nearly(residual, CORRECTION)
             after = self._residual(constant, better)
             smaller = float(np.abs(after).max())
             if not smaller < size:
@@ -156,9 +156,7 @@ class LinearSystem:
 
     def roughly(self, constant: Floats) -> Floats:
         """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller."""
-        if self._once == self._iteration:
-            return self._iteration(constant, rtol=1e-2)
-        return self._once(constant)
+        return self._nearly(constant, 1e-2)
 
     def _residual(self, constant: Floats, value: Floats) -> Floats:
         return np.asarray(constant + self.discount * (self.transition @ value) - value)
@@ -173,87 +171,45 @@ class LinearSystem:
 
     # ---- solvers -----------------------------------------------------------------------------
 
-    @property
-    def _once(self) -> Callable[[Floats], Floats]:
+    def _nearly(self, constant: Floats, rtol: float) -> Floats:
+        """Return x (S,), where it is iterated for with a residual of that part of the constant."""
+        return self._iteration(constant, rtol) if self._direct is None else self._direct(constant)
+
+    @cached_property
+    def _direct(self) -> Solve | None:
+        """The method that needs no iteration, where there is one that costs little."""
+        chain, rate = self.transition, self.discount
         if self.order is not None:
-            return self._substitution
-        if self.transition.shape[0] <= DIRECT_STATES or self._banded:
-            return self._sparse
-        return self._iteration
+            return elimination.substitution(chain, rate, self.order)
+        within = elimination.reach(chain)
+        if sum(within) * chain.shape[0] <= MOST_FILL * chain.nnz:
+            return elimination.band(chain, rate, within)
+        return elimination.sparse(chain, rate) if chain.shape[0] <= DIRECT_STATES else None
 
-    @cached_property
-    def _matrix(self) -> sp.csr_array:
-        identity = sp.eye_array(self.transition.shape[0], format="csr")
-        return identity - self.discount * self.transition
-
-    @cached_property
-    def _substitution(self) -> Callable[[Floats], Floats]:
-        """Forward substitution in the given order, by which the matrix is triangular."""
-        assert self.order is not None
-        from scipy.sparse.linalg import spsolve_triangular
-
-        order = np.argsort(self.order, kind="stable")
-        place = np.empty_like(order)
-        place[order] = np.arange(len(order))
-        rows = self.transition[order]
-        column = place[rows.indices]
-        row = np.repeat(np.arange(len(order)), np.diff(rows.indptr))
-        if (column >= row).any():
-            raise ValueError("the chain does not fall along the order given")
-        flow = sp.csr_array((-self.discount * rows.data, column, rows.indptr), rows.shape)
-        matrix = (flow + sp.eye_array(len(order), format="csr")).tocsr()
-        matrix.sort_indices()
-
-        def solve(constant: Floats) -> Floats:
-            found = spsolve_triangular(matrix, constant[order], lower=True, unit_diagonal=True)
-            return np.asarray(found[place])
-
-        return solve
-
-    def _iteration(self, constant: Floats, rtol: float = 1e-11) -> Floats:
-        """BiCGSTAB, and for good sparse elimination once that fails to converge."""
-        size = float(np.abs(constant).max())
-        if "_sparse" not in self.__dict__ and 0 < size < np.inf:
-            found = self._krylov(constant / size, rtol)  # tests for breakdown are absolute
-            if found is not None and np.all(np.isfinite(found)):
+    def _iteration(self, constant: Floats, rtol: float) -> Floats:
+        """BiCGSTAB, and for good something slower once that fails to converge."""
+        size = float(np.abs(constant).max(initial=0.0))
+        if size == 0.0 or not np.isfinite(size):
+            return np.full(len(constant), 0.0 if size == 0.0 else np.nan)
+        scaled = constant / size  # tests for breakdown are absolute
+        if "_last_resort" not in vars(self):
+            found = iteration.quickly(self.transition, self.discount, scaled, rtol)
+            if found is not None:
                 return np.asarray(found * size)
-        return self._sparse(constant)
-
-    def _krylov(self, constant: Floats, rtol: float) -> Floats | None:
-        if self.transition.nnz >= COMPILED:
-            from solvers.kernels import krylov
-
-            chain, value = self.transition, np.empty_like(constant)
-            rows, room = (chain.indptr, chain.indices, chain.data), np.empty((6, len(value)))
-            taken = krylov.bicgstab(
-                *rows, float(self.discount), constant, rtol, KRYLOV_STEPS, value, room
-            )
-            return value if taken >= 0 else None
-        from scipy.sparse.linalg import bicgstab
-
-        inverse = sp.diags_array(1 / self._matrix.diagonal())
-        found, failed = bicgstab(self._matrix, constant, rtol=rtol, maxiter=KRYLOV_STEPS, M=inverse)
-        return None if failed else np.asarray(found)
+        if not isinstance(self._last_resort, TooLarge):
+            return self._last_resort(constant)
+        found = iteration.patiently(self.transition, self.discount, scaled, rtol)
+        if found is None:
+            raise TooLarge(self._last_resort.detail)
+        return np.asarray(found * size)
 
     @cached_property
-    def _banded(self) -> bool:
-        """Whether elimination in the given order fills in next to nothing."""
-        chain = self.transition
-        row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
-        width = int(np.abs(chain.indices - row).max(initial=0))
-        return bool(2 * width * chain.shape[0] <= MOST_FILL * chain.nnz)
-
-    @cached_property
-    def _sparse(self) -> Callable[[Floats], Floats]:
-        from scipy.sparse.linalg import splu
-
-        # Rows dominated by their diagonal need no exchanges, so a band stays one.
-        ordering = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0} if self._banded else {}
+    def _last_resort(self) -> Solve | TooLarge:
+        """Sparse elimination, or why not."""
         try:
-            factor: Any = splu(self._matrix.tocsc(), **ordering)
-        except RuntimeError as error:
-            raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
-        return lambda constant: np.asarray(factor.solve(constant))
+            return elimination.sparse(self.transition, self.discount)
+        except TooLarge as refusal:
+            return refusal
 
 
 def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:

@@ -47,6 +47,10 @@ class Status(StrEnum):
         "double precision cannot bound the error of this model; "
         "use certify(), which computes in rational arithmetic"
     )
+    TOO_LARGE = (
+        "iteration does not converge, and elimination needs too much room; number the states so "
+        "that most transitions are to near numbers, or lower the discount"
+    )
     PROGRAM_FAILED = (
         "the optimiser did not reach an optimum of the linear program; "
         "try another one, or PolicyIteration"

@@ -1,5 +1,6 @@
 """Fixed points x = c + γ P x and their error bounds, held against rational arithmetic."""
 
+import pickle
 from fractions import Fraction as F
 
 import numpy as np
@@ -12,8 +13,10 @@ from strategies import Rows, exact_values, models
 
 import solvers.linear as linear
 from mdp.chain import topological_levels
-from solvers import SolverError
+from solvers import SolverError, elimination, iteration
+from solvers.elimination import TooLarge
 from solvers.linear import LinearSystem, fixed_point, policy_chain
+from solvers.solution import Status
 
 
 def choices(rows: Rows, data: st.DataObject) -> dict[int, int]:
@@ -73,18 +76,106 @@ def test_all_ways_of_solving_agree(monkeypatch: pytest.MonkeyPatch) -> None:
             assert (np.abs(one.value - other.value) <= one.error + other.error).all()
 
 
-def test_a_slowly_mixing_chain_is_solved_by_elimination(monkeypatch: pytest.MonkeyPatch) -> None:
-    chain = slow_walk(40)
-    monkeypatch.setattr(linear, "KRYLOV_STEPS", 5)
+@pytest.mark.parametrize("side", [40, 90])
+def test_a_slowly_mixing_chain_is_solved_by_elimination(
+    monkeypatch: pytest.MonkeyPatch, side: int
+) -> None:
+    chain = slow_walk(side)
+    monkeypatch.setattr(iteration, "STEPS", 5)
     system = LinearSystem(chain)
-    found = system.solve(np.ones(1600))
-    assert "_sparse" in vars(system)
-    assert found.error.max() < 1e-9
-    monkeypatch.setattr(linear, "KRYLOV_STEPS", 4000)
+    found = system.solve(np.ones(side**2))
+    assert "_last_resort" in vars(system)
+    assert found.error.max() < 1e-8
+    monkeypatch.setattr(iteration, "STEPS", 4000)
     other = LinearSystem(chain)
-    same = other.solve(np.ones(1600))
-    assert "_sparse" not in vars(other)
+    same = other.solve(np.ones(side**2))
+    assert "_last_resort" not in vars(other)
     assert (np.abs(found.value - same.value) <= found.error + same.error).all()
+
+
+def test_where_factors_would_be_too_large_iteration_has_patience(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    chain = slow_walk(90)
+    known = LinearSystem(chain).solve(np.ones(8100))
+    monkeypatch.setattr(elimination, "MOST_ENTRIES", 10_000)
+    monkeypatch.setattr(iteration, "STEPS", 5)
+    system = LinearSystem(chain)
+    found = system.solve(np.ones(8100))
+    assert isinstance(vars(system)["_last_resort"], TooLarge)
+    assert found.error.max() < 1e-8
+    assert (np.abs(found.value - known.value) <= found.error + known.error).all()
+    monkeypatch.setattr(iteration, "GMRES_STEPS", 5)
+    monkeypatch.setattr(iteration, "PATIENT", 5)
+    with pytest.raises(TooLarge, match=r"8,100 equations with 32,040 .* number the states") as told:
+        system.roughly(np.ones(8100))
+    assert told.value.status is Status.TOO_LARGE
+    assert str(pickle.loads(pickle.dumps(told.value))) == str(told.value)
+
+
+def weak_clusters(states: int, clusters: int, leak: float) -> sp.csr_array:
+    """Random clusters that are left for anywhere with a small probability."""
+    rng, size = np.random.default_rng(5), states // clusters
+    near = np.repeat(np.arange(clusters) * size, size)[:, None] + rng.integers(
+        size, size=(states, 6)
+    )
+    after = np.concatenate([near, rng.integers(states, size=(states, 1))], axis=1)
+    chance = rng.dirichlet(np.ones(6), states) * (1 - leak)
+    chance = np.concatenate([chance, np.full((states, 1), leak)], axis=1)
+    chain = sp.csr_array((chance.ravel(), after.ravel(), np.arange(0, 7 * states + 1, 7)))
+    chain.sum_duplicates()
+    return chain
+
+
+def test_a_chain_that_falls_apart_is_solved_without_large_factors() -> None:
+    chain, rate = weak_clusters(10_000, 50, 1e-6), 0.999999
+    system = LinearSystem(chain, rate)
+    constant = np.random.default_rng(6).random(10_000)
+    found = system.solve(constant)
+    assert isinstance(vars(system)["_last_resort"], TooLarge)  # some 25 million entries, and more
+    assert found.error.max() < 1e-6 * np.abs(found.value).max()
+    assert np.abs(constant + rate * (chain @ found.value) - found.value).max() < 1e-8
+
+
+@pytest.mark.parametrize("states", [3, 9_000])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_a_constant_that_is_no_number_is_refused(states: int, wrong: float) -> None:
+    chain = sp.csr_array(sp.diags_array([np.full(states - 1, 0.3)] * 2, offsets=[-1, 1]))
+    far = sp.csr_array(([0.1] * 2, ([0, 1], [states - 1] * 2)), chain.shape)
+    for each in (chain, sp.csr_array(chain + far)):
+        constant = np.ones(states)
+        constant[1] = wrong
+        with pytest.raises(SolverError, match="range of floats"):
+            fixed_point(each, constant)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_methods_for_large_chains_are_right_to_their_error(seed: int) -> None:
+    """Each against rational arithmetic, on chains small enough for it."""
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(2, 9))
+    parts = rng.integers(0, 4, (size, size)).tolist()
+    least = int(rng.integers(1, 4))
+    whole = max(map(sum, parts)) + least
+    rows = [{to: F(part, whole) for to, part in enumerate(row) if part} for row in parts]
+    chain = sp.csr_array(np.array([[part / whole for part in row] for row in parts]))
+    constant = rng.integers(-5, 6, size).astype(float)
+    pairs = [
+        (s, 0, F(int(constant[s])), row | {size: 1 - sum(row.values())})
+        for s, row in enumerate(rows)
+    ]
+    pairs.append((size, 0, F(0), {size: F(1)}))
+    known = evaluate_exact(size + 1, pairs, F(1), dict.fromkeys(range(size + 1), 0))[:size]
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (elimination, iteration):
+            patch.setattr(module, "COMPILED", 0)
+        for most, direct in ((-1, 0), (-1, 500), (100, 0)):
+            patch.setattr(linear, "MOST_FILL", most)
+            patch.setattr(linear, "DIRECT_STATES", direct)
+            found = fixed_point(chain, constant)
+            for x, value, bound in zip(known, exact_values(found.value), found.error, strict=True):
+                assert abs(x - value) <= F(float(bound))
+            assert found.error.max() < 1e-9
 
 
 @pytest.mark.parametrize(
