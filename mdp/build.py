@@ -31,6 +31,7 @@ from mdp.table import (
     integers,
     ones,
 )
+from mdp.threads import IN_CACHE, block_ends, run_blocks
 
 MOST_UNNAMED_ACTIONS = 100_000
 
@@ -154,9 +155,9 @@ def _from_rows(
     """Build from sorted pairs, their (L, S) rows and rewards (L,) or (L, S)."""
     size = rows.shape[1]
     if sp.issparse(rows):
-        rows = rows.astype(np.float64)
+        rows, lowest = _copied(rows)
         rows.sum_duplicates()
-        if rows.nnz and rows.data.min() <= 0:
+        if lowest <= 0:
             rows.eliminate_zeros()
         rising = True
         offsets, following = rows.indptr.astype(np.int64), rows.indices
@@ -187,6 +188,22 @@ def _from_rows(
     if reward.ndim == 2:
         table = _by_outcome(table)
     return _assemble(state, action, table, size, discount, start, names)
+
+
+def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:
+    """Return a copy in floats, as the model's arrays are its own, and the least entry."""
+    indptr = rows.indptr.copy()
+    data, indices = np.empty(indptr[-1]), np.empty(indptr[-1], dtype=rows.indices.dtype)
+    ends = block_ends(indptr, most=IN_CACHE)
+    lowest = np.full(len(ends) - 1, np.inf)
+
+    def work(number: int, first: int, last: int) -> None:
+        here = slice(indptr[first], indptr[last])
+        data[here], indices[here] = rows.data[here], rows.indices[here]
+        lowest[number] = data[here].min(initial=np.inf)
+
+    run_blocks(ends, work)
+    return sp.csr_array((data, indices, indptr), shape=rows.shape, copy=False), lowest.min()
 
 
 def _by_outcome(table: OutcomeTable) -> OutcomeTable:

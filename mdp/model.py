@@ -181,6 +181,8 @@ class MDP:
         indptr = self.transition.indptr
         stays = np.diff(indptr) == 1
         alone = np.flatnonzero(stays)
+        if not len(alone):
+            return np.zeros(self.n_states, dtype=bool)
         stays[alone] = self.transition.indices[indptr[alone]] == self.pair_state[alone]
         # Of a pair that only stays, every outcome stays; others need not be looked at.
         alone = np.flatnonzero(stays)

@@ -18,6 +18,7 @@ from mdp.table import (
     magnitude,
     shown,
 )
+from mdp.threads import IN_CACHE, block_ends, run_blocks
 
 if TYPE_CHECKING:
     from mdp.model import MDP
@@ -27,8 +28,11 @@ def check_model(mdp: MDP) -> None:
     """Raise ModelError, naming the place and the remedy, unless `mdp` is a finite MDP."""
     _check_pairs(mdp)
     _check_shapes(mdp.table, mdp.n_pairs)
-    _check_numbers(mdp)
-    _check_rows(mdp)
+    sound = _sound(mdp.table, mdp.n_states)
+    _check_numbers(mdp, sound=sound)
+    if not sound:
+        _check_rows(mdp)
+    _check_order(mdp.table)
     _check_start(mdp)
     if not 0 <= mdp.discount_exact <= 1:
         raise ModelError(
@@ -110,10 +114,40 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
         )
 
 
-def _check_numbers(mdp: MDP) -> None:
+def _sound(table: OutcomeTable, states: int) -> bool:
+    """Return whether all rows are distributions over states, from one look at each; floats alone.
+
+    A row of positive numbers that sum to 1 holds no infinity and no NaN.
+    """
+    whole = table.weight.dtype == np.float64 and table.denominator.dtype == np.int64
+    if not (whole and table.denominator.min() == table.denominator.max() == 1):
+        return False
+    offsets = table.offsets
+    if np.diff(offsets).min() == 0:
+        return False
+    ends = block_ends(offsets, most=IN_CACHE)
+    good = np.zeros(len(ends) - 1, dtype=bool)
+
+    def work(number: int, first: int, last: int) -> None:
+        begin, end = offsets[first], offsets[last]
+        weight, following = table.weight[begin:end], table.next[begin:end]
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.add.reduceat(weight, offsets[first:last] - begin)
+        near = sums.min() >= 1 - FLOAT_ROW_TOLERANCE and sums.max() <= 1 + FLOAT_ROW_TOLERANCE
+        inside = following.min() >= 0 and following.max() < states
+        good[number] = near and inside and weight.min() > 0
+
+    run_blocks(ends, work)
+    return bool(good.all())
+
+
+def _check_numbers(mdp: MDP, *, sound: bool) -> None:
     table = mdp.table
-    _in_range(table.next, mdp.n_states, "next state", "transitions")
+    if not sound:
+        _in_range(table.next, mdp.n_states, "next state", "transitions")
     for name in ("weight", "gain", "denominator", "gain_denominator"):
+        if sound and name == "weight":
+            continue
         array = getattr(table, name)
         if array.dtype == np.float64:
             # NaN is its own least and greatest number.
@@ -154,31 +188,6 @@ def _check_rows(mdp: MDP) -> None:
             fix="probabilities are positive; leave out those that are 0",
         )
     sums = _row_sums(table)
-    if not _all_one(table, sums):
-        _refuse_sums(mdp, sums)
-    if table.rising:
-        return
-    falls = table.next[1:] < table.next[:-1]
-    falls[table.offsets[1:-1] - 1] = False  # from one pair to the next
-    if falls.any():
-        raise ModelError(
-            "outcomes of a pair are not sorted by next state",
-            where="outcome table",
-            fix="use MDP.from_pairs or MDP.from_outcomes, which sort them",
-        )
-
-
-def _all_one(table: OutcomeTable, sums: NDArray[Any]) -> bool:
-    """Return whether no row of floats over 1 sums to anything but 1, by the extremes alone."""
-    if table.weight.dtype != np.float64 or table.denominator.dtype != np.int64:
-        return False
-    apart = max(1 - float(sums.min()), float(sums.max()) - 1)
-    over_one = table.denominator.min() == table.denominator.max() == 1
-    return bool(over_one and apart <= FLOAT_ROW_TOLERANCE)
-
-
-def _refuse_sums(mdp: MDP, sums: NDArray[Any]) -> None:
-    table = mdp.table
     if table.weight.dtype == np.float64:
         wrong = ~(np.abs(sums - table.denominator) <= FLOAT_ROW_TOLERANCE * table.denominator)
     else:
@@ -193,6 +202,19 @@ def _refuse_sums(mdp: MDP, sums: NDArray[Any]) -> None:
             "not 1",
             where=mdp.where(pair),
             fix="add the missing outcome, or correct a probability in this row",
+        )
+
+
+def _check_order(table: OutcomeTable) -> None:
+    if table.rising:
+        return
+    falls = table.next[1:] < table.next[:-1]
+    falls[table.offsets[1:-1] - 1] = False  # from one pair to the next
+    if falls.any():
+        raise ModelError(
+            "outcomes of a pair are not sorted by next state",
+            where="outcome table",
+            fix="use MDP.from_pairs or MDP.from_outcomes, which sort them",
         )
 
 

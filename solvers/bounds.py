@@ -27,6 +27,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from mdp import threads
 from mdp.chain import require_termination, topological_levels
 from mdp.model import MDP
 from mdp.table import Floats, Integers
@@ -239,13 +240,13 @@ def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
         open_pairs = ~ended[mdp.pair_state]
         error = margin.error[open_pairs].max(initial=0.0)
         return np.where(open_pairs, -margin.value, 1.0), float(error)
-    from solvers.kernels import bellman, blocks
+    from solvers.kernels import bellman
 
     matrix = mdp.transition
     rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
     rounded = (facts.leak, facts.leak_error, facts.merged)
     tiny = TINY * (1 + float(np.abs(weight).max()))
-    ends, found = blocks.block_ends(matrix.indptr), np.empty(mdp.n_pairs)
+    ends, found = threads.block_ends(matrix.indptr), np.empty(mdp.n_pairs)
     worst = np.zeros(len(ends) - 1)
 
     def work(number: int, first: int, last: int) -> None:
@@ -253,7 +254,7 @@ def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
             first, last, *rows, *rounded, mdp.discount, ended, weight, tiny, found
         )
 
-    blocks.run_blocks(ends, work)
+    threads.run_blocks(ends, work)
     return found, float(worst.max())
 
 

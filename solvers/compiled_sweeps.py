@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from mdp.table import Floats, Integers
+from mdp.threads import block_ends, run_blocks
 from solvers.kernels import bellman
-from solvers.kernels.blocks import block_ends, run_blocks
 from solvers.remembered import Remembered
 from solvers.rounding import SLACK, TINY, UNIT, gamma
 from solvers.sweeps import Judged, Pass, Sweeps, finite
@@ -25,8 +25,13 @@ from solvers.sweeps import Judged, Pass, Sweeps, finite
 
 @dataclass(frozen=True, kw_only=True)
 class _Sizes:
-    """Bounds over all pairs, for one h: of |d|, of its rounding error, and of that of V and q."""
+    """Of one h: how far apart its values are, and how large; and what bounds all pairs' d.
 
+    `gain` bounds |d|, `error` its rounding error, `noise` that of V and q.
+    """
+
+    span: float
+    value: float
     gain: float
     error: float
     noise: float
@@ -39,29 +44,30 @@ class CompiledSweeps(Sweeps):
     def improve(self, value: Floats, shift: float = 0.0) -> Pass:
         """See `Sweeps.improve`; where all values are the same, there is no policy to follow."""
         mdp, sizes = self.mdp, self._sizes(value)
-        if value.min() == value.max():
+        if sizes.span == 0:
             return finite(self._alone(float(value[0]), shift, sizes))
-        memory = self._memory
-        known, step, pairs = memory.move(value), np.empty(mdp.n_states), memory.pairs.copy()
-        rounded = abs(memory.rise) + float(np.abs(value).max()) + sizes.gain + sizes.error
+        memory, step = self._memory, self._step
+        memory.move(value)
+        rounded = abs(memory.rise) + sizes.value + sizes.gain + sizes.error
         error = sizes.error + 8 * UNIT * rounded
 
         def work(first: int, last: int, extremes: Floats) -> None:
             bellman.improve(
                 *(first, last, mdp.pair_offsets, *self._model, mdp.terminal, mdp.discount),
-                *(value, shift, known, memory.rise, error, memory.ceilings, *memory.rows),
-                *(step, pairs, extremes),
+                *(value, shift, memory.known, memory.rise, error, memory.ceilings, *memory.rows),
+                *(step, memory.pairs, extremes),
             )
 
         found = self._blocks(work, 2)
-        self._pairs = memory.pairs = pairs
+        self._pairs, memory.known = memory.pairs, True
         low, high = float(found[:, 0].min()), float(found[:, 1].max())
         return finite(Pass(step=step, low=low, high=high, floor=sizes.noise / self.least_margin))
 
     def _alone(self, value: float, shift: float, sizes: _Sizes) -> Pass:
         """Improve values that are all `value`: transitions add nothing, and are not read."""
         first, live = self.mdp.pair_offsets[:-1], ~self.mdp.terminal
-        best = np.maximum.reduceat(self.mdp.reward - self.facts.leak * value, first)
+        gain = self.mdp.reward if value == 0 else self.mdp.reward - self.facts.leak * value
+        best = np.maximum.reduceat(gain, first)
         margin = self.weights.margin[first]
         ratio, floor = (best / margin)[live], sizes.noise / self.least_margin
         low, high = float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
@@ -74,17 +80,17 @@ class CompiledSweeps(Sweeps):
     def _judge(self, value: Floats, shift: float) -> Judged:
         mdp, facts, weights, memory = self.mdp, self.facts, self.weights, self._memory
         step, pairs = np.empty(mdp.n_states), np.empty(mdp.n_states, dtype=np.int64)
-        known = memory.before is not None and memory.move(value)
-        sizes, still = self._sizes(value), bool(value.min() == value.max())
-        tied = sizes.error if self.strict else sizes.noise
-        tiny = TINY * (1 + float(np.abs(value).max()))
+        memory.move(value)
+        sizes = self._sizes(value)
+        tied, still = sizes.error if self.strict else sizes.noise, sizes.span == 0
+        tiny = TINY * (1 + sizes.value)
 
         def work(first: int, last: int, extremes: Floats) -> None:
             bellman.judge(
                 *(first, last, mdp.pair_offsets, *self._model, mdp.terminal, mdp.discount),
                 *(facts.reward_error, facts.leak_error, weights.error, facts.merged, tiny),
                 *(self._rounding, value, shift, self.strict, still),
-                *(known, memory.rise, memory.drop(shift) + tied, memory.alike),
+                *(memory.known, memory.rise, memory.drop(shift) + tied, memory.alike),
                 *(memory.ceilings, memory.pairs, *memory.rows),
                 *(step, pairs, np.empty((2, self._most_pairs)), extremes),
             )
@@ -119,17 +125,18 @@ class CompiledSweeps(Sweeps):
     def _sizes(self, value: Floats) -> _Sizes:
         """Return bounds for h = `value` (S,), which never have to look at a transition."""
         facts, (most_reward, most_leak, terms) = self.facts, self._greatest
-        span, size = float(value.max()) - float(value.min()), float(np.abs(value).max())
+        low, high = float(value.min()), float(value.max())
+        span, size = high - low, max(abs(low), abs(high))
         rounded = float(gamma(terms + 8))
         # No row sums up to 1.001.
         flow, lost = 1.001 * self.mdp.discount * span, most_leak * size
-        errors = facts.reward_error
-        earned_error = float(errors.max()) if len(errors) else UNIT * most_reward + TINY
+        earned_error = facts.reward_error_bound(self.mdp)
         error = rounded * flow + float(gamma(4)) * (most_reward + lost)
         error += facts.leak_error * size + TINY * (1 + size) * (terms + 1) + earned_error
         error *= SLACK
         noise = rounded * (flow + size + most_reward) + error
-        return _Sizes(gain=most_reward + flow + lost + error, error=error, noise=noise)
+        gain = most_reward + flow + lost + error
+        return _Sizes(span=span, value=size, gain=gain, error=error, noise=noise)
 
     @cached_property
     def _greatest(self) -> tuple[float, float, int]:
@@ -142,7 +149,7 @@ class CompiledSweeps(Sweeps):
 
     @cached_property
     def _memory(self) -> Remembered:
-        return Remembered.nothing(self.mdp, self.weights, self.facts.leak, self.facts.leak_error)
+        return Remembered.nothing(self.mdp, self.weights, self.facts)
 
     @cached_property
     def _model(self) -> tuple[Any, ...]:

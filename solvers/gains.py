@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from mdp import threads
 from mdp.model import MDP
 from mdp.table import Floats, Integers
 from solvers.rounding import SLACK, TINY, UNIT, gamma
@@ -131,6 +132,12 @@ class RoundingFacts:
             return self.reward_error
         return np.asarray(UNIT * np.abs(mdp.reward) + TINY * _earning(mdp))
 
+    def reward_error_bound(self, mdp: MDP) -> float:
+        """Return the greatest of them, or a little more."""
+        if len(self.reward_error):
+            return float(self.reward_error.max())
+        return UNIT * max(abs(float(mdp.reward.min())), abs(float(mdp.reward.max()))) + TINY
+
 
 _FACTS: WeakKeyDictionary[MDP, RoundingFacts] = WeakKeyDictionary()
 
@@ -158,16 +165,16 @@ def _leak(mdp: MDP) -> tuple[Floats, float]:
     if weight.dtype != np.float64:
         return np.full(mdp.n_pairs, leak), leak * UNIT
     if len(weight) >= COMPILED:
-        from solvers.kernels import bellman, blocks
+        from solvers.kernels import bellman
 
         found = np.empty(mdp.n_pairs)
-        ends = blocks.block_ends(offsets)
+        ends = threads.block_ends(offsets)
         worst = np.zeros(len(ends) - 1)
 
         def work(number: int, first: int, last: int) -> None:
             worst[number] = bellman.leaks(first, last, offsets, weight, mdp.discount, leak, found)
 
-        blocks.run_blocks(ends, work)
+        threads.run_blocks(ends, work)
         return found, float(worst.max())
     # Multiples of 2^-40 add up exactly as integers, and what is left of each float is tiny.
     scaled = np.rint(weight * 2.0**40)
@@ -204,11 +211,11 @@ def _differences(mdp: MDP, value: Floats) -> tuple[Floats, Floats]:
     if value.min() == value.max() and np.isfinite(value[0]):
         return np.zeros(mdp.n_pairs), np.zeros(mdp.n_pairs)
     if mdp.n_transitions >= COMPILED:
-        from solvers.kernels import bellman, blocks
+        from solvers.kernels import bellman
 
         rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
-        blocks.run_blocks(
-            blocks.block_ends(matrix.indptr),
+        threads.run_blocks(
+            threads.block_ends(matrix.indptr),
             lambda _, first, last: bellman.gains(first, last, *rows, value, steps, flow),
         )
         return steps, flow

@@ -26,6 +26,7 @@ from solvers.rounding import UNIT
 
 if TYPE_CHECKING:
     from solvers.bounds import Weights
+    from solvers.gains import RoundingFacts
 
 
 @dataclass(eq=False)
@@ -39,7 +40,7 @@ class Remembered:
     margin : tuple of float
         Bounds of the margins of all pairs.
     ceilings : (L,)
-        q(l) is at most this and `rise`; of a pair of `pairs` it may be an old one, or none yet.
+        q(l) is at most this and `rise`. At first that is said of h = 0.
     pairs : (S,) int64
         The policy found by the last pass.
     slots, ends : (S+1,), (S,)
@@ -48,8 +49,10 @@ class Remembered:
         Rewards, leaks and margins of its pairs.
     rise : float
         How much the greatest γ P_l h can have risen since the first pass, in the sum of all steps.
-    before : (S,), optional
-        h of the last pass; None before the first, when nothing of the above is known.
+    before : (S,)
+        h of the last pass.
+    known : bool
+        Whether there is a policy.
     """
 
     flow: tuple[float, float]
@@ -61,28 +64,35 @@ class Remembered:
     indices: Numbers
     data: Floats
     chain: Floats
+    before: Floats
     rise: float = 0.0
-    before: Floats | None = None
+    known: bool = False
 
     @classmethod
-    def nothing(cls, mdp: MDP, weights: Weights, leak: Floats, leak_error: float) -> Remembered:
-        """Return room for a model with these margins and leaks (L,) 1 - γ Σ P."""
+    def nothing(cls, mdp: MDP, weights: Weights, facts: RoundingFacts) -> Remembered:
+        """Return what is known of a model before any pass: q(l) = r(l) for h = 0."""
+        leak, leak_error = facts.leak, facts.leak_error
         least, most = float(leak.min()) - leak_error, float(leak.max()) + leak_error
         lost = 4 * UNIT * (1 + abs(least) + abs(most))
         margin, matrix = weights.margin, mdp.transition
-        longest = np.maximum.reduceat(np.diff(matrix.indptr), mdp.pair_offsets[:-1])
+        longest = np.diff(matrix.indptr)
+        if longest.min() < longest.max():
+            longest = np.maximum.reduceat(longest, mdp.pair_offsets[:-1])
+        else:
+            longest = longest[: mdp.n_states]
         slots = np.zeros(mdp.n_states + 1, dtype=matrix.indptr.dtype)
         np.cumsum(longest, out=slots[1:])
         return cls(
             flow=(1 - most - lost, 1 - least + lost),
             margin=(float(margin.min()) - weights.error, float(margin.max()) + weights.error),
-            ceilings=np.empty(mdp.n_pairs),
+            ceilings=mdp.reward + facts.reward_error_bound(mdp),
             pairs=np.empty(mdp.n_states, dtype=np.int64),
             slots=slots,
             ends=slots[:-1].copy(),
             indices=np.empty(slots[-1], dtype=matrix.indices.dtype),
             data=np.empty(slots[-1]),
             chain=np.empty((3, mdp.n_states)),
+            before=np.zeros(mdp.n_states),
         )
 
     @property
@@ -100,14 +110,10 @@ class Remembered:
         most = max(-shift * self.margin[0], -shift * self.margin[1])
         return most + 4 * UNIT * abs(most)
 
-    def move(self, value: Floats) -> bool:
-        """Go on to h = `value` (S,); return whether anything was known before."""
+    def move(self, value: Floats) -> None:
+        """Go on to h = `value` (S,)."""
         from solvers.kernels.bellman import climb
 
-        if self.before is None:
-            self.before = value.copy()
-            return False
         most = float(np.nextafter(climb(value, self.before), np.inf))
         grown = max(self.flow[0] * most, self.flow[1] * most)
         self.rise += grown + 4 * UNIT * (abs(grown) + abs(self.rise))
-        return True

@@ -113,6 +113,8 @@ class Sweeps:
     def improve(self, value: Floats, shift: float = 0.0) -> Pass:
         """Return T V - V and a greedy policy, for V = `value` (S,) + `shift` w.
 
+        Both arrays are used again by the next call, and the first by `follow`.
+
         Raises
         ------
         SolverError

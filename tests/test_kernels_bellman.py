@@ -14,8 +14,8 @@ from kernel_twins import gains_of, relaxed
 from strategies import exact_gains, exact_values
 
 import solvers.bounds as module
-import solvers.kernels.blocks as blocks
 from mdp import MDP
+from mdp import threads as blocks
 from solvers import ModifiedPolicyIteration, PolicyIteration, SolverError, ValueIteration, solve
 from solvers.bounds import levels, margin_weights
 from solvers.compiled_sweeps import CompiledSweeps
@@ -276,7 +276,10 @@ def test_blocks_cover_all_once() -> None:
         ends = blocks.block_ends(work, threads)
         assert (ends[0], ends[-1]) == (0, 5_000)
         assert all(first < last for first, last in pairwise(ends))
-        assert len(ends) - 1 == (1 if threads == 1 else 8 * threads)
+        assert len(ends) - 1 == (1 if threads == 1 else blocks.PER_THREAD * threads)
+        most = int(work[-1]) // 40
+        ends = blocks.block_ends(work, threads, most=most)
+        assert np.diff(work[ends]).max() <= most + 9
 
 
 def test_large_and_small_models_are_solved_alike(large: MDP) -> None:

@@ -61,6 +61,21 @@ def leaks(
 
 
 @inlined
+def ahead_of(
+    first: int, last: int, indices: Numbers, data: Floats, value: Floats, own: float
+) -> float:
+    """Return Σ p (V' - V) of transitions first … last-1, in two sums that need not wait."""
+    one, two, i = 0.0, 0.0, first
+    while i < last - 1:
+        one += data[i] * (value[indices[i]] - own)
+        two += data[i + 1] * (value[indices[i + 1]] - own)
+        i += 2
+    if i < last:
+        one += data[i] * (value[indices[i]] - own)
+    return one + two
+
+
+@inlined
 def added(
     first: int, last: int, indices: Numbers, data: Floats, value: Floats, own: float
 ) -> tuple[float, float]:
@@ -195,8 +210,9 @@ def improve(
 ) -> None:
     """Write the greatest d_c (S,) and its pair (S,) of states first … last-1.
 
-    A pair of the policy before stays where no other is better. Others are passed over where their
-    ceiling says that they are not.
+    The pair that the policy had before, or else the one that promises most, is looked at first, and
+    stays where no other is better. Others are passed over where their ceiling says that they are
+    not.
 
     Parameters
     ----------
@@ -205,7 +221,7 @@ def improve(
     ended : (S,) bool
         Terminal states; they are passed over.
     known : bool
-        Whether `ceilings`, `pairs` and the policy's rows hold anything yet.
+        Whether `pairs` and the policy's rows hold anything yet.
     rise : float
         How much γ P_l h has risen in all, at most.
     error : float
@@ -226,27 +242,28 @@ def improve(
         if ended[state]:
             step[state], pairs[state] = 0.0, begin
             continue
-        own, before, chosen = value[state], -1, begin
-        kept = best = -np.inf
+        own = value[state]
         if known:
-            before = chosen = pairs[state]
-            ahead = 0.0
-            for i in range(slots[state], ends[state]):
-                ahead += chain_data[i] * (value[chain_indices[i]] - own)
-            kept = best = chain[0, state] + (discount * ahead - chain[1, state] * own)
+            before, start, stop = pairs[state], slots[state], ends[state]
+            ahead = ahead_of(start, stop, chain_indices, chain_data, value, own)
+        else:
+            before = begin
+            for pair in range(begin + 1, end):
+                if ceilings[pair] > ceilings[before]:
+                    before = pair
+            ahead = ahead_of(indptr[before], indptr[before + 1], indices, data, value, own)
+        first_gain = reward[before] + (discount * ahead - leak[before] * own)
+        best, chosen = first_gain, before
         for pair in range(begin, end):
-            if pair == before or (known and ceilings[pair] + (rise - own) < best):
+            if pair == before or ceilings[pair] + (rise - own) < best:
                 continue
-            ahead = 0.0
-            for i in range(indptr[pair], indptr[pair + 1]):
-                ahead += data[i] * (value[indices[i]] - own)
+            ahead = ahead_of(indptr[pair], indptr[pair + 1], indices, data, value, own)
             gain = reward[pair] + (discount * ahead - leak[pair] * own)
             ceilings[pair] = gain + error + (own - rise)
             if gain > best:
                 best, chosen = gain, pair
-        if chosen != before:
-            if known:
-                ceilings[before] = kept + error + (own - rise)
+        if chosen != before or not known:
+            ceilings[before] = first_gain + error + (own - rise)
             model = (indptr, indices, data, reward, leak, margin)
             copy_row(state, chosen, *model, slots, ends, chain_indices, chain_data, chain)
         ratio = best / chain[2, state]
@@ -344,7 +361,7 @@ def judge(
                 continue
             pair = before if turn < begin else turn
             place = pair - begin
-            if known and turn >= begin:
+            if turn >= begin:
                 ceiling = ceilings[pair] + (rise - own)
                 ceiling += 4 * UNIT * (abs(ceilings[pair]) + (abs(rise) + abs(own)))
                 if ceiling + spare < sure and ceiling <= limit:
@@ -425,9 +442,8 @@ def follow(
         if ended[state]:
             step[state] = 0.0
             continue
-        own, ahead, margin = value[state], 0.0, chain[2, state]
-        for i in range(slots[state], ends[state]):
-            ahead += data[i] * (value[indices[i]] - own)
+        own, margin = value[state], chain[2, state]
+        ahead = ahead_of(slots[state], ends[state], indices, data, value, own)
         gain = chain[0, state] + (discount * ahead - chain[1, state] * own) - shift * margin
         step[state] = gain
         if gain < low * margin:

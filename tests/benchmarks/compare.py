@@ -179,6 +179,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the two smallest sizes of each")
     parser.add_argument("--only", default="", help="families whose name contains this")
+    parser.add_argument("--largest", type=float, default=np.inf, help="most states")
     parser.add_argument("--out", type=Path, default=HERE)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--work", nargs=3, metavar=("FILE", "FAMILY", "SOLVER"))
@@ -198,6 +199,8 @@ def main() -> None:
                 continue
             for build in sizes:
                 workload = build()
+                if workload.states > options.largest:
+                    continue
                 print(f"{family}, {workload.states:,} states", file=sys.stderr, flush=True)
                 for row in measure(family, workload, options.rounds, Path(folder)):
                     rows.append(row)

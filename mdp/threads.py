@@ -1,4 +1,7 @@
-"""Work in blocks, on as many threads as there are cores; the loops let go of Python's lock."""
+"""Work in blocks, on as many threads as there are cores.
+
+It pays for loops that let go of Python's lock: compiled ones, and those of NumPy over long arrays.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ import numpy as np
 from mdp.table import Numbers
 
 SMALLEST = 250_000
-PER_THREAD = 8
+PER_THREAD = 3
+IN_CACHE = 2**16  # entries of a few arrays that a core's cache holds, amply
 
 
 def cores() -> int:
@@ -22,7 +26,7 @@ def cores() -> int:
     return min(2, os.cpu_count() or 1)
 
 
-def block_ends(work: Numbers, threads: int | None = None) -> list[int]:
+def block_ends(work: Numbers, threads: int | None = None, most: int | None = None) -> list[int]:
     """Return 0, …, N: where to cut N items into blocks of about the same work.
 
     Parameters
@@ -31,6 +35,8 @@ def block_ends(work: Numbers, threads: int | None = None) -> list[int]:
         Work of all items before each, such as the transitions of all states before a state.
     threads : int, optional
         Threads that the blocks are for; by default as many as `cores` and as are worth it.
+    most : int, optional
+        About the most work of a block, so that what it reads stays in a cache.
 
     Examples
     --------
@@ -41,6 +47,8 @@ def block_ends(work: Numbers, threads: int | None = None) -> list[int]:
     if threads is None:
         threads = max(1, min(cores(), total // SMALLEST))
     count = 1 if threads == 1 else PER_THREAD * threads
+    if most is not None:
+        count = max(count, total // most)
     inner = np.searchsorted(work, [total * i // count for i in range(1, count)])
     return [0, *sorted({int(i) for i in inner} - {0, len(work) - 1}), len(work) - 1]
 
