@@ -31,11 +31,13 @@ from mdp.model import MDP
 from mdp.table import Floats, Integers
 from solvers import elimination, iteration
 from solvers.elimination import Solve, TooLarge
+from solvers.gains import COMPILED
 from solvers.rounding import SLACK, TINY, UNIT, gamma
 from solvers.solution import SolverError, Status
 
 DIRECT_STATES = 500
 MOST_FILL = 4
+CHEAP = 5_000_000  # multiplications within the band, for which iterating in SciPy takes longer
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
 
@@ -184,7 +186,10 @@ class LinearSystem:
         within = elimination.reach(chain)
         if sum(within) * chain.shape[0] <= MOST_FILL * chain.nnz:
             return elimination.band(chain, rate, within)
-        return elimination.sparse(chain, rate) if chain.shape[0] <= DIRECT_STATES else None
+        states, quick = chain.shape[0], chain.nnz < COMPILED
+        if states <= DIRECT_STATES or (quick and states * within[0] * within[1] <= CHEAP):
+            return elimination.sparse(chain, rate)
+        return None
 
     def _iteration(self, constant: Floats, rtol: float) -> Floats:
         """BiCGSTAB, and for good something slower once that fails to converge."""

@@ -22,7 +22,6 @@ from solvers.sweeps import Judged, Pass, Sweeps
 
 FIRST_SWEEPS = 12
 CORRECTIONS = 30
-RELAXATIONS = 10
 
 
 @dataclass(eq=False)
@@ -84,15 +83,16 @@ class Iterate:
         most : int
             Sweeps that are too many.
         """
-        if self.sweeps.policy is None or (not self.slow and self._sweep(goal, most)):
+        if self.sweeps.policy is None:
             return
-        large = self.sweeps.mdp.n_transitions >= COMPILED
-        if large and goal > 0 and not self.slow:
-            self._settle()
+        if not self.slow and self._sweep(goal, most):
+            return
         self.slow = True
         self._correct(goal)
-        if large and goal > 0:
-            self._relax(1)
+        if self.sweeps.mdp.n_transitions >= COMPILED and goal > 0:
+            # Good news is carried along the whole model, up and down, before the next policy.
+            self.sweeps.relax(self.value, self.shift, backward=False)
+            self.sweeps.relax(self.value, self.shift, backward=True)
 
     def _sweep(self, goal: float, most: int) -> bool:
         """Follow the policy; return whether that came as close as asked for."""
@@ -110,29 +110,21 @@ class Iterate:
                 break
         return False
 
-    def _settle(self) -> None:
-        """Carry values along the whole model by relaxation, and find a policy that suits them."""
-        # From below, good news is carried on as it is; from above, it would be averaged away.
-        low = self.improve().low
-        self.value += (low - self.shift) * self.sweeps.weights.value
-        self._relax(RELAXATIONS)
-        self.improve()
-
-    def _relax(self, count: int) -> None:
-        for _ in range(count):
-            self.sweeps.relax(self.value, self.shift, backward=False)
-            self.sweeps.relax(self.value, self.shift, backward=True)
-
     def _correct(self, goal: float) -> None:
         pairs = self.sweeps.policy
         assert pairs is not None
         chain, _ = policy_chain(self.sweeps.mdp, pairs)
         system, error = LinearSystem(chain, self.sweeps.mdp.discount), np.inf
+        kept, shift = self.value.copy(), self.shift
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
             before, error = error, (high - low) / 2
-            if not error > goal or not error < before / 2:
+            if not error <= before:  # it went astray
+                self.value[:], self.shift = kept, shift
                 return
+            if error <= goal or error > before / 2:
+                return
+            kept[:], shift = self.value, self.shift
             if self.sweeps.uniform:
                 middle = (low + high) / 2
                 self.shift += middle

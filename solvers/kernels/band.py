@@ -11,7 +11,7 @@ both factors. Multipliers that are 0 are passed over.
 from __future__ import annotations
 
 from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import compiled
+from solvers.kernels.compiling import at, compiled, span
 
 
 @compiled
@@ -88,8 +88,8 @@ def substitute(
     """Write x (S,) into `value`, state after state of `sequence`, each after all it leads to."""
     for state in sequence:
         ahead = 0.0
-        for i in range(indptr[state], indptr[state + 1]):
-            ahead += data[i] * value[indices[i]]
+        for i in span(indptr[state], indptr[state + 1]):
+            ahead += data[i] * value[at(indices[i])]
         value[state] = constant[state] + discount * ahead
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import compiled, inlined
+from solvers.kernels.compiling import at, compiled, inlined, span
 
 UNIT = 2.0**-53
 TINY = 2.0**-1000
@@ -48,7 +48,7 @@ def leaks(
     worst = 0.0
     for row in range(first, last):
         whole, rest = np.int64(-(2**40)), np.int64(0)
-        for i in range(offsets[row], offsets[row + 1]):
+        for i in span(offsets[row], offsets[row + 1]):
             scaled = weight[i] * 2.0**40
             part = np.int64(scaled)
             whole += part
@@ -64,15 +64,11 @@ def leaks(
 def ahead_of(
     first: int, last: int, indices: Numbers, data: Floats, value: Floats, own: float
 ) -> float:
-    """Return Σ p (V' - V) of transitions first … last-1, in two sums that need not wait."""
-    one, two, i = 0.0, 0.0, first
-    while i < last - 1:
-        one += data[i] * (value[indices[i]] - own)
-        two += data[i + 1] * (value[indices[i + 1]] - own)
-        i += 2
-    if i < last:
-        one += data[i] * (value[indices[i]] - own)
-    return one + two
+    """Return Σ p (V' - V) of transitions first … last-1."""
+    ahead = 0.0
+    for i in span(first, last):
+        ahead += data[i] * (value[at(indices[i])] - own)
+    return ahead
 
 
 @inlined
@@ -81,8 +77,8 @@ def added(
 ) -> tuple[float, float]:
     """Return Σ p (V' - V) and Σ p |V' - V| of transitions first … last-1."""
     ahead, flow = 0.0, 0.0
-    for i in range(first, last):
-        term = data[i] * (value[indices[i]] - own)
+    for i in span(first, last):
+        term = data[i] * (value[at(indices[i])] - own)
         ahead += term
         flow += abs(term)
     return ahead, flow
@@ -237,8 +233,9 @@ def improve(
         Out: the least and the greatest d / m of the policy found.
     """
     low, high = np.inf, -np.inf
-    for state in range(first, last):
-        begin, end = pair_offsets[state], pair_offsets[state + 1]
+    for number in range(first, last):
+        state = at(number)
+        begin, end = pair_offsets[state], pair_offsets[at(number + 1)]
         if ended[state]:
             step[state], pairs[state] = 0.0, begin
             continue
@@ -255,11 +252,12 @@ def improve(
         first_gain = reward[before] + (discount * ahead - leak[before] * own)
         best, chosen = first_gain, before
         for pair in range(begin, end):
-            if pair == before or ceilings[pair] + (rise - own) < best:
+            place = at(pair)
+            if pair == before or ceilings[place] + (rise - own) < best:
                 continue
-            ahead = ahead_of(indptr[pair], indptr[pair + 1], indices, data, value, own)
-            gain = reward[pair] + (discount * ahead - leak[pair] * own)
-            ceilings[pair] = gain + error + (own - rise)
+            ahead = ahead_of(indptr[place], indptr[at(pair + 1)], indices, data, value, own)
+            gain = reward[place] + (discount * ahead - leak[place] * own)
+            ceilings[place] = gain + error + (own - rise)
             if gain > best:
                 best, chosen = gain, pair
         if chosen != before or not known:
@@ -438,7 +436,7 @@ def follow(
         Out: the least and the greatest d_c / m.
     """
     low, high = np.inf, -np.inf
-    for state in range(first, last):
+    for state in span(first, last):
         if ended[state]:
             step[state] = 0.0
             continue
@@ -480,14 +478,14 @@ def relax(
             continue
         own, best = value[state], -np.inf
         for pair in range(pair_offsets[state], pair_offsets[state + 1]):
-            ahead, away = 0.0, 0.0
-            for i in range(indptr[pair], indptr[pair + 1]):
-                if indices[i] != state:
-                    ahead += data[i] * (value[indices[i]] - own)
-                    away += data[i]
+            ahead, stay = 0.0, 0.0
+            for i in span(indptr[pair], indptr[pair + 1]):
+                ahead += data[i] * (value[at(indices[i])] - own)
+                if indices[i] == state:
+                    stay = data[i]
             gain = reward[pair] + (discount * ahead - leak[pair] * own)
             gain -= shift * margin[pair]
-            best = max(best, gain / (discount * away + leak[pair]))
+            best = max(best, gain / (1 - discount * stay))
         value[state] = own + best
         largest = max(largest, abs(best))
     return largest

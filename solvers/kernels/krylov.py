@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import compiled
+from solvers.kernels.compiling import at, compiled, span
 
 LEAST = 1e-14  # a cosine that is nothing but rounding
 
@@ -37,32 +37,32 @@ def applied(
     states = len(given)
     for state in range(states):
         total, diagonal = 0.0, 1.0
-        for i in range(indptr[state], indptr[state + 1]):
+        for i in span(indptr[state], indptr[state + 1]):
             if indices[i] >= state:
                 if indices[i] == state:
                     diagonal -= discount * data[i]
                 break
-            total += data[i] * through[indices[i]]
+            total += data[i] * through[at(indices[i])]
         # No division waits for the state before.
         through[state] = (given[state] + discount * total) * (1.0 / diagonal)
     for number in range(states):
         state = states - 1 - number
         total, diagonal = 0.0, 1.0
         for back in range(indptr[state + 1] - indptr[state]):
-            i = indptr[state + 1] - 1 - back
+            i = at(indptr[state + 1] - 1 - back)
             if indices[i] <= state:
                 if indices[i] == state:
                     diagonal -= discount * data[i]
                 break
-            total += data[i] * out[indices[i]]
+            total += data[i] * out[at(indices[i])]
         out[state] = through[state] + total * (discount / diagonal)
         through[state] *= diagonal
     for state in range(states):
         total = 0.0
-        for i in range(indptr[state], indptr[state + 1]):
+        for i in span(indptr[state], indptr[state + 1]):
             if indices[i] >= state:
                 break
-            total += data[i] * out[indices[i]]
+            total += data[i] * out[at(indices[i])]
         through[state] -= discount * total
 
 
@@ -73,8 +73,8 @@ def residual(
     """Write x - γ P x (S,) of `value` x (S,) into `out`."""
     for state in range(len(value)):
         ahead = 0.0
-        for i in range(indptr[state], indptr[state + 1]):
-            ahead += data[i] * value[indices[i]]
+        for i in span(indptr[state], indptr[state + 1]):
+            ahead += data[i] * value[at(indices[i])]
         out[state] = value[state] - discount * ahead
 
 
@@ -85,10 +85,10 @@ def dot(left: Floats, right: Floats) -> float:
     one, two, three, four = 0.0, 0.0, 0.0, 0.0
     whole = len(left) // 4 * 4
     for i in range(0, whole, 4):
-        one += left[i] * right[i]
-        two += left[i + 1] * right[i + 1]
-        three += left[i + 2] * right[i + 2]
-        four += left[i + 3] * right[i + 3]
+        one += left[at(i)] * right[at(i)]
+        two += left[at(i + 1)] * right[at(i + 1)]
+        three += left[at(i + 2)] * right[at(i + 2)]
+        four += left[at(i + 3)] * right[at(i + 3)]
     for i in range(whole, len(left)):
         one += left[i] * right[i]
     return (one + two) + (three + four)

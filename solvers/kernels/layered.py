@@ -6,7 +6,7 @@ What is computed, and why the errors bound what they do, is said in `solvers.bac
 from __future__ import annotations
 
 from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import compiled
+from solvers.kernels.compiling import at, compiled, span
 
 UNIT = 2.0**-53 * (1 + 2.0**-10)
 INFINITY = float("inf")
@@ -62,8 +62,8 @@ def backward(
             first, last = indptr[pair], indptr[pair + 1]
             base = value[indices[first]] if centred else 0.0
             total, flow = 0.0, 0.0
-            for i in range(first, last):
-                following = indices[i]
+            for i in span(first, last):
+                following = at(indices[i])
                 term = data[i] * (value[following] - base)
                 total += term
                 flow += abs(term)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import compiled
+from solvers.kernels.compiling import at, compiled, span
 
 
 @compiled
@@ -43,9 +43,9 @@ def policy_values(
         for state in order:
             taken = pair[state, policy[key[state]]]
             ahead, beyond = 0.0, 0.0
-            for i in range(indptr[taken], indptr[taken + 1]):
-                ahead += probability[i] * v[indices[i]]
-                beyond += probability[i] * w[indices[i]]
+            for i in span(indptr[taken], indptr[taken + 1]):
+                ahead += probability[i] * v[at(indices[i])]
+                beyond += probability[i] * w[at(indices[i])]
             v[state] = reward[taken] + discount * ahead
             w[state] = abs(reward[taken]) + discount * beyond
             total += start[state] * v[state]
