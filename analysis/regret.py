@@ -17,11 +17,12 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.proven_optimum import proven
 from mdp.chain import components, is_acyclic
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.table import Floats, Integers
-from solvers import certify, solve
+from solvers import solve
 from solvers.bounds import Bounds, bounds, gains
 from solvers.certificate import Certificate
 from solvers.evaluation import evaluate
@@ -140,7 +141,7 @@ def regret(
         raise ModelError(
             "exact values are for deterministic policies", where="policy", fix="ask for bounds"
         )
-    return _certified(mdp, chain, optimum if isinstance(optimum, Certificate) else _proven(mdp))
+    return _certified(mdp, chain, optimum if isinstance(optimum, Certificate) else proven(mdp))
 
 
 def under(mdp: MDP, pairs: Integers) -> MDP:
@@ -167,7 +168,7 @@ def _cheap(mdp: MDP) -> bool:
 
 
 def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
-    own = _proven(under(mdp, chain.pairs))
+    own = proven(under(mdp, chain.pairs))
     tie = _tie(mdp, best.value_float)
     gap = -gains(mdp, best.value_float).value
     optimal = best.optimal_pairs | (gap <= tie if tie else False)
@@ -183,13 +184,6 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         tie=tie,
         optimum=best,
     )
-
-
-def _proven(mdp: MDP) -> Certificate:
-    found = certify(mdp)
-    if faults := found.violations():
-        raise RuntimeError(f"a certificate does not hold: {faults[0]}")
-    return found
 
 
 def _differences(best: Certificate, own: Certificate) -> Floats:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
+from contextvars import copy_context
 from itertools import pairwise
 
 import numpy as np
@@ -66,7 +67,9 @@ def run_blocks(ends: Sequence[int], work: Callable[[int, int, int], None]) -> No
         except BaseException as error:
             failures.append(error)
 
-    others = [threading.Thread(target=take) for _ in range(cores() - 1 if len(ends) > 2 else 0)]
+    # Each with a copy of what holds here, such as which floating-point errors are ignored.
+    count = cores() - 1 if len(ends) > 2 else 0
+    others = [threading.Thread(target=copy_context().run, args=(take,)) for _ in range(count)]
     for thread in others:
         thread.start()
     take()

@@ -131,13 +131,13 @@ def _sound(table: OutcomeTable, states: int) -> bool:
     def work(number: int, first: int, last: int) -> None:
         begin, end = offsets[first], offsets[last]
         weight, following = table.weight[begin:end], table.next[begin:end]
-        with np.errstate(over="ignore", invalid="ignore"):
-            sums = np.add.reduceat(weight, offsets[first:last] - begin)
+        sums = np.add.reduceat(weight, offsets[first:last] - begin)
         near = sums.min() >= 1 - FLOAT_ROW_TOLERANCE and sums.max() <= 1 + FLOAT_ROW_TOLERANCE
         inside = following.min() >= 0 and following.max() < states
         good[number] = near and inside and weight.min() > 0
 
-    run_blocks(ends, work)
+    with np.errstate(over="ignore", invalid="ignore"):
+        run_blocks(ends, work)
     return bool(good.all())
 
 

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 # Loading the compiler takes 0.33 s once in a process, as long as NumPy does for four million
 # transitions of the care model; the compiled loop needs 6 ms a million. A process that has had so
 # many to work through, in all its solves, is likely to go on, and loads it. The bits are the same.
-COMPILED_FROM = 1_500_000
+COMPILED_FROM = 500_000
 LOADED_FROM = 2**14
 ROW_EXCESS = 2.0**-29  # rows of floats may sum to a little more than 1; see mdp.validate
 UNITS = UNIT * (1 + 2.0**-10)

@@ -145,7 +145,7 @@ class CompiledSweeps(Sweeps):
             max(abs(float(array.min())), abs(float(array.max())))
             for array in (self.mdp.reward, self.facts.leak)
         ]
-        return sizes[0], sizes[1], int(self.facts.terms(self.mdp).max())
+        return sizes[0], sizes[1], int(self.facts.terms(self.mdp, 0, self.mdp.n_pairs).max())
 
     @cached_property
     def _memory(self) -> Remembered:

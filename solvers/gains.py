@@ -24,7 +24,6 @@ from mdp.table import Floats, Integers
 from solvers.rounding import SLACK, TINY, UNIT, gamma
 from solvers.solution import SolverError, Status
 
-CHUNK = 2**21
 COMPILED = 20_000  # transitions from which on loading compiled loops pays
 
 
@@ -67,22 +66,31 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
     >>> gains(mdp, np.array([1.5, 0.0])).value.tolist()
     [0.25, 0.0]
     """
-    facts = rounding_facts(mdp)
-    steps, flow = _differences(mdp, value)
-    own = value[mdp.pair_state]
-    earned = mdp.reward if reward is None else reward
-    earned_error: Floats | float = 0.0 if reward is not None else facts.reward_errors(mdp)
-    steps, flow = mdp.discount * steps, mdp.discount * flow
-    leak = facts.leak * own
-    size = np.abs(earned) + np.abs(leak)
-    terms = facts.terms(mdp)
-    rounding = gamma(terms + 8) * flow + gamma(4) * size + facts.leak_error * np.abs(own)
-    tiny = TINY * (terms + 1) * (1 + float(np.abs(value).max())) * bool(value.any())
-    error = (rounding + earned_error + tiny) * SLACK
-    noise = gamma(terms + 8) * (flow + np.abs(own) + np.abs(earned)) + error
-    if not (np.all(np.isfinite(value)) and np.all(np.isfinite(noise))):
+    facts, found = rounding_facts(mdp), np.empty((3, mdp.n_pairs))
+    still = bool(value.min() == value.max() and np.isfinite(value[0]))
+    tiny = TINY * (1 + float(np.abs(value).max())) * bool(value.any())
+
+    def work(number: int, first: int, last: int) -> None:
+        here = slice(first, last)
+        _differences(mdp, value, first, last, found, still=still)
+        steps, flow = mdp.discount * found[0, here], mdp.discount * found[1, here]
+        own = value[mdp.pair_state[here]]
+        earned = (mdp.reward if reward is None else reward)[here]
+        earned_error = facts.reward_errors(mdp, first, last) if reward is None else 0.0
+        leak, terms = facts.leak[here] * own, facts.terms(mdp, first, last)
+        size = np.abs(earned) + np.abs(leak)
+        rounding = gamma(terms + 8) * flow + gamma(4) * size + facts.leak_error * np.abs(own)
+        error = (rounding + earned_error + tiny * (terms + 1)) * SLACK
+        found[0, here] = earned + (steps - leak)
+        found[1, here] = error
+        found[2, here] = gamma(terms + 8) * (flow + np.abs(own) + np.abs(earned)) + error
+
+    # In parts that stay in the cache: what is worked with on the way takes no memory to speak of.
+    with np.errstate(over="ignore", invalid="ignore"):
+        threads.run_blocks(threads.block_ends(mdp.transition.indptr, most=threads.IN_CACHE), work)
+    if not (np.all(np.isfinite(value)) and np.isfinite(found[2].max())):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-    return Gain(value=earned + (steps - leak), error=error, noise=noise)
+    return Gain(value=found[0], error=found[1], noise=found[2])
 
 
 def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
@@ -93,12 +101,23 @@ def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
     keep : (S,) ints, optional
         Pairs to keep, too, where no other beats them by more than rounding.
     """
-    first = mdp.pair_offsets[:-1]
-    best = np.maximum.reduceat(gain.value - gain.noise, first)[mdp.pair_state]
-    good = gain.value + gain.noise >= best
-    numbers = np.where(good, np.arange(mdp.n_pairs), mdp.n_pairs)
-    chosen = np.minimum.reduceat(numbers, first)
-    return chosen if keep is None else np.where(good[keep], keep, chosen)
+    offsets, chosen = mdp.pair_offsets, np.empty(mdp.n_states, dtype=np.int64)
+
+    def work(number: int, first: int, last: int) -> None:
+        here = slice(offsets[first], offsets[last])
+        begin, counts = offsets[first:last], np.diff(offsets[first : last + 1])
+        value, noise = gain.value[here], gain.noise[here]
+        best = np.maximum.reduceat(value - noise, begin - begin[0])
+        good = value + noise >= np.repeat(best, counts)
+        numbers = np.where(good, np.arange(here.start, here.stop), mdp.n_pairs)
+        taken = np.minimum.reduceat(numbers, begin - begin[0])
+        if keep is not None:
+            kept = keep[first:last]
+            taken = np.where(good[kept - begin[0]], kept, taken)
+        chosen[first:last] = taken
+
+    threads.run_blocks(threads.block_ends(offsets, most=threads.IN_CACHE), work)
+    return chosen
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,15 +141,18 @@ class RoundingFacts:
     leak: Floats
     leak_error: float
 
-    def terms(self, mdp: MDP) -> Integers:
-        """Return (L,) the number of roundings in a row."""
-        return np.asarray(self.merged if len(self.merged) else np.diff(mdp.table.offsets))
+    def terms(self, mdp: MDP, first: int, last: int) -> Integers:
+        """Return the number of roundings in a row of pairs first … last-1."""
+        if len(self.merged):
+            return np.asarray(self.merged[first:last])
+        return np.diff(mdp.table.offsets[first : last + 1])
 
-    def reward_errors(self, mdp: MDP) -> Floats:
-        """Return (L,) how far each reward may be from the exact one."""
+    def reward_errors(self, mdp: MDP, first: int, last: int) -> Floats:
+        """Return how far the rewards of pairs first … last-1 may be from the exact ones."""
         if len(self.reward_error):
-            return self.reward_error
-        return np.asarray(UNIT * np.abs(mdp.reward) + TINY * _earning(mdp))
+            return self.reward_error[first:last]
+        earning = _earning(mdp, first, last)
+        return np.asarray(UNIT * np.abs(mdp.reward[first:last]) + TINY * earning)
 
     def reward_error_bound(self, mdp: MDP) -> float:
         """Return the greatest of them, or a little more."""
@@ -196,39 +218,34 @@ def _reward_error(mdp: MDP) -> Floats:
     return np.asarray(gamma(2 * terms + 2) * size * SLACK + terms * TINY)
 
 
-def _earning(mdp: MDP) -> NDArray[np.bool_]:
-    """Return (L,) True where a pair earns anything."""
-    earning = np.asarray(mdp.table.gain != 0)
-    if len(earning) != mdp.n_pairs:
-        earning = np.logical_or.reduceat(earning, mdp.table.offsets[:-1])
-    return earning
+def _earning(mdp: MDP, first: int, last: int) -> NDArray[np.bool_]:
+    """Return True where one of the pairs first … last-1 earns anything."""
+    table = mdp.table
+    if len(table.gain) == mdp.n_pairs:
+        return np.asarray(table.gain[first:last] != 0)
+    offsets = table.offsets[first : last + 1]
+    earning = np.asarray(table.gain[offsets[0] : offsets[-1]] != 0)
+    return np.asarray(np.logical_or.reduceat(earning, offsets[:-1] - offsets[0]))
 
 
-def _differences(mdp: MDP, value: Floats) -> tuple[Floats, Floats]:
-    """Return (L,) Σ p (V' - V) and Σ p |V' - V|, a few million transitions at a time."""
+def _differences(
+    mdp: MDP, value: Floats, first: int, last: int, found: Floats, *, still: bool
+) -> None:
+    """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `found` (2 or more, L)."""
     matrix: Any = mdp.transition
-    steps, flow = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
-    if value.min() == value.max() and np.isfinite(value[0]):
-        return np.zeros(mdp.n_pairs), np.zeros(mdp.n_pairs)
+    if still:
+        found[:2, first:last] = 0.0
+        return
     if mdp.n_transitions >= COMPILED:
         from solvers.kernels import bellman
 
         rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
-        threads.run_blocks(
-            threads.block_ends(matrix.indptr),
-            lambda _, first, last: bellman.gains(first, last, *rows, value, steps, flow),
-        )
-        return steps, flow
-    cuts = np.searchsorted(matrix.indptr, np.arange(0, matrix.nnz, CHUNK)).tolist()
-    for first, last in zip(cuts, [*cuts[1:], mdp.n_pairs], strict=True):
-        if first == last:
-            continue
-        begin, end = matrix.indptr[first], matrix.indptr[last]
-        counts = np.diff(matrix.indptr[first : last + 1])
-        term = value[matrix.indices[begin:end]]
-        term -= np.repeat(value[mdp.pair_state[first:last]], counts)
-        term *= matrix.data[begin:end]
-        offsets = matrix.indptr[first:last] - begin
-        steps[first:last] = np.add.reduceat(term, offsets)
-        flow[first:last] = np.add.reduceat(np.abs(term, out=term), offsets)
-    return steps, flow
+        bellman.gains(first, last, *rows, value, found[0], found[1])
+        return
+    begin, end = matrix.indptr[first], matrix.indptr[last]
+    term = value[matrix.indices[begin:end]]
+    term -= np.repeat(value[mdp.pair_state[first:last]], np.diff(matrix.indptr[first : last + 1]))
+    term *= matrix.data[begin:end]
+    offsets = matrix.indptr[first:last] - begin
+    found[0, first:last] = np.add.reduceat(term, offsets)
+    found[1, first:last] = np.add.reduceat(np.abs(term, out=term), offsets)

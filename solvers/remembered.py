@@ -85,7 +85,7 @@ class Remembered:
         return cls(
             flow=(1 - most - lost, 1 - least + lost),
             margin=(float(margin.min()) - weights.error, float(margin.max()) + weights.error),
-            ceilings=mdp.reward + facts.reward_error_bound(mdp),
+            ceilings=mdp.reward + 4 * facts.reward_error_bound(mdp),  # rounded, too
             pairs=np.empty(mdp.n_states, dtype=np.int64),
             slots=slots,
             ends=slots[:-1].copy(),

@@ -14,8 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, models
 
-import solvers.gains as module
-from mdp import MDP, ModelError
+from mdp import MDP, ModelError, threads
 from solvers import SolverError
 from solvers.bounds import Bounds, bounds, greedy, margin_weights
 from solvers.gains import gains
@@ -168,12 +167,15 @@ def test_many_transitions_are_taken_in_pieces(monkeypatch: pytest.MonkeyPatch) -
     chances = rng.dirichlet(np.full(9, 0.3), size=(3, 9))
     mdp = MDP.from_arrays(chances, rng.normal(size=(9, 3)), "9/10")
     value = rng.normal(size=9)
-    whole = gains(mdp, value)
+    whole, keep = gains(mdp, value), mdp.pair_offsets[:-1] + rng.integers(0, 3, 9)
+    chosen, kept = greedy(mdp, whole), greedy(mdp, whole, keep=keep)
     for chunk in (1, 7, 10, 10_000):
-        monkeypatch.setattr(module, "CHUNK", chunk)
+        monkeypatch.setattr(threads, "IN_CACHE", chunk)
         pieces = gains(mdp, value)
-        assert pieces.value.tolist() == whole.value.tolist()
-        assert pieces.error.tolist() == whole.error.tolist()
+        for name in ("value", "error", "noise"):
+            assert getattr(pieces, name).tolist() == getattr(whole, name).tolist()
+        assert greedy(mdp, pieces).tolist() == chosen.tolist()
+        assert greedy(mdp, pieces, keep=keep).tolist() == kept.tolist()
 
 
 def test_keeping_a_pair_that_is_as_good() -> None:

@@ -270,6 +270,17 @@ def test_what_fails_on_a_thread_is_raised() -> None:
         blocks.run_blocks([0, 1, 2, 3], fails)
 
 
+def test_threads_ignore_what_their_caller_ignores() -> None:
+    seen = np.zeros(50)
+
+    def overflows(number: int, first: int, last: int) -> None:
+        seen[number] = np.multiply(1e308, np.full(1, 10.0))[0]
+
+    with np.errstate(over="ignore"):  # a warning would be an error
+        blocks.run_blocks(range(51), overflows)
+    assert np.isinf(seen).all()
+
+
 def test_blocks_cover_all_once() -> None:
     work = np.cumsum(np.concatenate([[0], np.random.default_rng(1).integers(1, 9, 5_000)]))
     for threads in (1, 2, 3):

@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from analysis.proven_optimum import proven
 from analysis.sensitivity.gradient_exact import ExactPass
 from analysis.sensitivity.gradient_result import Derivative, Gradient, Number
-from analysis.sensitivity.proven_optimum import proven
 from mdp.chain import is_acyclic
 from mdp.model import MDP
 from mdp.parametric import Parametric, parameter_of, parametric

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.proven_optimum import proven
 from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from analysis.sensitivity.proven_optimum import proven
 from analysis.sensitivity.rational_rows import worth
 from mdp.chain import spans
 from mdp.errors import ModelError

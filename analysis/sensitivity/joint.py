@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
-from analysis.sensitivity.proven_optimum import proven
+from analysis.proven_optimum import proven
 from analysis.sensitivity.ranges import around, checked
 from mdp.errors import ModelError
 from mdp.parametric import DISCOUNT

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.proven_optimum import proven
 from analysis.sensitivity.gaps import Gaps, Rows
-from analysis.sensitivity.proven_optimum import proven
 from analysis.sensitivity.roots import Root, roots, sign, simple
 from mdp.model import MDP
 from mdp.table import Integers

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -45,7 +44,7 @@ def work(path: str, family: str, contender: str, repeats: int, values: str) -> N
     slow = answers[0].seconds
     for _ in range(repeats if slow < 2 else 1 if slow < 20 else 0):
         answers.append(run())
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = _resident("VmHWM")
     np.save(values, answers[-1].value)
     best = min(answers[1:] or answers, key=lambda answer: answer.seconds)
     print(
@@ -62,9 +61,12 @@ def work(path: str, family: str, contender: str, repeats: int, values: str) -> N
     )
 
 
-def _resident() -> int:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
+def _resident(what: str = "VmRSS") -> int:
+    """Return bytes in memory, now or (VmHWM) at most so far; not those of who started us."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(what):
+            return int(line.split()[1]) * 1024
+    raise RuntimeError(f"/proc/self/status does not tell {what}")
 
 
 # ---- the reference -------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from mdp.files import write_atomically
 PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy", "highspy")
 INK = ("#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7")
 MARKERS = "osD^v"
+LARGE = 5e6  # bytes of arrays from which on memory says more of the model than of the process
 Rows = Sequence[dict[str, Any]]
 
 
@@ -41,7 +42,7 @@ def _page(rows: Rows, bandwidth: float, rounds: int) -> list[str]:
     lines = [
         "# Timings beside other solvers",
         "",
-        f"{datetime.now(UTC):%Y-%m-%d}; {os.cpu_count()} cores, {platform.machine()}, Python "
+        f"{datetime.now(UTC):%Y-%m-%d}; {_processor()}, {os.cpu_count()} cores, Python "
         f"{platform.python_version()}; one read of memory runs at {bandwidth / 1e9:.0f} GB/s. "
         + ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
         + ".",
@@ -52,9 +53,11 @@ def _page(rows: Rows, bandwidth: float, rounds: int) -> list[str]:
         "bounding. Python lists for mdpsolver and Storm's matrix are made beforehand, untimed, and "
         "only up to 4 million transitions; Storm's time is for *solving alone*, as that column is. "
         "An answer counts where it is within 1e-6 (or 1e-9 of the largest value) of a reference "
-        "that its Bellman residual proves. *times ours* is the ratio of medians, with the range "
-        "over rounds; above 1 means slower than exact-mdp. Memory is the peak beyond the arrays, "
-        "in multiples of their size. The first call of a process, imports aside, is in brackets.",
+        "that its Bellman residual proves; *error* is the distance from it, its own included. "
+        "*times ours* is the ratio of medians, with the range over rounds; above 1 means slower "
+        "than exact-mdp. Memory is the peak beyond the arrays, in multiples of their size, where "
+        "they take 5 MB and more. The first call of a process, imports aside, is in brackets: ours "
+        "loads the compiler in it.",
         "",
     ]
     for family in dict.fromkeys(row["family"] for row in rows):
@@ -89,7 +92,7 @@ def _cells(row: dict[str, Any], rows: Rows) -> list[str]:
         "" if alone else _ratio(row, rows, "seconds"),
         f"{np.median(row['solving']):.4g}",
         _ratio(row, rows, "solving"),
-        f"{row['memory'] / row['bytes']:.1f}",
+        f"{row['memory'] / row['bytes']:.1f}" if row["bytes"] >= LARGE else "",
         f"{row['error']:.1e}",
         "" if row["bound"] is None else f"{row['bound']:.1e}",
     ]
@@ -141,6 +144,15 @@ def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
 
 def _number(row: dict[str, Any], what: str) -> float:
     return float(np.median(row["seconds"])) if what == "seconds" else float(row["memory"])
+
+
+def _processor() -> str:
+    """Return what the machine says of its processor, where it says anything."""
+    known = Path("/proc/cpuinfo")
+    for line in known.read_text().splitlines() if known.exists() else ():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
 
 
 def _version(name: str) -> str:
