@@ -136,7 +136,7 @@ def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
         ax.loglog(list(sizes), amount, color="0.6", linewidth=1, label=once)
         ax.set(title=family, xlabel="states", ylabel="seconds" if what == "seconds" else "bytes")
         ax.xaxis.set_minor_formatter(NullFormatter())
-        ax.legend(frameon=False, fontsize=6, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+        ax.legend(frameon=False, fontsize=6, loc="upper center", bbox_to_anchor=(0.5, -0.27))
     for ax in list(axes.flat)[len(families) :]:
         ax.set_axis_off()
     return figure

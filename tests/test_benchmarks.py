@@ -1,0 +1,81 @@
+"""The comparison with other solvers: wrong answers are told as such, and never timed."""
+
+from pathlib import Path
+
+import compare
+import numpy as np
+import pytest
+from contenders import OURS
+from workloads import Workload, garnet, grid, inventory, queue
+
+from results import write
+
+PEER = "quantecon MPI"
+FAMILY = "queue γ=0.9999"
+
+
+@pytest.mark.parametrize(
+    "workload", [garnet(30, 0.95), queue(20), grid(5), inventory(30)], ids=lambda work: work.name
+)
+def test_workloads_are_models(workload: Workload, tmp_path: Path) -> None:
+    sums = np.asarray(workload.transition.sum(axis=1))
+    assert np.abs(sums - 1).max() < 1e-12
+    assert (np.diff(workload.first) > 0).all()
+    workload.save(tmp_path / "work.npz")
+    again = Workload.load(tmp_path / "work.npz")
+    assert (again.name, again.states, again.discount) == (
+        workload.name,
+        workload.states,
+        workload.discount,
+    )
+    assert (again.transition != workload.transition).nnz == 0
+    value, proven = compare.reference(workload)
+    assert np.abs(compare.backup(workload, value) - value).max() <= proven < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("off", "bound", "verdict"),
+    [(0.0, None, "right"), (1e-3, None, "wrong"), (0.0, 1e-8, "right"), (5e-7, 1e-8, "wrong")],
+)
+def test_an_answer_is_held_against_the_reference_and_its_own_bound(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    off: float,
+    bound: float | None,
+    verdict: str,
+) -> None:
+    workload = queue(20)
+    value, _ = compare.reference(workload)
+
+    def answer(path: Path, family: str, name: str, values: Path) -> dict[str, object] | None:
+        if name not in (OURS, PEER):
+            return None
+        np.save(values, value + (off if name == PEER else 0.0))
+        times = {"first": 0.5, "seconds": 0.2 if name == PEER else 0.1, "solving": 0.1}
+        return times | {"memory": 1e6, "note": "", "bound": bound if name == PEER else 1e-9}
+
+    monkeypatch.setattr(compare, "_in_a_process", answer)
+    rows = {row["contender"]: row for row in compare.measure(FAMILY, workload, 2, tmp_path)}
+    assert rows[OURS]["verdict"] == "right"
+    assert rows[PEER]["verdict"] == verdict
+    assert ("seconds" in rows[PEER]) == (verdict == "right")
+    assert rows["mdpsolver MPI"]["verdict"].startswith("no answer")
+    write(list(rows.values()), 1e10, tmp_path, rounds=2)
+    (line,) = [
+        line for line in (tmp_path / "RESULTS.md").read_text().splitlines() if f"| {PEER} |" in line
+    ]
+    assert ("2 (2 to 2)" in line) == (verdict == "right")
+    assert ("| wrong |" in line) == (verdict == "wrong")
+    assert (tmp_path / "results_time.png").stat().st_size > 1000
+
+
+def test_we_are_timed_in_a_process_of_our_own(tmp_path: Path) -> None:
+    workload = queue(20)
+    workload.save(tmp_path / "work.npz")
+    values = tmp_path / "values.npy"
+    found = compare._in_a_process(tmp_path / "work.npz", FAMILY, OURS, values)
+    assert found is not None
+    assert 0 < found["solving"] <= found["seconds"]
+    assert found["memory"] < 500e6  # not that of this process
+    value, proven = compare.reference(workload)
+    assert np.abs(np.load(values) - value).max() <= found["bound"] + proven
