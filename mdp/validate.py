@@ -224,7 +224,8 @@ def _row_sums(table: OutcomeTable) -> NDArray[Any]:
         longest = int(np.diff(table.offsets).max())
         if magnitude(weight) * longest >= EXACT_IN_INT64:
             weight = weight.astype(object)
-    return np.asarray(np.add.reduceat(weight, table.offsets[:-1]))
+    with np.errstate(over="ignore"):  # infinity is not 1 either
+        return np.asarray(np.add.reduceat(weight, table.offsets[:-1]))
 
 
 def _check_start(mdp: MDP) -> None:

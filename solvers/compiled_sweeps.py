@@ -67,15 +67,17 @@ class CompiledSweeps(Sweeps):
         """Improve values that are all `value`: transitions add nothing, and are not read."""
         first, live = self.mdp.pair_offsets[:-1], ~self.mdp.terminal
         gain = self.mdp.reward if value == 0 else self.mdp.reward - self.facts.leak * value
-        best = np.maximum.reduceat(gain, first)
-        margin = self.weights.margin[first]
-        ratio, floor = (best / margin)[live], sizes.noise / self.least_margin
+        margin, floor = self.weights.margin, sizes.noise / self.least_margin
+        step = np.maximum.reduceat(gain - shift * margin if shift else gain, first)
+        if self.uniform:
+            ratio = step / margin[first] + shift
+        else:
+            ratio = np.maximum.reduceat(gain / margin, first)
+        ratio = ratio[live]
         low, high = float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
         if not live.any():
             low = high = 0.0
-        return Pass(
-            step=np.where(live, best - shift * margin, 0.0), low=low, high=high, floor=floor
-        )
+        return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 
     def _judge(self, value: Floats, shift: float) -> Judged:
         mdp, facts, weights, memory = self.mdp, self.facts, self.weights, self._memory

@@ -21,7 +21,7 @@ from mdp.model import MDP
 from mdp.table import Floats
 from solvers.bounds import Bounds, margin_weights
 from solvers.partial_evaluation import Iterate
-from solvers.rounding import SLACK, UNIT
+from solvers.rounding import SLACK, TINY, UNIT
 from solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from solvers.sweeps import Pass, sweeps_of
 
@@ -66,6 +66,16 @@ class Watch:
         """An error within a policy, in units of w, below which the tolerance asks for no less."""
         return 0.0 if self.tol is None or self.weight == 0 else self.tol / (2 * self.weight)
 
+    @property
+    def goal(self) -> float:
+        """How close to come to a policy's values, in units of w: a tenth of what is left.
+
+        One state far behind makes that as large as all values; where bounds have not fallen for
+        some passes, it is less each time.
+        """
+        part = 10.0 ** -min(max(self._idle - 4, 0), 12)
+        return max(self.half / max(self.weight, TINY) / 10 * part, self.enough)
+
     def limit(self, value: Floats) -> float:
         """Return the greatest absolute error allowed."""
         if self.tol is not None:
@@ -92,7 +102,8 @@ class Watch:
             return Status.CONVERGED, end
         # What fell short of the proven error is not to be taken for the whole of it again.
         self._doubt = end.error / self.half if self.half > 0 else 1.0
-        return (Status.PRECISION, end) if self._stalled else None
+        near = end.error <= 8 * found.floor * self.weight
+        return (Status.PRECISION, end) if self._stalled and near else None
 
     def bounds(self, found: Pass, iterate: Iterate) -> Bounds:
         """Return the proven bounds of a pass, around their middle."""
@@ -151,7 +162,7 @@ def conclude(
     )
     if status is Status.PRECISION:
         message = f"the error bound is {solution.error_bound:.2g}: {status}"
-        warnings.warn(message, PrecisionWarning, stacklevel=3)
+        warnings.warn(message, PrecisionWarning, stacklevel=4)
     if status is Status.ITERATION_LIMIT:
         detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
         raise SolverError(status, detail, solution)

@@ -171,9 +171,9 @@ def sparse(chain: sp.csr_array, discount: float) -> Solve:
     matrix = matrix[order][:, order].tocsc()
     if fill(matrix) is None:
         raise TooLarge(
-            f"elimination of {chain.shape[0]:,} equations with {chain.nnz:,} transitions would "
-            f"take factors of more than {2 * MOST_ENTRIES * ENTRY / 1e9:.1f} GB or "
-            f"{MOST_OPERATIONS:.0e} operations"
+            f"iteration does not converge, and elimination of {chain.shape[0]:,} equations with "
+            f"{chain.nnz:,} transitions would take factors of more than "
+            f"{2 * MOST_ENTRIES * ENTRY / 1e9:.1f} GB or {MOST_OPERATIONS:.0e} operations"
         )
     # The order is kept, but for changes that leave the fill of a symmetric pattern as it is.
     inner = _superlu(matrix, permc_spec="NATURAL", options={"SymmetricMode": True})

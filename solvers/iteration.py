@@ -1,7 +1,8 @@
 """Krylov methods for x = c + γ P x, which fill no matrix: BiCGSTAB, and GMRES where that swings.
 
 Large chains take the compiled loops of `solvers.kernels.krylov`; small ones SciPy's, preconditioned
-by the diagonal, so that no compiler is loaded.
+by the diagonal, so that no compiler is loaded. Chains of many states are large, too: threads of a
+library for linear algebra would wait for each other where other work goes on.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from solvers.gains import COMPILED
 
 STEPS = 400
 PATIENT = 8000
+LONG = 5000  # states from which on SciPy's inner products run on threads of their own
 DIRECTIONS = 20
 GMRES_STEPS = 400
 
@@ -62,7 +64,7 @@ def _rows(chain: sp.csr_array, discount: float) -> tuple[Numbers, Numbers, Float
 def _bicgstab(
     chain: sp.csr_array, discount: float, constant: Floats, rtol: float, steps: int
 ) -> Floats | None:
-    if chain.nnz >= COMPILED:
+    if chain.nnz >= COMPILED or chain.shape[0] >= LONG:
         from solvers.kernels import krylov
 
         value, room = np.empty(len(constant)), np.empty((6, len(constant)))

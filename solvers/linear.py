@@ -87,6 +87,8 @@ def fixed_point(
 
     Raises
     ------
+    ValueError
+        For numbers that are not finite, and where there is no state.
     SolverError
         Where no bound can be verified: the chain does not leak, or it does so too slowly.
 
@@ -109,6 +111,13 @@ class LinearSystem:
     discount: float = 1.0
     order: Integers | None = None
     roundings: int = 1
+
+    def __post_init__(self) -> None:
+        rows, columns = self.transition.shape
+        if not rows or rows != columns:
+            raise ValueError(f"transitions of shape {(rows, columns)} are not those of a chain")
+        if not (np.isfinite(self.discount) and np.isfinite(self.transition.data).all()):
+            raise ValueError("a transition probability or the discount is not a finite number")
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> FixedPoint:

@@ -3,9 +3,10 @@
     π greedy for V,   V ← (T_π)^m V
 
 One sweep for a fixed policy costs the A-th part of a full one (Puterman and Shin, Management
-Science 24, 1978). It goes on until the policy's own spread has fallen to a tenth; where `sweeps`
-sweeps will not bring that about, the chain mixes slowly and the policy is evaluated by solving its
-linear equations instead, see `solvers.partial_evaluation`. Every full sweep gives sound bounds.
+Science 24, 1978). It goes on until the error within the policy is a tenth of what was left; where
+`sweeps` sweeps will not bring that about, the chain mixes slowly and the policy is evaluated by
+solving its linear equations instead, see `solvers.partial_evaluation`. The last full sweep gives
+sound bounds.
 Unless a tolerance is asked for, the values of the last policy are polished until rounding stops
 them, so that ties show as ties.
 """
@@ -80,7 +81,7 @@ class ModifiedPolicyIteration:
                 status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate)
                 break
             polished = ready or self.tol is not None
-            goal = 0.0 if ready else max((found.high - found.low) / 20, watch.enough)
+            goal = 0.0 if ready else watch.goal
             iterate.take(found)
             if iteration > 1:
                 iterate.evaluate(goal, self.sweeps)

@@ -48,8 +48,7 @@ class Status(StrEnum):
         "use certify(), which computes in rational arithmetic"
     )
     TOO_LARGE = (
-        "iteration does not converge, and elimination needs too much room; number the states so "
-        "that most transitions are to near numbers, or lower the discount"
+        "number the states so that most transitions are to near numbers, or lower the discount"
     )
     PROGRAM_FAILED = (
         "the optimiser did not reach an optimum of the linear program; "

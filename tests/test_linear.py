@@ -209,3 +209,18 @@ def test_values_beyond_floats_are_refused() -> None:
 def test_zero_is_exact() -> None:
     found = fixed_point(sp.csr_array([[0.5]]), np.zeros(1))
     assert (found.value.tolist(), found.error.tolist()) == ([0.0], [0.0])
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_are_refused_at_once(wrong: float) -> None:
+    chain = sp.csr_array(np.array([[0.5, wrong], [0.0, 0.0]]))
+    with pytest.raises(ValueError, match="not a finite number"):
+        fixed_point(chain, np.ones(2))
+    with pytest.raises(ValueError, match="not a finite number"):
+        fixed_point(sp.csr_array(np.eye(2) / 2), np.ones(2), wrong)
+
+
+def test_a_chain_is_square_and_has_states() -> None:
+    for shape in ((0, 0), (2, 3)):
+        with pytest.raises(ValueError, match="not those of a chain"):
+            fixed_point(sp.csr_array(shape), np.ones(shape[0]))

@@ -230,7 +230,7 @@ def improve(
     pairs : (S,) int64
         In and out: the policy.
     extremes : (2,)
-        Out: the least and the greatest d / m of the policy found.
+        Out: the least d / m of the policy found, and the greatest of pairs that were looked at.
     """
     low, high = np.inf, -np.inf
     for number in range(first, last):
@@ -251,6 +251,7 @@ def improve(
             ahead = ahead_of(indptr[before], indptr[before + 1], indices, data, value, own)
         first_gain = reward[before] + (discount * ahead - leak[before] * own)
         best, chosen = first_gain, before
+        high = max(high, first_gain / margin[at(before)])
         for pair in range(begin, end):
             place = at(pair)
             if pair == before or ceilings[place] + (rise - own) < best:
@@ -258,15 +259,15 @@ def improve(
             ahead = ahead_of(indptr[place], indptr[at(pair + 1)], indices, data, value, own)
             gain = reward[place] + (discount * ahead - leak[place] * own)
             ceilings[place] = gain + error + (own - rise)
+            high = max(high, gain / margin[place])
             if gain > best:
                 best, chosen = gain, pair
         if chosen != before or not known:
             ceilings[before] = first_gain + error + (own - rise)
             model = (indptr, indices, data, reward, leak, margin)
             copy_row(state, chosen, *model, slots, ends, chain_indices, chain_data, chain)
-        ratio = best / chain[2, state]
         step[state], pairs[state] = best - shift * chain[2, state], chosen
-        low, high = min(low, ratio), max(high, ratio)
+        low = min(low, best / chain[2, state])
     extremes[0], extremes[1] = low, high
 
 
