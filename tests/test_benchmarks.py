@@ -67,6 +67,9 @@ def test_an_answer_is_held_against_the_reference_and_its_own_bound(
     assert ("2 (2 to 2)" in line) == (verdict == "right")
     assert ("| wrong |" in line) == (verdict == "wrong")
     assert (tmp_path / "results_time.png").stat().st_size > 1000
+    # Of models as small as this, memory says nothing.
+    assert not (tmp_path / "results_memory.png").exists()
+    assert "results_memory" not in (tmp_path / "RESULTS.md").read_text()
 
 
 def test_we_are_timed_in_a_process_of_our_own(tmp_path: Path) -> None:

@@ -33,7 +33,10 @@ def write(rows: Rows, bandwidth: float, folder: Path, *, rounds: int) -> None:
     write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth, rounds)) + "\n")
     with style():
         for name, what in (("results_time", "seconds"), ("results_memory", "memory")):
-            figure = _figure(rows, bandwidth, what)
+            large = [row for row in rows if what == "seconds" or row["bytes"] >= LARGE]
+            if not large:
+                continue
+            figure = _figure(large, bandwidth, what)
             save(figure, folder, name)
             plt.close(figure)
 
@@ -71,11 +74,9 @@ def _page(rows: Rows, bandwidth: float, rounds: int) -> list[str]:
         for row in (row for row in rows if row["family"] == family):
             lines.append("| " + " | ".join(_cells(row, rows)) + " |")
         lines.append("")
-    lines += [
-        "![Time against size](results_time.png)",
-        "",
-        "![Memory against size](results_memory.png)",
-    ]
+    lines.append("![Time against size](results_time.png)")
+    if any(row["bytes"] >= LARGE for row in rows):
+        lines += ["", "![Memory against size](results_memory.png)"]
     return lines
 
 
