@@ -39,6 +39,6 @@ def span(first: int, last: int) -> range:
 
 
 @inlined
-def at(place: int) -> int:
+def at(place: int) -> Any:
     """Return a place in an array, which is not negative."""
-    return np.uint64(place)  # type: ignore[return-value]
+    return np.uint64(place)
