@@ -22,6 +22,8 @@ from solvers.bounds import levels, margin_weights
 from solvers.compiled_sweeps import CompiledSweeps
 from solvers.gains import COMPILED, gains
 from solvers.kernels import bellman
+from solvers.linear import LinearSystem
+from solvers.partial_evaluation import Iterate
 from solvers.sweeps import Judged, Sweeps, sweeps_of
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
@@ -364,3 +366,44 @@ def test_what_values_have_in_common_costs_no_digits(states: int) -> None:
     assert (mdp.n_transitions > COMPILED) == (states == 2_000)
     solution = solve(mdp, ModifiedPolicyIteration(tol=1e-6))  # a warning would be an error
     assert solution.error_bound <= 1e-6
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_rounding_is_allowed_for_as_in_numpy(twice: bool) -> None:
+    """Around the optimum the bounds are made of rounding errors, term by term."""
+    mdp = garnet(40, seed=23)
+    mdp = uneven(mdp, 23) if twice else mdp
+    value = solve(mdp, PolicyIteration()).value.copy()
+    slow, fast = (sweeps.judge(value) for sweeps in both(mdp))
+    assert 0 < fast.high - fast.low < 1e-11
+    assert fast.high - fast.low == pytest.approx(slow.high - slow.low, rel=0.02)
+
+
+def test_rewards_are_rounded_too() -> None:
+    """Of equal rewards and values nothing is left but what rounding a reward may cost."""
+    rows = [np.full((7, 7), F(1, 7))] * 2
+    mdp = MDP.from_arrays(rows, np.full(7, F(1, 3)), "9/10")
+    slow, fast = (sweeps.judge(np.full(7, 10 / 3)) for sweeps in both(mdp))
+    assert (fast.low, fast.high) == (slow.low, slow.high)
+    assert fast.low < fast.high
+
+
+def test_a_fall_is_no_greater_than_the_least_row_lets_it_be() -> None:
+    mdp = garnet(6, seed=24)
+    sweeps = CompiledSweeps(mdp, margin_weights(mdp))
+    for step, least in ((-1.0, -0.5), (1.0, 1.0)):
+        memory = sweeps._memory
+        memory.flow, memory.rise = (0.5, 1.0), 0.0
+        memory.move(memory.before + step)
+        assert least <= memory.rise <= least + 1e-12
+
+
+def test_a_correction_that_goes_astray_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    mdp = garnet(30, seed=25, discount="999/1000")
+    iterate = Iterate(Sweeps(mdp, margin_weights(mdp)), values(mdp, 26))
+    iterate.improve()
+    before, shift = iterate.value.copy(), iterate.shift
+    monkeypatch.setattr(LinearSystem, "roughly", lambda self, constant: 1e6 * constant)
+    iterate._correct(1e-9)
+    assert (iterate.value == before).all()
+    assert iterate.shift == shift
