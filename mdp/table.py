@@ -129,6 +129,30 @@ class OutcomeTable:
         each = np.arange(self.pairs + 1) if len(self.gain) == self.pairs else self.offsets
         return _dyadic(self.gain, each)
 
+    def weight_rounding(self) -> Floats:
+        """Return (N,) how far each probability may lie from what it was rounded from.
+
+        Half a unit in the last place of a given float; 0 for an exact number, and for 0.0.
+
+        Examples
+        --------
+        >>> table = OutcomeTable(
+        ...     offsets=np.array([0, 2]),
+        ...     next=np.array([0, 1]),
+        ...     weight=np.array([0.5, 0.5]),
+        ...     denominator=ones(1),
+        ...     gain=np.array([3]),
+        ...     gain_denominator=ones(1),
+        ... )
+        >>> table.weight_rounding().tolist() == [2.0**-54] * 2, table.gain_rounding().tolist()
+        (True, [0.0])
+        """
+        return _half_ulp(self.weight)
+
+    def gain_rounding(self) -> Floats:
+        """Return (N,) or (L,) the same of each reward."""
+        return _half_ulp(self.gain)
+
     def row(self, pair: int) -> list[tuple[Fraction, int, Fraction]]:
         """Return the exact outcomes of one pair: probability, next state, reward."""
         span = range(int(self.offsets[pair]), int(self.offsets[pair + 1]))
@@ -259,6 +283,13 @@ def float_array(values: ArrayLike) -> Floats:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ModelError("an array holds something that is not a number") from error
+
+
+def _half_ulp(values: Numbers) -> Floats:
+    """Return half a unit in the last place of floats, 0 of exact numbers and of 0.0."""
+    if values.dtype != np.float64:
+        return np.zeros(len(values))
+    return np.where(values == 0, 0.0, np.spacing(np.abs(values)) / 2)
 
 
 def _dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
