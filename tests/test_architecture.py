@@ -28,7 +28,7 @@ LAZY = {
     "dask": [],
     "distributed": [],
     "gymnasium": ["mdp/environment.py"],
-    "httpx": [],
+    "httpcore": ["paper_repro/agents/transport.py"],
     "ipywidgets": [],
     "jupyter": [],
     "jupyter_client": [],

@@ -8,6 +8,8 @@ fault named; the broken text itself is not sent back.
 from __future__ import annotations
 
 import json
+import math
+import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,6 +19,9 @@ from paper_repro.agents.protocol import BackendError, Reply, Request
 from paper_repro.agents.schema import violations
 
 SHAPES = ("json_schema", "json_object", "none")
+DIGITS = 40  # of a number in an answer
+DEPTH = 64  # of arrays and objects in an answer
+TOKENS = 10**12  # a count of tokens above this is none
 
 Post = Callable[[dict[str, Any]], tuple[dict[str, Any], int]]
 
@@ -141,9 +146,9 @@ def content_of(answer: dict[str, Any], request: Request, where: str) -> dict[str
     if not isinstance(content, str):
         raise Malformed("its content was not text")
     try:
-        data = json.loads(unfenced(content))
-    except (ValueError, RecursionError) as error:
-        raise Malformed("its content was not JSON") from error
+        data = decoded(unfenced(content))
+    except Malformed as fault:
+        raise Malformed(f"its content {fault}") from None
     wrong = violations(data, request.schema)
     if wrong:
         raise Malformed("; ".join(wrong[:3]))
@@ -164,5 +169,70 @@ def unfenced(content: str) -> str:
     return text
 
 
+def decoded(text: str | bytes) -> Any:
+    """Return the value that JSON text stands for; what could be read in two ways is refused.
+
+    Raises
+    ------
+    Malformed
+        For text that is not JSON in UTF-8, a part named twice, a number that is infinite, none or
+        of over `DIGITS` digits, and nesting deeper than `DEPTH`.
+
+    Examples
+    --------
+    >>> decoded('{"anger": 1}')
+    {'anger': 1}
+    >>> decoded('{"anger": 1, "anger": 0}')
+    Traceback (most recent call last):
+    paper_repro.agents.chat.Malformed: names a part twice
+    """
+    try:
+        whole = text if isinstance(text, str) else text.decode("utf-8-sig")
+        if _deep(whole):
+            raise Malformed(f"is nested deeper than {DEPTH}")
+        return json.loads(
+            whole,
+            object_pairs_hook=_once_each,
+            parse_int=_whole_number,
+            parse_float=_number,
+            parse_constant=_number,
+        )
+    except (ValueError, RecursionError):
+        raise Malformed("is not JSON") from None
+
+
+def _deep(text: str) -> bool:
+    """Return whether brackets outside of strings are nested too deep."""
+    depth = 0
+    for outside in re.sub(r"\\.", "", text, flags=re.DOTALL).split('"')[::2]:
+        for bracket in re.findall(r"[\[\]{}]", outside):
+            depth += 1 if bracket in "[{" else -1
+            if depth > DEPTH:
+                return True
+    return False
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise Malformed("names a part twice")
+    return found
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > DIGITS:
+        raise Malformed(f"holds a number of over {DIGITS} digits")
+    return int(text)
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise Malformed("holds a number that is infinite or none")
+    return value
+
+
 def _count(value: object) -> int:
-    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0
+    """Return a count of tokens; 0, which stands for unknown, where it is none."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return value if whole and 0 < value <= TOKENS else 0

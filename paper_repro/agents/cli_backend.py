@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,18 @@ import click
 
 from paper_repro.agents.chat import SHAPES, Style
 from paper_repro.agents.protocol import Backend
+
+
+class Range(click.FloatRange):
+    """A range of numbers; nan, which no comparison refuses, and infinities are none of them."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{number} is no finite number.", param, ctx)
+        return number
+
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -35,7 +48,7 @@ def backend_options(function: Function) -> Function:
         ),
         click.option(
             "--temperature", default=style.temperature, show_default=True,
-            type=click.FloatRange(0, 2), help="openai, local.",
+            type=Range(0, 2), help="openai, local.",
         ),
         click.option(
             "--threads", default=1, show_default=True, type=click.IntRange(1),
@@ -46,8 +59,13 @@ def backend_options(function: Function) -> Function:
             help="local: tokens kept in view.",
         ),
         click.option(
-            "--timeout", default=60.0, show_default=True, type=click.FloatRange(0.1),
-            help="openai: seconds for a whole answer.",
+            "--timeout", default=60.0, show_default=True, type=Range(0.1, 86_400),
+            help="openai: seconds for a whole answer, from the look-up of the name to its end.",
+        ),
+        click.option(
+            "--trust-environment", is_flag=True,
+            help="openai: take proxies (HTTPS_PROXY, ALL_PROXY, NO_PROXY) and certificates "
+            "(SSL_CERT_FILE, SSL_CERT_DIR) from the environment.",
         ),
         click.option(
             "--key-variable", default="OPENAI_API_KEY", show_default=True,
@@ -56,7 +74,7 @@ def backend_options(function: Function) -> Function:
         click.option("--base-url", help="openai: address of the endpoint, up to /v1."),
         click.option("--model", help="openai: the model's name; local: a GGUF file."),
         click.option(
-            "--noise", default=0.0, show_default=True, type=click.FloatRange(0, 1),
+            "--noise", default=0.0, show_default=True, type=Range(0, 1),
             help="scripted: probability that perception errs in one status.",
         ),
         click.option(
@@ -72,7 +90,7 @@ def price_option(function: Function) -> Function:
     """Add `--price` to a command."""
     return click.option(
         "--price",
-        type=(float, float),
+        type=(Range(0), Range(0)),
         metavar="IN OUT",
         help="openai: price of a million prompt and completion tokens, to state the cost.",
     )(function)
@@ -96,6 +114,7 @@ def backend_of(
     base_url: str | None,
     key_variable: str,
     timeout: float,
+    trust_environment: bool,
     context: int,
     threads: int,
     temperature: float,
@@ -126,5 +145,6 @@ def backend_of(
             fix="add --model NAME --base-url URL",
         )
     return Endpoint(
-        model=model, base_url=base_url, key_variable=key_variable, style=style, timeout=timeout
-    )
+        model=model, base_url=base_url, key_variable=key_variable, style=style, timeout=timeout,
+        trust_environment=trust_environment,
+    )  # fmt: skip

@@ -9,7 +9,13 @@ from typing import Any
 
 import click
 
-from paper_repro.agents.cli_backend import backend_of, backend_options, price_option, tell_use
+from paper_repro.agents.cli_backend import (
+    Range,
+    backend_of,
+    backend_options,
+    price_option,
+    tell_use,
+)
 from paper_repro.agents.cli_run import FILE, FOLDER, scene_options
 
 
@@ -28,7 +34,7 @@ from paper_repro.agents.cli_run import FILE, FOLDER, scene_options
     help="Let the scripted agent behave, and the backend only perceive.",
 )  # fmt: skip
 @click.option(
-    "--prior", default=0.0, show_default=True, type=click.FloatRange(0),
+    "--prior", default=0.0, show_default=True, type=Range(0),
     help="Pseudo-count of every cell of the matrix.",
 )  # fmt: skip
 @click.option("--draws", default=100, show_default=True, type=click.IntRange(0, 10_000))
@@ -124,6 +130,7 @@ def variants(
     from paper_repro.agents.compare import side_by_side
     from paper_repro.agents.prompts import FOLDER as OWN
     from paper_repro.agents.setup import modules_of
+    from paper_repro.agents.text_view import plain
 
     model = Scenario.load(scenario)
     for assignment in sets:
@@ -140,9 +147,10 @@ def variants(
         click.echo(json.dumps({"answers": [asdict(a) for a in found]}, ensure_ascii=False))
         return
     for answers in found:
-        click.echo(f"{answers.status}, {answers.action}: “{answers.behaviour['verbal']}”")
+        click.echo(f"{answers.status}, {answers.action}: “{plain(answers.behaviour['verbal'])}”")
         for variant, speech in answers.speech.items():
-            click.echo(f"  {variant:16} ({answers.prompt_characters[variant]:,} ch.) {speech}")
+            asked = answers.prompt_characters[variant]
+            click.echo(f"  {variant:16} ({asked:,} ch.) {plain(speech)}")
 
 
 @click.command()

@@ -68,7 +68,7 @@ def _object(value: object, schema: Schema, where: str) -> list[str]:
     for name, part in value.items():
         inner = schema["properties"].get(name)
         if inner is None:
-            found.append(f"{where} has an unexpected {str(name)[:40]!r}")
+            found.append(f"{where} has a part that was not asked for")
         else:
             found += violations(part, inner, f"{where}.{name}")
     return found

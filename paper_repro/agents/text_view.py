@@ -42,7 +42,9 @@ def number(text: str) -> str:
 
 def vector(names: list[str], bits: str) -> str:
     """Return a status vector with its names: Forgetfulness=0, Confusion=1, …"""
-    return ", ".join(f"{name.capitalize()}={bit}" for name, bit in zip(names, bits, strict=True))
+    return ", ".join(
+        f"{plain(name.capitalize())}={bit}" for name, bit in zip(names, bits, strict=True)
+    )
 
 
 def heading(header: Mapping[str, Any]) -> str:
@@ -50,11 +52,11 @@ def heading(header: Mapping[str, Any]) -> str:
     backend = ", ".join(f"{key} {value}" for key, value in header["backend"].items())
     return "\n".join(
         [
-            header["disclaimer"],
+            plain(header["disclaimer"]),
             "",
-            f"Scenario: {header['scenario']}; activity: {header['activity']}; "
-            f"policy: {header['policy']}; seed {header['seed']}",
-            f"Language: {plain(backend)}; action execution: {header['variant']}",
+            f"Scenario: {plain(header['scenario'])}; activity: {plain(header['activity'])}; "
+            f"policy: {plain(header['policy'])}; seed {header['seed']}",
+            f"Language: {plain(backend)}; action execution: {plain(header['variant'])}",
             f"Setting: {plain(header['setting'])}",
             "",
             "",
@@ -78,7 +80,7 @@ def block(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
             f"  PLWD nonverbal: {plain(step['behaviour']['nonverbal'])}",
             f"  PLWD verbal: {verbal or '(says nothing)'}",
             f"  Perceived status: {vector(names, step['perceived'])}",
-            f"  Action: a{action} {step['action']}",
+            f"  Action: a{action} {plain(step['action'])}",
             f"  Robot Caregiver: {spoken or '(says nothing)'}",
             f"  Outcome: {OUTCOMES[step['event']]}; reward {number(step['reward'])}, "
             f"return so far {number(step['return'])}",
