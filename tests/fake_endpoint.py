@@ -1,16 +1,28 @@
-"""An endpoint on loopback that speaks chat completions, and misbehaves as a test tells it to."""
+"""An endpoint on loopback that speaks chat completions, and misbehaves as a test tells it to.
+
+`fake_endpoint` answers HTTP and errs in what it says; `raw_server` errs in HTTP itself, or plays
+another part, such as that of a proxy, and keeps what it was sent.
+"""
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import re
+import select
+import socket
+import ssl
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
+
+CERTIFICATE = Path(__file__).parent / "localhost.pem"
 
 GOOD = {
     "behaviour": {"nonverbal": "Looks at the shelf.", "verbal": "Here it is."},
@@ -24,13 +36,16 @@ class FakeEndpoint:
     """Answers well unless `faults` names something else for the next request, oldest first.
 
     A fault is a number (an HTTP status), or one of: slow, drip, drop, not-json, not-object,
-    no-choice, malformed, wrong-schema, fenced, cut, refusal, filtered, echo-key.
+    no-choice, malformed, wrong-schema, fenced, cut, refusal, filtered, echo-key and echo- with a
+    disguise of `disguises`, say- with one, bomb, redirect, and count, digits, twice, deep, nan
+    and infinite, which are numbers and forms that no reader should take.
     """
 
     faults: list[int | str] = field(default_factory=list)
     headers: dict[str, str] = field(default_factory=dict)
     bodies: list[dict[str, Any]] = field(default_factory=list)
     keys: list[str] = field(default_factory=list)
+    asked: list[dict[str, str]] = field(default_factory=list)
     url: str = ""
     halt: threading.Event = field(default_factory=threading.Event)
 
@@ -50,12 +65,51 @@ def _completion(content: str, **choice: Any) -> dict[str, Any]:
     }
 
 
+def disguises(key: str) -> dict[str, str]:
+    """Return ways to write a key, by name."""
+    raw = key.encode()
+    return {
+        "plain": key,
+        "masked": f"{key[:9]}…{key[-9:]}",
+        "reversed": key[::-1],
+        "base64": base64.b64encode(raw).decode(),
+        "shifted": base64.b64encode(b"Bearer " + raw).decode(),
+        "hex": raw.hex(),
+        "upper": key.upper(),
+    }
+
+
+def _odd(fault: str, good: str) -> str:
+    """Return a whole answer in a form that no reader should take."""
+    answer = json.dumps(_completion(good))
+    return {
+        "count": answer.replace('"prompt_tokens": 100', f'"prompt_tokens": {10**39}'),
+        "digits": answer.replace('"prompt_tokens": 100', f'"prompt_tokens": {"9" * 4300}'),
+        "twice": json.dumps(_completion(good[:-1] + f", {good[1:]}")),
+        "deep": '{"a": ' + "[" * 200_000 + "]" * 200_000 + f", {answer[1:]}",
+        "nan": f'{{"a": NaN, {answer[1:]}',
+        "infinite": f'{{"a": 1e999, {answer[1:]}',
+    }[fault]
+
+
 def _answer(fault: int | str, body: dict[str, Any], key: str) -> tuple[int, bytes]:
     good = json.dumps(GOOD[_purpose(body)])
     if isinstance(fault, int):
         return fault, b'{"error": {"message": "told to fail"}}'
     if fault == "echo-key":
         return 401, json.dumps({"error": {"message": f"Incorrect key provided: {key}"}}).encode()
+    if fault.startswith("echo-"):
+        told = {"error": {"message": f"Incorrect: {disguises(key)[fault[5:]]}"}}
+        return 401, json.dumps(told).encode()
+    if fault.startswith("say-"):
+        said = GOOD["behaviour"] | {"verbal": f"So: {disguises(key)[fault[4:]]}."}
+        return 200, json.dumps(_completion(json.dumps(said))).encode()
+    if fault == "bomb":
+        return 200, gzip.compress(gzip.compress(good.encode() + b" " * 30_000_000))
+    if fault == "redirect":
+        return 307, b""
+    if fault in ("count", "digits", "twice", "deep", "nan", "infinite"):
+        return 200, _odd(fault, good).encode()
     if fault == "not-json":
         return 200, b"<html>busy</html>"
     if fault == "not-object":
@@ -74,8 +128,8 @@ def _answer(fault: int | str, body: dict[str, Any], key: str) -> tuple[int, byte
 
 
 @contextmanager
-def fake_endpoint(*faults: int | str, **headers: str) -> Iterator[FakeEndpoint]:
-    """Serve on a free loopback port until the block ends."""
+def fake_endpoint(*faults: int | str, tls: bool = False, **headers: str) -> Iterator[FakeEndpoint]:
+    """Serve on a free loopback port until the block ends; errors bear the headers."""
     state = FakeEndpoint(
         faults=list(faults), headers={re.sub("_", "-", k): v for k, v in headers.items()}
     )
@@ -87,6 +141,7 @@ def fake_endpoint(*faults: int | str, **headers: str) -> Iterator[FakeEndpoint]:
             key = self.headers.get("Authorization", "").removeprefix("Bearer ")
             state.bodies.append(body)
             state.keys.append(key)
+            state.asked.append(dict(self.headers))
             fault = state.faults.pop(0) if state.faults else "none"
             if fault == "drop":
                 self.close_connection = True
@@ -98,6 +153,8 @@ def fake_endpoint(*faults: int | str, **headers: str) -> Iterator[FakeEndpoint]:
             for name, value in state.headers.items():
                 if status != 200:
                     self.send_header(name, value)
+            if fault == "bomb":
+                self.send_header("Content-Encoding", "gzip, gzip")
             self.send_header("Content-Length", str(len(data)))
             self.end_headers()
             try:
@@ -117,9 +174,14 @@ def fake_endpoint(*faults: int | str, **headers: str) -> Iterator[FakeEndpoint]:
             return
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    if tls:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(CERTIFICATE)
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+        server.handle_error = lambda *_: None
     thread = threading.Thread(target=server.serve_forever, args=(0.02,))
     thread.start()
-    state.url = f"http://127.0.0.1:{server.server_address[1]}/v1"
+    state.url = f"http{'s' * tls}://127.0.0.1:{server.server_address[1]}/v1"
     try:
         yield state
     finally:
@@ -127,3 +189,112 @@ def fake_endpoint(*faults: int | str, **headers: str) -> Iterator[FakeEndpoint]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+@dataclass
+class RawServer:
+    """What a raw server was sent, and how many of its connections the other side has ended."""
+
+    port: int = 0
+    received: bytearray = field(default_factory=bytearray)
+    begun: int = 0
+    ended: int = 0
+    halt: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def url(self) -> str:
+        """The address of an endpoint here."""
+        return f"http://127.0.0.1:{self.port}/v1"
+
+    def all_ended(self, seconds: float = 3.0) -> bool:
+        """Return whether every connection was ended by the other side, waiting for it a little."""
+        limit = time.monotonic() + seconds
+        while time.monotonic() < limit and self.ended < self.begun:
+            time.sleep(0.01)
+        return self.ended == self.begun > 0
+
+
+@contextmanager
+def raw_server(script: Callable[[RawServer, socket.socket], None]) -> Iterator[RawServer]:
+    """Listen on a free loopback port until the block ends, and play a script for each connection.
+
+    After the script the connection stays open until the other side ends it.
+    """
+    state, threads = RawServer(), []
+
+    def serve(line: socket.socket) -> None:
+        with line:
+            line.settimeout(0.05)
+            try:
+                script(state, line)
+                while not state.halt.is_set():
+                    if listen(state, line) == b"":
+                        break
+            except OSError:
+                pass
+            state.ended += not state.halt.is_set()
+
+    def accept() -> None:
+        while not state.halt.is_set():
+            if select.select([listener], [], [], 0.02)[0]:
+                line, _ = listener.accept()
+                state.begun += 1
+                threads.append(threading.Thread(target=serve, args=(line,)))
+                threads[-1].start()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        state.port = listener.getsockname()[1]
+        accepting = threading.Thread(target=accept)
+        accepting.start()
+        try:
+            yield state
+        finally:
+            state.halt.set()
+            for thread in [accepting, *threads]:
+                thread.join()
+
+
+def listen(state: RawServer, line: socket.socket) -> bytes | None:
+    """Keep what comes in; return it, or None where nothing came in for a moment."""
+    try:
+        data = line.recv(65_536)
+    except TimeoutError:
+        return None
+    state.received += data
+    return data
+
+
+def hear(state: RawServer, line: socket.socket) -> None:
+    """Keep what comes in until a whole question is there."""
+    while not state.halt.is_set():
+        head, end, body = bytes(state.received).partition(b"\r\n\r\n")
+        length = re.search(rb"(?i)content-length: *(\d+)", head)
+        if end and length and len(body) >= int(length[1]):
+            return
+        listen(state, line)
+
+
+def saying(answer: bytes) -> Callable[..., None]:
+    """Return a script that answers a question with these bytes."""
+
+    def script(state: RawServer, line: socket.socket) -> None:
+        hear(state, line)
+        line.sendall(answer)
+
+    return script
+
+
+def dripping(first: bytes, drop: bytes, pause: float = 0.02) -> Callable[..., None]:
+    """Return a script that waits for a question, and answers one byte after the other."""
+
+    def script(state: RawServer, line: socket.socket) -> None:
+        while listen(state, line) is None and not state.halt.is_set():
+            pass
+        line.sendall(first)
+        while not state.halt.is_set():
+            for number in range(len(drop)):
+                line.sendall(drop[number : number + 1])
+                if state.halt.wait(pause):
+                    return
+
+    return script
