@@ -74,4 +74,7 @@ class Activity:
 
 
 def _step(goal: str, parts: Mapping[str, str]) -> Step:
-    return Step(goal=goal, **{part: str(parts[part]) for part in PARTS})
+    for name, text in (("goal", goal), *((part, parts[part]) for part in PARTS)):
+        if not isinstance(text, str):
+            raise TypeError(f"text as its {name}")
+    return Step(goal=goal, **{part: parts[part] for part in PARTS})

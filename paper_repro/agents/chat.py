@@ -21,7 +21,7 @@ from paper_repro.agents.schema import violations
 SHAPES = ("json_schema", "json_object", "none")
 DIGITS = 40  # of a number in an answer
 DEPTH = 64  # of arrays and objects in an answer
-TOKENS = 10**12  # a count of tokens above this is none
+MOST_COUNTED = 10**15  # tokens of one answer; whoever counts more is not believed
 
 Post = Callable[[dict[str, Any]], tuple[dict[str, Any], int]]
 
@@ -100,14 +100,17 @@ def ask(request: Request, style: Style, post: Post, where: str) -> Reply:
     """
     faults: list[str] = []
     attempts = prompt = completion = 0
+    known = True
     started = time.perf_counter()
     while len(faults) < style.tries:
         answer, took = post(body(request, style, faults))
         attempts += took
         used = answer.get("usage")
-        if isinstance(used, dict):
-            prompt += _count(used.get("prompt_tokens"))
-            completion += _count(used.get("completion_tokens"))
+        counts = used if isinstance(used, dict) else {}
+        asked = _count(counts.get("prompt_tokens"))
+        known = known and asked > 0
+        prompt += asked
+        completion += _count(counts.get("completion_tokens"))
         try:
             data = content_of(answer, request, where)
         except Malformed as fault:
@@ -116,8 +119,8 @@ def ask(request: Request, style: Style, post: Post, where: str) -> Reply:
         return Reply(
             data=data,
             attempts=attempts,
-            prompt_tokens=prompt,
-            completion_tokens=completion,
+            prompt_tokens=prompt if known else 0,
+            completion_tokens=completion if known else 0,
             seconds=round(time.perf_counter() - started, 3),
         )
     raise BackendError(
@@ -235,4 +238,4 @@ def _number(text: str) -> float:
 def _count(value: object) -> int:
     """Return a count of tokens; 0, which stands for unknown, where it is none."""
     whole = isinstance(value, int) and not isinstance(value, bool)
-    return value if whole and 0 < value <= TOKENS else 0
+    return value if whole and 0 < value < MOST_COUNTED else 0

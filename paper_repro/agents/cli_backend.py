@@ -96,14 +96,25 @@ def price_option(function: Function) -> Function:
     )(function)
 
 
-def tell_use(used: Mapping[str, int], price: tuple[float, float] | None) -> None:
-    """Print the tokens used, and what they cost at the prices given; nothing where none were."""
+def tell_use(
+    used: Mapping[str, int], price: tuple[float, float] | None, uncounted: int = 0
+) -> None:
+    """Print the tokens used, and what they cost at the prices given; nothing where none were.
+
+    Parameters
+    ----------
+    uncounted : answers whose tokens are not known, so that there were more of them
+    """
     asked, said = used["prompt_tokens"], used["completion_tokens"]
+    least = "at least " if uncounted else ""
     if asked + said:
         cost = ""
         if price:
-            cost = f", cost {(asked * price[0] + said * price[1]) / 1e6:.4f} at the prices given"
-        click.echo(f"{used['attempts']} attempts, {asked:,} + {said:,} tokens{cost}")
+            paid = (asked * price[0] + said * price[1]) / 1e6
+            cost = f", cost {least}{paid:.4f} at the prices given"
+        click.echo(f"{used['attempts']} attempts, {least}{asked:,} + {said:,} tokens{cost}")
+    elif price and uncounted:
+        click.echo("the cost is not known: no answer came with a count of its tokens")
 
 
 def backend_of(

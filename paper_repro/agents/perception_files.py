@@ -20,12 +20,22 @@ from mdp.errors import ModelError
 from mdp.files import write_atomically
 from paper_repro.agents import DISCLAIMER, recording
 from paper_repro.agents.measure import Floats, Labelled, to_csv
+from paper_repro.agents.schema import behaviour_schema, violations
 
 
 def counted(paths: Sequence[Path], statuses: Sequence[str]) -> Iterator[tuple[int, int]]:
     """Yield (true, perceived) status numbers of every timestep of some recordings."""
+    seen: dict[str, Path] = {}
     for path in paths:
         told = recording.read(path)
+        content = json.dumps([told.header, *told.steps[:1]], sort_keys=True)
+        if content in seen:
+            raise ModelError(
+                "one conversation is named twice, which would count it twice",
+                where=f"{seen[content]} and {path}",
+                fix="name each conversation once",
+            )
+        seen[content] = path
         if told.header["statuses"] != list(statuses):
             raise ModelError(
                 f"a recording with the statuses {', '.join(told.header['statuses'])}",
@@ -60,6 +70,7 @@ class Notebook:
         try:
             entries = [json.loads(text) for text in whole.splitlines()]
             self.past = [Labelled(**entry) for entry in entries[1:]]
+            self._check()
         except (ValueError, TypeError, RecursionError) as error:
             raise ModelError(
                 f"a damaged measurement: {error}", where=str(path), fix="name another --out"
@@ -73,6 +84,18 @@ class Notebook:
         self._recorder = recording.Recorder(path, keep=len(whole))
         if not entries:
             self._recorder.add(self.header)
+
+    def _check(self) -> None:
+        """Hold that the entries are those of this measurement, in their order."""
+        size = 2 ** len(self.header["statuses"])
+        for number, entry in enumerate(self.past):
+            seen, texts = entry.perceived, entry.behaviour
+            if entry.status != number % size or type(entry.status) is not int:
+                raise ValueError(f"line {number + 2} is of another status vector")
+            if type(seen) is not int or not 0 <= seen < size:
+                raise ValueError(f"line {number + 2} has no perceived status vector")
+            if violations(texts, behaviour_schema()):
+                raise ValueError(f"line {number + 2} has no behaviour")
 
     def add(self, entry: Labelled) -> None:
         """Write one entry and wait until it is on the disk."""

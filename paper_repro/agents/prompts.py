@@ -84,7 +84,14 @@ class Prompt:
         parts: dict[str, list[str]] = {"system": [], "user": []}
         for component in self.components:
             if component.name not in without:
-                text = Template(component.text.strip()).substitute(values)
+                try:
+                    text = Template(component.text.strip()).substitute(values)
+                except (KeyError, ValueError) as error:
+                    raise ModelError(
+                        f"a $name that nothing fills: {error}",
+                        where=f"prompt {self.purpose}, component {component.name}",
+                        fix=f"use {', '.join(sorted(values))}, and $$ for a dollar sign",
+                    ) from error
                 parts[component.message].append(text)
         return tuple((role, "\n\n".join(texts)) for role, texts in parts.items())
 
@@ -112,6 +119,7 @@ class Prompts:
         """
         folder = Path(folder)
         guidelines = read_toml(folder / "guidelines.toml")
+        _check_guidelines(guidelines, folder / "guidelines.toml")
         return cls(
             prompts={purpose: _read(folder / f"{purpose}.toml", purpose) for purpose in PURPOSES},
             statuses=guidelines["status"],
@@ -178,6 +186,43 @@ def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
     return table[name]
 
 
+def _texts(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(v, str) for v in value)
+
+
+def _check_guidelines(content: Mapping[str, Any], path: Path) -> None:
+    """Hold that the guidelines have every part that prompts put in, each as text."""
+    parts = {
+        "status": ({"meaning": _is_text, "signs": _texts}, "meaning and signs"),
+        "assistance": (
+            {"brief": _is_text, "detailed": _is_text, "examples": _texts},
+            "brief, detailed and examples",
+        ),
+    }
+    if not _is_version(content.get("version")):
+        raise ModelError("no version", where=str(path), fix="give version, a whole number")
+    for table, (tests, named) in parts.items():
+        entries = content.get(table)
+        good = isinstance(entries, dict) and all(
+            isinstance(entry, dict) and all(test(entry.get(name)) for name, test in tests.items())
+            for entry in entries.values()
+        )
+        if not good:
+            raise ModelError(
+                f"an entry of [{table}] lacks a part, or it is no text",
+                where=str(path),
+                fix=f"give each entry {named}",
+            )
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_version(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
 def _read(path: Path, purpose: str) -> Prompt:
     content = read_toml(path)
     try:
@@ -192,6 +237,15 @@ def _read(path: Path, purpose: str) -> Prompt:
             where=str(path),
             fix="give purpose, version and components with name, message and text",
         ) from error
+    for number, part in enumerate(prompt.components, start=1):
+        if not _is_text(part.text) or part.message not in ("system", "user"):
+            raise ModelError(
+                f"component {number} has no text, or is of no message",
+                where=str(path),
+                fix='give it a text, and the message "system" or "user"',
+            )
+    if not _is_version(prompt.version):
+        raise ModelError("no version", where=str(path), fix="give version, a whole number")
     names = tuple(component.name for component in prompt.components)
     if prompt.purpose != purpose or names != COMPONENTS[purpose]:
         raise ModelError(

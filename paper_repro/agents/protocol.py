@@ -65,7 +65,8 @@ class Reply:
     ----------
     data : object that fits the request's schema
     attempts : how often the backend was asked, 1 where the first answer was good
-    prompt_tokens, completion_tokens : as the backend counts them, over all attempts
+    prompt_tokens, completion_tokens : as the backend counts them, over all attempts; no prompt
+        tokens where it left one of them uncounted
     seconds : wall time, 0 where it is not measured
     """
 

@@ -29,7 +29,9 @@ def _table(value: Any) -> bool:
 
 
 def _fraction(value: Any) -> bool:
-    if not isinstance(value, str) or not value.lstrip("-").replace("/", "", 1).isdecimal():
+    if not isinstance(value, str) or len(value) > 4000 or not value.isascii():
+        return False
+    if not value.lstrip("-").replace("/", "", 1).isdecimal():
         return False
     try:
         Fraction(value)

@@ -85,7 +85,7 @@ class Scripted:
             raise BackendError(
                 f"a scripted answer does not fit: {wrong[0]}",
                 where=request.purpose,
-                fix="mend the phrases",
+                fix="correct the phrases",
             )
         return Reply(data=data)
 

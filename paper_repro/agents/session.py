@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +50,13 @@ def hold(
     ------
     ModelError
         Where the folder holds a conversation and `resume` is not asked for, or holds one with
-        other settings; BackendError where no answer came. What was recorded before stays.
+        other settings, or one that does not follow from them; BackendError where no answer came.
+        What was recorded before stays.
     """
     path, header = out / NAME, talk.header()
     kept = _kept(path, header, resume)
+    if kept:
+        _follows(talk, kept, path)
     steps = list(kept.steps) if kept else []
     if kept and kept.end:
         return kept
@@ -151,11 +155,29 @@ def replayed(talk: Conversation, told: Recording) -> list[str]:
             break
         again.append(fresh)
         differences += [
-            f"timestep {step['timestep']}: {key}" for key in step if fresh.get(key) != step[key]
+            f"timestep {step['timestep']}: {key}"
+            for key in sorted(set(step) | set(fresh))
+            if key not in step or key not in fresh or fresh[key] != step[key]
         ]
     if told.end and not differences and totals(again) != told.end:
         differences.append("the totals at the end")
+    if told.end and not differences and not talk.world.ended(again[-1]["next_state"]):
+        differences.append("the end: the scenario was not over there")
     return differences
+
+
+def _follows(talk: Conversation, kept: Recording, path: Path) -> None:
+    """Hold that what is to be gone on with is what these settings and answers lead to."""
+    try:
+        differences = replayed(replace(talk, backend=Recorded(kept)), kept)
+    except BackendError as error:
+        differences = [error.what]
+    if differences:
+        raise ModelError(
+            f"the recorded conversation does not follow from its settings: {differences[0]}",
+            where=str(path),
+            fix="begin a new one in another --out",
+        )
 
 
 def _append(path: Path, text: str) -> None:

@@ -14,11 +14,13 @@ class Tap:
     ----------
     requests : list of Request
     used : {"requests", "attempts", "prompt_tokens", "completion_tokens"}
+    uncounted : answers whose tokens the backend did not count
     """
 
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
         self.requests: list[Request] = []
+        self.uncounted = 0
         self.used = dict.fromkeys(("requests", "attempts", "prompt_tokens", "completion_tokens"), 0)
 
     def describe(self) -> dict[str, Any]:
@@ -30,6 +32,7 @@ class Tap:
         self.requests.append(request)
         reply = self._backend.answer(request)
         self.used["requests"] += 1
+        self.uncounted += reply.prompt_tokens == 0
         for name in ("attempts", "prompt_tokens", "completion_tokens"):
             self.used[name] += getattr(reply, name)
         return reply

@@ -37,7 +37,10 @@ def number(text: str) -> str:
     ('-8', '0.33')
     """
     value = Fraction(text)
-    return str(value) if value.denominator == 1 else f"{float(value):.2f}"
+    if value.denominator == 1:
+        return str(value)
+    whole, cents = divmod(round(abs(value) * 100), 100)
+    return f"{'-' * (value < 0)}{whole}.{cents:02d}"
 
 
 def vector(names: list[str], bits: str) -> str:
