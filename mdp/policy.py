@@ -298,7 +298,7 @@ def taken(mdp: MDP, policy: Any, *, kind: str = "auto") -> Taken:
         raise ModelError(
             "this is a policy, not a Q-table",
             where="policy",
-            fix='leave kind out, or give an array of action values, or a file of one',
+            fix="leave kind out, or give an array of action values, or a file of one",
         )
     return Taken(policy=found)
 

@@ -110,9 +110,7 @@ def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy
         )
     table = np.full(array.shape, np.nan)
     table[fits] = array[fits].astype(np.float64)
-    return ArrayPolicy(
-        read_as="policy", space=layout.space, actions=layout.actions, table=table
-    )
+    return ArrayPolicy(read_as="policy", space=layout.space, actions=layout.actions, table=table)
 
 
 def checked_kind(kind: object) -> str:
