@@ -19,7 +19,7 @@ from analysis.q_error import pair_values
 from analysis.regret import LAST_CYCLE, Regret, cheap, regret
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.policy import taken
+from mdp.policy import Taken, taken
 from mdp.table import exact, shown
 from solvers.policy_chain import PolicyChain
 
@@ -38,7 +38,7 @@ def check(
     Parameters
     ----------
     mdp : MDP
-    learned : Policy, str, path, mapping, array, Solution or TrainingRun
+    learned : Policy, str, path, mapping, array, Solution, TrainingRun or Taken
         Whatever `Policy.of` takes, Q-tables included. Of these the greedy policy counts, the lowest
         action number on a tie.
     max_regret, max_relative_regret : number or "p/q", optional
@@ -72,7 +72,7 @@ def check(
         "max_regret": _limit("max_regret", max_regret),
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
     }
-    found = taken(mdp, learned, kind=kind)
+    found = learned if isinstance(learned, Taken) else taken(mdp, learned, kind=kind)
     policy = found.policy
     chain = PolicyChain.of(mdp, policy)
     said = None if found.values is None else pair_values(mdp, policy, found.values)
