@@ -1,12 +1,15 @@
 """What an audit of a policy found: verdicts, agreement, reasons, and the message.
 
 The verdicts compare the regret at the start with the limits given, exactly where it is certified.
-Where it is bounded, what the bounds do not decide does not pass.
+Where it is bounded, the upper bound has to keep the limit: what the bounds do not decide does not
+pass. Without a limit the regret has to be zero: exactly, but for what the rounding of given floats
+can move (`analysis.forgiveness`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
 
@@ -19,7 +22,8 @@ from analysis.regret import Regret
 from analysis.representation import Representation, representation
 from mdp.model import MDP
 from mdp.policy import Policy
-from mdp.table import Floats
+from mdp.policy_array import ReadAs
+from mdp.table import Floats, shown
 from solvers.policy_chain import PolicyChain
 from solvers.solution import Bounded, Certified, Claim
 
@@ -63,8 +67,12 @@ class Audit:
         States with a choice where it does not act optimally, the costliest first.
     said : (L,), optional
         Action values of the Q-table.
+    read_as : "q" or "policy"
+        What the policy was taken from.
+    source : str
+        The same in words, where a two-dimensional array was read; else empty.
     max_regret, max_relative_regret : Fraction, optional
-        The limits; without either, the regret has to be zero up to rounding.
+        The limits; without either, the regret has to be zero.
     """
 
     mdp: MDP
@@ -74,6 +82,8 @@ class Audit:
     visits: Floats
     disagreements: tuple[Disagreement, ...]
     said: Floats | None = None
+    read_as: ReadAs = "policy"
+    source: str = ""
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
 
@@ -90,12 +100,21 @@ class Audit:
         return self.regret.claim
 
     @property
-    def relative_regret(self) -> float:
-        """Regret at the start over the absolute optimal value; infinite where that is 0."""
-        lost, best = self.regret.at_start.value, self.regret.optimal.value
-        if lost == 0:
-            return 0.0
-        return float(Fraction(lost) / abs(Fraction(best))) if best else float("inf")
+    def forgiven(self) -> Fraction:
+        """The regret that counts as none where no limit is given; 0 in an exact model."""
+        return self.regret.forgiven
+
+    @property
+    def relative_regret(self) -> float | None:
+        """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
+        best = self.regret.optimal
+        if isinstance(best, Certified):
+            undefined = best.value == 0
+        else:
+            undefined = best.interval[0] <= 0 <= best.interval[1]
+        if undefined:
+            return None
+        return float(Fraction(self.regret.at_start.value) / abs(Fraction(best.value)))
 
     # ---- verdicts ----------------------------------------------------------------------------
 
@@ -104,29 +123,56 @@ class Audit:
         """Whether every limit holds; what bounds cannot decide does not pass."""
         return all(verdict.passed for verdict in self.verdicts)
 
+    @property
+    def undecided(self) -> bool:
+        """Whether the bounds leave a verdict open, which then does not pass."""
+        return None in self._decisions
+
+    @cached_property
+    def _decisions(self) -> tuple[bool | None, ...]:
+        found = []
+        if self.max_regret is None and self.max_relative_regret is None:
+            found.append(self.regret.zero)
+        if self.max_regret is not None:
+            found.append(self.regret.decided(self.max_regret))
+        if self.max_relative_regret is not None:
+            found.append(self._relative(self.max_relative_regret))
+        return tuple(found)
+
     @cached_property
     def verdicts(self) -> tuple[Verdict, ...]:
         """What was checked: each limit given, or that the regret is zero."""
         found, text = [], f"it is {_number(self.regret.at_start)}"
         if self.max_regret is None and self.max_relative_regret is None:
-            name = "the regret is zero up to rounding"
-            found.append(Verdict(name=name, passed=self.regret.zero, text=text))
+            found.append(self._zero(text))
         if self.max_regret is not None:
-            name = f"the regret is at most {_shown(self.max_regret)}"
+            name = f"the regret is at most {shown(self.max_regret, 10)}"
             found.append(_verdict(name, self.regret.decided(self.max_regret), text))
         if self.max_relative_regret is not None:
-            name = f"the relative regret is at most {_shown(self.max_relative_regret)}"
-            text = f"it is {self.relative_regret:.6g} ({self.claim})"
-            found.append(_verdict(name, self._relative(self.max_relative_regret), text))
+            name = f"the relative regret is at most {shown(self.max_relative_regret, 10)}"
+            if self.relative_regret is None:
+                text = "it is undefined, because the optimal value is, or may be, 0"
+                found.append(Verdict(name=name, passed=False, text=text))
+            else:
+                text = f"it is {self.relative_regret:.6g} ({self.claim})"
+                found.append(_verdict(name, self._relative(self.max_relative_regret), text))
         return tuple(found)
+
+    def _zero(self, text: str) -> Verdict:
+        """Return the verdict without a limit, with what it forgives."""
+        decision = self.regret.zero
+        if not self.regret.forgiveness.high:
+            return _verdict("the regret is zero", decision, text)
+        text += f"; rounding can move it by {_below(self.forgiven)}"
+        return _verdict("the regret is zero up to the rounding of the given floats", decision, text)
 
     def _relative(self, limit: Fraction) -> bool | None:
         best = self.regret.optimal
+        if self.relative_regret is None:
+            return False
         if isinstance(best, Certified):
             return self.regret.decided(limit * abs(best.value))
         low, high = sorted(abs(Fraction(end)) for end in best.interval)
-        if best.interval[0] < 0 < best.interval[1]:
-            low = Fraction(0)
         if self.regret.decided(limit * low):
             return True
         return False if self.regret.decided(limit * high) is False else None
@@ -141,10 +187,18 @@ class Audit:
     def agreement(self) -> float:
         """Share of the states with a choice in which all that the policy does is optimal.
 
-        Terminal states do not count. 1 where there is no choice at all.
+        Terminal states do not count, and `unclear` ones as agreement. 1 where there is no choice.
         """
         states = int(self._choosing.sum())
         return 1 - len(self.disagreements) / states if states else 1.0
+
+    @cached_property
+    def unclear(self) -> int:
+        """Number of states in which bounds do not tell whether what the policy does is optimal."""
+        used = self.regret.unclear & (self.chain.chosen > 0)
+        states = np.unique(self.mdp.pair_state[used])
+        listed = {each.state for each in self.disagreements}
+        return sum(self._choosing[s] and s not in listed for s in states.tolist())
 
     @property
     def agreement_by_visits(self) -> float:
@@ -180,7 +234,8 @@ class Audit:
             Say also what the policy's columns cannot express, which takes a search.
         """
         lost = self.regret
-        lines = [
+        lines = [f"the array was read as {self.source}"] if self.source else []
+        lines += [
             f"{'passed' if each.passed else 'failed'}: {each.name}; {each.text}"
             for each in self.verdicts
         ]
@@ -189,6 +244,8 @@ class Audit:
             f" {float(lost.learned.value):.10g}; not optimal in {len(self.disagreements)} of"
             f" {int(self._choosing.sum())} states with a choice"
         )
+        if self.unclear:
+            lines.append(f"in {self.unclear} more the bounds do not tell")
         for each in self.disagreements[:SHOWN]:
             lines.append(
                 f"  ({each.label}): {each.learned}, not {' or '.join(each.optimal)};"
@@ -204,7 +261,10 @@ class Audit:
 
 def _verdict(name: str, decision: bool | None, text: str) -> Verdict:
     if decision is None:
-        text += ", which the bounds do not decide"
+        text += (
+            ", which the bounds do not decide: give a limit that they keep (--max-regret,"
+            " max_regret=…), or ask for exact values (--certify, exact_values=True)"
+        )
     return Verdict(name=name, passed=decision is True, text=text)
 
 
@@ -215,8 +275,10 @@ def _number(value: Certified | Bounded) -> str:
     return str(value)
 
 
-def _shown(limit: Fraction) -> str:
-    return f"{float(limit):.10g}"
+def _below(number: Fraction) -> str:
+    """Return a number of two digits that is not above the given one."""
+    rounded = Context(prec=2, rounding=ROUND_DOWN).create_decimal(Decimal(float(number)))
+    return f"up to {rounded:g}"
 
 
 def _why(found: Representation) -> str:

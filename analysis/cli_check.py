@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from fractions import Fraction
+from math import inf, nextafter
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli_common import POLICY_HELP, check_outputs, model_options, perception_option
+from analysis.cli_common import (
+    POLICY_HELP,
+    check_outputs,
+    kind_option,
+    model_options,
+    perception_option,
+    read_as,
+)
 from analysis.cli_output import Grid, number, show
 
 if TYPE_CHECKING:
@@ -37,6 +46,7 @@ LISTED_STATES = 1000  # models with more states are left to Python for the regre
 @click.option(
     "--no-explain", is_flag=True, help="Leave out what the policy's columns cannot express."
 )
+@kind_option
 @perception_option
 @model_options
 def check(
@@ -47,6 +57,7 @@ def check(
     junit: str | None,
     certify: bool,
     no_explain: bool,
+    kind: str,
     perception: str | None,
     sets: tuple[str, ...],
     discount: str | None,
@@ -54,23 +65,24 @@ def check(
 ) -> int:
     """Hold LEARNED, a policy or Q-table, against the exact optimum of MODEL.
 
-    Passes where the regret at the start is within the limits; without any, where it is zero up to
-    rounding. LEARNED is a POLICY; of a Q-table the greedy policy counts.
+    Passes where the regret at the start is within the limits; what bounds leave open does not pass.
+    Without a limit it passes where the regret is zero: exactly, but for what half a unit in the
+    last place of the model's floats can move. --max-regret 0 forgives nothing. LEARNED is a POLICY;
+    of a Q-table the greedy policy counts.
     """
     from time import perf_counter
 
     from analysis import compare
-    from analysis.cli_common import policy_of
+    from analysis.cli_common import taken_of
     from mdp.load import load
 
     started = perf_counter()
     check_outputs((junit, (".xml",)))
     loaded = load(model, sets=sets, discount=discount)
+    given = taken_of(loaded.mdp, learned, perception, kind=kind)
     audit = compare.check(
         loaded.mdp,
-        policy_of(loaded.mdp, learned, perception)
-        if learned == "optimal" or perception
-        else learned,
+        given,
         max_regret=max_regret,
         max_relative_regret=max_relative_regret,
         exact_values=True if certify else None,
@@ -82,7 +94,8 @@ def check(
         )
     result = {"model": loaded.name, "learned": learned, "perception": perception} | _result(audit)
     result |= _reasons(audit, why)
-    show(result, as_json=as_json, facts=_facts(result), grids=_grids(result))
+    facts = read_as(given) | _facts(result)
+    show(result, as_json=as_json, facts=facts, grids=_grids(result))
     return PASSED if audit.passed else FAILED
 
 
@@ -117,11 +130,13 @@ def _result(audit: Audit) -> dict[str, Any]:
     by_state = zip(mdp.space.labels(range(mdp.n_states)), lost.by_state.tolist(), strict=True)
     return {
         "discount": mdp.discount,
+        "read_as": audit.read_as,
         "passed": audit.passed,
         "claim": audit.claim,
         "regret": float(lost.at_start.value),
         "exact_regret": lost.at_start.value if exact else None,
         "error_bound": 0.0 if isinstance(lost.at_start, Certified) else lost.at_start.error,
+        "forgiven": _float_below(audit.forgiven),
         "relative_regret": audit.relative_regret,
         "optimal_value": float(lost.optimal.value),
         "learned_value": float(lost.learned.value),
@@ -130,10 +145,17 @@ def _result(audit: Audit) -> dict[str, Any]:
         "checks": [asdict(verdict) for verdict in audit.verdicts],
         "agreement": audit.agreement,
         "agreement_by_visits": audit.agreement_by_visits,
+        "unclear": audit.unclear,
         "disagreements": [_disagreement(mdp, each) for each in audit.disagreements],
         "regret_by_state": dict(by_state) if mdp.n_states <= LISTED_STATES else None,
         "q_error": asdict(audit.q_error) if audit.q_error else None,
     }
+
+
+def _float_below(number: Fraction) -> float:
+    """Return the greatest float that is not above a number."""
+    rounded = float(number)
+    return rounded if rounded <= number else nextafter(rounded, -inf)
 
 
 def _disagreement(mdp: MDP, each: Disagreement) -> dict[str, Any]:
@@ -200,12 +222,16 @@ def _facts(result: dict[str, Any]) -> dict[str, str]:
         facts[each["name"]] = f"{'yes' if each['passed'] else 'no'}: {each['text']}"
     facts |= {
         "regret": f"{number(result['regret'], error)} ({result['claim']})",
-        "relative regret": number(result["relative_regret"]),
+        "relative regret": "undefined: the optimal value is, or may be, 0"
+        if result["relative_regret"] is None
+        else number(result["relative_regret"]),
         "optimal value": number(result["optimal_value"], error),
         "learned value": number(result["learned_value"], error),
         "agreement": f"{result['agreement']:.1%} of the states with a choice, "
         f"{result['agreement_by_visits']:.1%} of the visits to them",
     }
+    if result["unclear"]:
+        facts["not decided"] = f"by the bounds, in {result['unclear']} more states"
     if q := result["q_error"]:
         facts["Q-table"] = (
             f"promises {number(q['promised'])} at the start; root mean square error "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -10,12 +11,14 @@ import click
 
 if TYPE_CHECKING:
     from mdp.model import MDP
-    from mdp.policy import Policy
+    from mdp.policy import Policy, Taken
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 POLICY_HELP = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
-.csv with the header status,action; .npy or .npz with a Q-table."""
+.csv with the header status,action; .npy or .npz with a Q-table or with probabilities of actions
+(--kind q, --kind policy; auto takes an array for probabilities where every row that counts is a
+distribution, and refuses it where its greedy policy would be another one)."""
 
 
 def model_options(function: Function) -> Function:
@@ -46,24 +49,42 @@ PERCEPTION_HELP = (
 perception_option = click.option("--perception", metavar="FILE", help=PERCEPTION_HELP)
 
 
-def policy_of(mdp: MDP, form: str, perception: str | None = None) -> Policy:
+kind_option = click.option(
+    "--kind",
+    default="auto",
+    metavar="q|policy|auto",
+    help="What a .npy or .npz file holds: a Q-table, or probabilities of actions.",
+)
+
+
+def policy_of(mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto") -> Policy:
+    """Return the policy that a command names; see `taken_of`."""
+    return taken_of(mdp, form, perception, kind=kind).policy
+
+
+def taken_of(mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto") -> Taken:
     """Return the policy that a command names, acting on what is perceived where that is given.
 
     The optimum is solved for; under a perception it is the optimum of whoever sees the truth.
     """
-    from mdp.policy import Policy
+    from mdp.policy import taken
 
+    given: object = form
     if form == "optimal":
         from solvers import solve
 
-        policy = Policy.from_choices(mdp, solve(mdp).policy)
-    else:
-        policy = Policy.of(mdp, form)
+        given = solve(mdp)
+    found = taken(mdp, given, kind=kind)
     if perception is None:
-        return policy
+        return found
     from mdp.perception import perceived, read
 
-    return perceived(mdp, policy, read(perception, mdp))
+    return replace(found, policy=perceived(mdp, found.policy, read(perception, mdp)), values=None)
+
+
+def read_as(found: Taken) -> dict[str, str]:
+    """Return the first line of the output: what an array was taken for, where there was one."""
+    return {"read as": found.said} if found.said else {}
 
 
 def float_of(text: str | None, option: str) -> float | None:

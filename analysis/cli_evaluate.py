@@ -7,7 +7,15 @@ from typing import Any
 
 import click
 
-from analysis.cli_common import POLICY_HELP, model_options, perception_option, policy_of, whole_of
+from analysis.cli_common import (
+    POLICY_HELP,
+    kind_option,
+    model_options,
+    perception_option,
+    read_as,
+    taken_of,
+    whole_of,
+)
 from analysis.cli_output import Grid, at_most, decimal, number, show
 
 MOST_EPISODES = 10**9
@@ -25,12 +33,14 @@ LISTED_RETURNS = 1000  # longer distributions are left to --json
     default=True,
     help="Whether to work out the quantiles, which can take long in large models.",
 )
+@kind_option
 @perception_option
 @model_options
 def evaluate(
     model: str,
     policy: str,
     quantiles: bool,
+    kind: str,
     perception: str | None,
     sets: tuple[str, ...],
     discount: str | None,
@@ -41,12 +51,14 @@ def evaluate(
     from mdp.load import load
 
     loaded = load(model, sets=sets, discount=discount)
-    found = solvers.evaluate(loaded.mdp, policy_of(loaded.mdp, policy, perception))
+    given = taken_of(loaded.mdp, policy, perception, kind=kind)
+    found = solvers.evaluate(loaded.mdp, given.policy)
     shares = found.quantiles if quantiles else None
     missing = "left out" if not quantiles else found.quantiles_missing
     result: dict[str, Any] = {
         "model": loaded.name,
         "policy": policy,
+        "read_as": given.read_as,
         "perception": perception,
         "discount": loaded.mdp.discount,
         "claim": found.claim,
@@ -63,7 +75,7 @@ def evaluate(
         "error_bounds": {name: bounded.error for name, bounded in found.numbers.items()},
     }
     errors = result["error_bounds"]
-    facts = {
+    facts = read_as(given) | {
         "model": loaded.name,
         "policy": policy,
         **({"perception": perception} if perception else {}),
@@ -94,12 +106,14 @@ def evaluate(
 @click.argument("model")
 @click.argument("policy")
 @click.option("--exact", is_flag=True, help="Give the probabilities as rationals, too.")
+@kind_option
 @perception_option
 @model_options
 def returns(
     model: str,
     policy: str,
     exact: bool,
+    kind: str,
     perception: str | None,
     sets: tuple[str, ...],
     discount: str | None,
@@ -111,14 +125,15 @@ def returns(
     from solvers.returns import return_distribution
 
     loaded = load(model, sets=sets, discount=discount)
-    chosen = policy_of(loaded.mdp, policy, perception)
-    found = return_distribution(loaded.mdp, chosen, exact=exact)
-    moments = solvers.evaluate(loaded.mdp, chosen)
+    given = taken_of(loaded.mdp, policy, perception, kind=kind)
+    found = return_distribution(loaded.mdp, given.policy, exact=exact)
+    moments = solvers.evaluate(loaded.mdp, given.policy)
     values, chances = [decimal(value) for value in found.values], found.probabilities.tolist()
     error = float(found.error.max())
     result: dict[str, Any] = {
         "model": loaded.name,
         "policy": policy,
+        "read_as": given.read_as,
         "perception": perception,
         "discount": loaded.mdp.discount,
         "claim": found.claim,
@@ -131,7 +146,7 @@ def returns(
     }
     if found.exact is not None:
         result["exact_distribution"] = dict(zip(values, found.exact, strict=True))
-    facts = {
+    facts = read_as(given) | {
         "model": loaded.name,
         "policy": policy,
         "mean": number(moments.mean, moments.error_bound),
@@ -163,6 +178,7 @@ def returns(
 @click.option(
     "--seed", default="0", metavar="S", help="Seed of the random numbers; 0 unless given."
 )
+@kind_option
 @perception_option
 @model_options
 def simulate(
@@ -170,6 +186,7 @@ def simulate(
     policy: str,
     episodes: str,
     seed: str,
+    kind: str,
     perception: str | None,
     sets: tuple[str, ...],
     discount: str | None,
@@ -181,11 +198,13 @@ def simulate(
 
     count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
     loaded = load(model, sets=sets, discount=discount)
-    found = sample(loaded.mdp, policy_of(loaded.mdp, policy, perception), count, first)
+    given = taken_of(loaded.mdp, policy, perception, kind=kind)
+    found = sample(loaded.mdp, given.policy, count, first)
     low, high = found.estimate.interval
     result: dict[str, Any] = {
         "model": loaded.name,
         "policy": policy,
+        "read_as": given.read_as,
         "perception": perception,
         "discount": loaded.mdp.discount,
         "claim": found.claim,
@@ -201,7 +220,7 @@ def simulate(
         "truncation_error": found.truncation_error,
     }
     error = found.standard_error
-    facts = {
+    facts = read_as(given) | {
         "model": loaded.name,
         "policy": policy,
         **({"perception": perception} if perception else {}),

@@ -10,21 +10,17 @@ for the price of each state, `analysis.representation` for what the policy's col
 
 from __future__ import annotations
 
+from contextlib import suppress
 from fractions import Fraction
-from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from analysis.audit import Audit
 from analysis.disagreements import disagreements, own_visits
 from analysis.q_error import pair_values
-from analysis.regret import regret
+from analysis.regret import LAST_CYCLE, Regret, cheap, regret
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.policy import Policy
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, exact
+from mdp.policy import Taken, taken
+from mdp.table import exact, shown
 from solvers.policy_chain import PolicyChain
 
 
@@ -35,26 +31,34 @@ def check(
     max_regret: object | None = None,
     max_relative_regret: object | None = None,
     exact_values: bool | None = None,
+    kind: str = "auto",
 ) -> Audit:
     """Return how much a policy or Q-table loses against the optimum, where and why.
 
     Parameters
     ----------
     mdp : MDP
-    learned : Policy, str, path, mapping, array, Solution or TrainingRun
-        Whatever `Policy.of` takes, or a Q-table: a `.npy` or `.npz` file, or an array over the
-        statuses or over all states that does not hold a distribution for every state with a choice.
-        Of a Q-table the greedy policy counts, the lowest action number on a tie.
+    learned : Policy, str, path, mapping, array, Solution, TrainingRun or Taken
+        Whatever `Policy.of` takes, Q-tables included. Of these the greedy policy counts, the lowest
+        action number on a tie.
     max_regret, max_relative_regret : number or "p/q", optional
-        Limits for the regret at the start and for its ratio to the absolute optimal value. Without
-        either, the audit passes only where the regret is zero up to rounding.
+        Limits for the regret at the start and for its ratio to the absolute optimal value, which is
+        undefined where that is 0, and does not pass. Without either, the audit passes only where
+        the regret is zero: in a model of floats, where it is at most what the rounding of the
+        numbers given can move (`Audit.forgiven`). A limit of 0 forgives nothing.
     exact_values : bool, optional
-        Rational arithmetic or bounds in floats; see `analysis.regret.regret`.
+        Rational arithmetic or bounds in floats; see `analysis.regret.regret`. Unless given, bounds
+        that leave a verdict open are followed by rational arithmetic in models of up to 100,000
+        transitions without cycles of over 500 states.
+    kind : "auto", "q" or "policy"
+        What a two-dimensional array or a file of one holds; `mdp.policy_array` states the rule of
+        "auto", and `Audit.read_as` says what was taken.
 
     Raises
     ------
     ModelError
-        For a policy that does not fit the model; at discount 1 where not every policy ends.
+        For a policy that does not fit the model, an array that may be read in two ways, or a limit
+        that is no number of at least 0; at discount 1 where not every policy ends.
 
     Examples
     --------
@@ -64,39 +68,56 @@ def check(
     >>> audit.passed, round(float(audit.regret.at_start.value), 3), round(audit.agreement, 3)
     (False, 63.062, 0.333)
     """
-    policy, said = _learned(mdp, learned)
+    limits = {
+        "max_regret": _limit("max_regret", max_regret),
+        "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
+    }
+    found = learned if isinstance(learned, Taken) else taken(mdp, learned, kind=kind)
+    policy = found.policy
     chain = PolicyChain.of(mdp, policy)
-    lost = regret(mdp, chain, exact=exact_values)
-    visits = own_visits(chain)
-    return Audit(
-        mdp=mdp,
-        policy=policy,
-        chain=chain,
-        regret=lost,
-        visits=visits,
-        disagreements=disagreements(mdp, chain, lost, visits),
-        said=said,
-        max_regret=_limit("max_regret", max_regret),
-        max_relative_regret=_limit("max_relative_regret", max_relative_regret),
-    )
+    said = None if found.values is None else pair_values(mdp, policy, found.values)
+
+    def audit(lost: Regret) -> Audit:
+        visits = own_visits(chain)
+        return Audit(
+            mdp=mdp,
+            policy=policy,
+            chain=chain,
+            regret=lost,
+            visits=visits,
+            disagreements=disagreements(mdp, chain, lost, visits),
+            said=said,
+            read_as=found.read_as,
+            source=found.said,
+            **limits,
+        )
+
+    result = audit(regret(mdp, chain, exact=exact_values))
+    if exact_values is None and result.undecided and cheap(mdp, LAST_CYCLE):
+        with suppress(ModelError):  # a cycle that is too ill-conditioned leaves it undecided
+            return audit(regret(mdp, chain, exact=True))
+    return result
 
 
 def assert_policy_optimal(
     mdp: MDP,
     policy: object,
-    max_regret: object = 1e-9,
+    max_regret: object | None = None,
     *,
     max_relative_regret: object | None = None,
+    kind: str = "auto",
 ) -> Audit:
-    """Raise AssertionError, naming the costly states, unless the regret is at most `max_regret`.
+    """Raise AssertionError, naming the costly states, unless the regret keeps its limits.
 
     Parameters
     ----------
     mdp : MDP
     policy : Policy, str, path, mapping, array, Solution or TrainingRun
         A policy or Q-table; see `check`.
-    max_regret, max_relative_regret : number or "p/q"
-        Limits at the start; both must hold.
+    max_regret, max_relative_regret : number or "p/q", optional
+        Limits at the start; both must hold. Without either the regret must be zero; see `check`.
+    kind : "auto", "q" or "policy"
+        What a two-dimensional array holds; see `check`.
 
     Returns
     -------
@@ -108,45 +129,16 @@ def assert_policy_optimal(
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
     >>> assert_policy_optimal(mdp, [0, 0])
     Traceback (most recent call last):
-    AssertionError: failed: the regret is at most 1e-09; it is 2 (certified)
+    AssertionError: failed: the regret is zero; it is 2 (certified)
     optimal value 3, learned 1; not optimal in 1 of 1 states with a choice
       (state 0): 0, not 1; gap 2 x 1 visits = 2
     """
-    audit = check(mdp, policy, max_regret=max_regret, max_relative_regret=max_relative_regret)
+    audit = check(
+        mdp, policy, max_regret=max_regret, max_relative_regret=max_relative_regret, kind=kind
+    )
     if not audit.passed:
         raise AssertionError(audit.message())
     return audit
-
-
-def _learned(mdp: MDP, learned: Any) -> tuple[Policy, Floats | None]:
-    """Return a policy, and the action values (L,) where a Q-table was given."""
-    if isinstance(learned, str | Path) and Path(learned).suffix.lower() in (".npy", ".npz"):
-        from mdp.policy_file import read_array
-
-        policy = Policy.of(mdp, learned)
-        return policy, pair_values(mdp, policy, read_array(learned))
-    if hasattr(learned, "q") and callable(getattr(learned, "policy", None)):
-        policy = learned.policy(mdp)
-        return policy, pair_values(mdp, policy, learned.q)
-    if isinstance(getattr(learned, "policy", None), np.ndarray):
-        return Policy.from_choices(mdp, learned.policy), None
-    if not isinstance(learned, np.ndarray | list | tuple):
-        return Policy.of(mdp, learned), None
-    array = np.asarray(learned)
-    if array.ndim != 2 or array.dtype.kind not in "fiu":
-        return Policy.of(mdp, array), None
-    if _distributions(mdp, array):
-        return Policy.of(mdp, array.astype(np.float64)), None
-    policy = Policy.from_q(mdp, array)
-    return policy, pair_values(mdp, policy, array)
-
-
-def _distributions(mdp: MDP, table: NDArray[Any]) -> bool:
-    """Return whether the rows of an array are distributions, where there is a choice."""
-    if mdp.space.regular <= len(table) <= mdp.n_states:
-        table = table[(~mdp.forced & ~mdp.terminal)[: len(table)]]
-    near = np.abs(table.sum(axis=1) - 1) <= FLOAT_ROW_TOLERANCE
-    return bool(near.all() and (table >= 0).all())
 
 
 def _limit(name: str, limit: object | None) -> Fraction | None:
@@ -157,5 +149,5 @@ def _limit(name: str, limit: object | None) -> Fraction | None:
     except ModelError as error:
         raise ModelError(error.what, where=name, fix=error.fix) from error
     if found < 0:
-        raise ModelError(f"{name} is {float(found):g}", where=name, fix="choose 0 or more")
+        raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose 0 or more")
     return found

@@ -28,6 +28,7 @@ from analysis.regret import Regret
 from mdp.model import MDP
 from mdp.table import Floats, Integers
 from solvers.bounds import levels
+from solvers.gains import gains
 from solvers.policy_chain import PolicyChain
 from solvers.visits import visits
 
@@ -102,9 +103,9 @@ def disagreements(
     best.chosen[np.minimum.reduceat(number, first)] = 1.0
     cheap = levels(mdp) is not None or mdp.n_states <= LARGE
     priced = states if cheap else states[:PRICED]
-    gains = _changes(chain, found.learned_value, visited, best, priced)
+    corrected = _changes(chain, found.learned_value, visited, best, priced)
     losses = -_changes(best, found.optimal_value, own_visits(best), chain, priced)
-    prices = zip(gains.tolist(), losses.tolist(), strict=True)
+    prices = zip(corrected.tolist(), losses.tolist(), strict=True)
     listed = []
     for state in states.tolist():
         gain, loss = next(prices, (None, None))
@@ -138,7 +139,7 @@ def _changes(
     known, used = np.nan_to_num(value), other.pairs
     shape = (mdp.n_states, mdp.n_pairs)
     mixing = sp.csr_array((other.weights[used], (mdp.pair_state[used], used)), shape)[states]
-    gain = mixing @ mdp.backup(known) - known[states]
+    gain = mixing @ gains(mdp, known).value  # Q - V without taking the difference of large numbers
     change = np.where(visited[states] > 0, visited[states] * gain, 0.0)
     if levels(mdp) is not None:
         return change

@@ -3,14 +3,15 @@
     def test_policy(policy_gate):
         policy_gate("yuan2025", "policy.json", max_regret=0.1)
 
-`policy_gate(model, policy, *, max_regret=1e-9, max_relative_regret=None, set=(), discount=None)`
+`policy_gate(model, policy, *, max_regret=None, max_relative_regret=None, set=(), discount=None,
+kind="auto")`
 takes an `MDP`, or any MODEL of the command line (a scenario's name, a `.toml`, `.npz` or `.umb`
 file, `gymnasium:ID`) with `set` and `discount` as `--set` and `--discount`, and any policy or
 Q-table that `analysis.check` takes. Files are looked for beside the test first, then in the working
-directory. The test fails, naming the costly states, where the regret is above a limit; otherwise
-the audit is returned for further assertions:
+directory. The test fails, naming the costly states, where the regret is above a limit, or above
+zero where none is given; otherwise the audit is returned for further assertions:
 
-    audit = policy_gate(mdp, q_table, max_relative_regret="1/100", max_regret=None)
+    audit = policy_gate(mdp, q_table, max_relative_regret="1/100")
     assert audit.agreement == 1
 
 What was found is recorded as properties of the test in pytest's own JUnit report (`--junitxml`).
@@ -40,10 +41,11 @@ class PolicyGate(Protocol):
         model: MDP | str | Path,
         policy: object,
         *,
-        max_regret: object | None = 1e-9,
+        max_regret: object | None = None,
         max_relative_regret: object | None = None,
         set: Sequence[str] = (),
         discount: object | None = None,
+        kind: str = "auto",
     ) -> Audit: ...
 
 
@@ -55,10 +57,11 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         model: MDP | str | Path,
         policy: object,
         *,
-        max_regret: object | None = 1e-9,
+        max_regret: object | None = None,
         max_relative_regret: object | None = None,
         set: Sequence[str] = (),
         discount: object | None = None,
+        kind: str = "auto",
     ) -> Audit:
         __tracebackhide__ = True
         from analysis.compare import check
@@ -74,6 +77,7 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
             _beside(request.path, policy),
             max_regret=max_regret,
             max_relative_regret=max_relative_regret,
+            kind=kind,
         )
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.
         request.node.user_properties += [

@@ -11,13 +11,15 @@ max_a Q, is set beside what its greedy policy is worth there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
+from math import inf
 
 import numpy as np
 
 from mdp.chain import reachable
 from mdp.model import MDP
 from mdp.policy import Policy
-from mdp.table import Floats
+from mdp.table import Floats, Numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +49,7 @@ class QError:
     promised: float
 
 
-def pair_values(mdp: MDP, policy: Policy, table: Floats) -> Floats:
+def pair_values(mdp: MDP, policy: Policy, table: Numbers) -> Floats:
     """Return (L,) what a Q-table says of each pair; NaN where it says nothing.
 
     Parameters
@@ -63,8 +65,23 @@ def pair_values(mdp: MDP, policy: Policy, table: Floats) -> Floats:
     )[mdp.pair_action]
     found = np.full(mdp.n_pairs, np.nan)
     said = (column >= 0) & (keys < len(table))
-    found[said] = table[keys[said], column[said]]
+    found[said] = _floats(table[keys[said], column[said]])
     return found
+
+
+def _floats(values: Numbers) -> Floats:
+    """Return numbers of any type as floats, infinite where they are beyond these."""
+    if values.dtype == object:
+        return np.array([_float(value) for value in values], dtype=np.float64)
+    with np.errstate(over="ignore"):
+        return values.astype(np.float64)
+
+
+def _float(value: float | Fraction) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return inf if value > 0 else -inf
 
 
 def q_error(mdp: MDP, said: Floats, optimal: Floats, used: Floats) -> QError | None:

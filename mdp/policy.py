@@ -10,13 +10,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mdp.errors import ModelError, suggest
 from mdp.model import MDP
-from mdp.space import Column, StateSpace
+from mdp.policy_array import (
+    ArrayPolicy,
+    ReadAs,
+    action_numbers,
+    checked_kind,
+    numbers_of,
+    policy_of_array,
+)
+from mdp.space import StateSpace
 from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, float_array
 
 
@@ -96,6 +105,11 @@ class Policy:
         weights[mdp.forced[mdp.pair_state]] = 1.0
         total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
         bad = ~(np.abs(total - 1) <= FLOAT_ROW_TOLERANCE)
+        # What is done where everything has ended does not matter: it may be left open.
+        ended = bad & mdp.terminal
+        weights[ended[mdp.pair_state]] = 0.0
+        weights[mdp.pair_offsets[:-1][ended]] = 1.0
+        bad &= ~ended
         if bad.any():
             state = int(np.flatnonzero(bad)[0])
             missing = bool(np.isnan(total[state]))
@@ -136,39 +150,32 @@ class Policy:
     # ---- construction ------------------------------------------------------------------------
 
     @classmethod
-    def of(cls, mdp: MDP, policy: object) -> Policy:
+    def of(cls, mdp: MDP, policy: object, *, kind: str = "auto") -> Policy:
         """Return a policy from any form that the toolkit takes.
 
         Parameters
         ----------
         mdp : MDP
-        policy : Policy, str, path, mapping or array
+        policy : Policy, str, path, mapping, array, or object with an array `q` or `policy`
             A policy; "random", "always:ACTION" or a file; {status: action}; (S,) action numbers;
-            (S, A) probabilities.
-        """
-        if isinstance(policy, Policy):
-            return policy
-        if isinstance(policy, Mapping):
-            from mdp.policy_file import from_mapping
+            a two-dimensional array of probabilities or action values.
+        kind : "auto", "q" or "policy"
+            What a two-dimensional array holds; `mdp.policy_array` states the rule of "auto".
 
-            return from_mapping(mdp, policy, where="policy")
-        if isinstance(policy, str) and policy == "random":
-            return cls.uniform(mdp)
-        if isinstance(policy, str) and policy.startswith("always:"):
-            return cls.always(mdp, policy.removeprefix("always:"))
-        if isinstance(policy, str | Path):
-            return cls.read(policy, mdp)
-        array = np.asarray(policy)
-        if array.dtype.kind in "iu" and array.shape in ((mdp.n_states,), (_free(mdp),)):
-            return cls.from_choices(mdp, array)
-        if array.dtype.kind == "f" and array.shape == (mdp.n_states, mdp.n_actions):
-            return cls(space=mdp.space, actions=mdp.actions, table=array)
-        raise ModelError(
-            f"a policy of type {type(policy).__name__} with shape {array.shape}",
-            where="policy",
-            fix=f"give ({mdp.n_states},) action numbers or ({mdp.n_states}, {mdp.n_actions}) "
-            "probabilities; for a Q-table use Policy.from_q",
-        )
+        Raises
+        ------
+        ModelError
+            For what does not fit the model; where an array may be either, and they differ.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+        >>> Policy.of(mdp, [[0.5, 0.5], [0, 0]], kind="policy").weights(mdp).tolist()
+        [0.5, 0.5, 1.0, 0.0]
+        >>> Policy.of(mdp, [[0.5, 0.5], [0, 0]], kind="q").weights(mdp).tolist()
+        [1.0, 0.0, 1.0, 0.0]
+        """
+        return taken(mdp, policy, kind=kind).policy
 
     @classmethod
     def uniform(cls, mdp: MDP) -> Policy:
@@ -191,15 +198,7 @@ class Policy:
     @classmethod
     def from_choices(cls, mdp: MDP, choices: ArrayLike) -> Policy:
         """Return the policy of (S,) action numbers; a forced end may be left out."""
-        numbers = np.asarray(choices, dtype=np.int64)
-        if numbers.shape == (_free(mdp),):
-            numbers = np.append(numbers, np.zeros(mdp.n_states - _free(mdp), dtype=np.int64))
-        if numbers.shape != (mdp.n_states,) or ((numbers < 0) | (numbers >= mdp.n_actions)).any():
-            raise ModelError(
-                f"action numbers of shape {numbers.shape}, or outside 0 … {mdp.n_actions - 1}",
-                where="policy",
-                fix=f"give one action number for each of the {mdp.n_states} states",
-            )
+        numbers = action_numbers(mdp, numbers_of(choices))
         return cls(space=mdp.space, actions=mdp.actions, table=np.eye(mdp.n_actions)[numbers])
 
     @classmethod
@@ -209,23 +208,10 @@ class Policy:
         Parameters
         ----------
         table : (S, A) over all states, or (2^n, A) over the status vectors
-            Action values; only the actions that a state offers are compared. Extra states
-            (the end) may be left out where they offer no choice.
+            Action values, compared as they are; only the actions that a state offers count. Extra
+            states (the end) may be left out where they offer no choice. See `mdp.policy_array`.
         """
-        values = float_array(table)
-        space, actions, offered = _q_layout(mdp, values)
-        if np.isnan(values[offered]).any():
-            row = int(np.flatnonzero((np.isnan(values) & offered).any(axis=1))[0])
-            raise ModelError(
-                "an action value is NaN",
-                where=f"Q-table, {space.label(row)}",
-                fix="give a number for every available action",
-            )
-        greedy = np.argmax(np.where(offered, values, -np.inf), axis=1)
-        # A row of -inf would make argmax fall on an action that is not offered.
-        lowest = np.argmax(offered, axis=1)
-        chosen = np.where(offered[np.arange(len(greedy)), greedy], greedy, lowest)
-        return cls(space=space, actions=actions, table=np.eye(len(actions))[chosen])
+        return _made(policy_of_array(mdp, numbers_of(table), "q"))
 
     @classmethod
     def by(cls, mdp: MDP, columns: Sequence[str], table: ArrayLike) -> Policy:
@@ -249,11 +235,9 @@ class Policy:
         return cls(space=space, actions=mdp.actions, table=array)
 
     @classmethod
-    def read(cls, path: str | Path, mdp: MDP) -> Policy:
+    def read(cls, path: str | Path, mdp: MDP, *, kind: str = "auto") -> Policy:
         """Read a policy or Q-table from `.json`, `.csv`, `.npy` or `.npz`; see the README."""
-        from mdp.policy_file import read
-
-        return read(path, mdp)
+        return taken(mdp, Path(path), kind=kind).policy
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads the status alone) `.json`, atomically."""
@@ -262,31 +246,104 @@ class Policy:
         write(self, path)
 
 
-def _q_layout(mdp: MDP, values: Floats) -> tuple[StateSpace, tuple[str, ...], Numbers]:
-    """Return the space, the actions and the (K, A) availability that a Q-table is over."""
-    offered: Numbers = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
-    offered[mdp.pair_state, mdp.pair_action] = True
-    if values.shape == offered.shape:
-        return mdp.space, mdp.actions, offered
-    if values.shape == (_free(mdp), mdp.n_actions):
-        return StateSpace(columns=mdp.space.columns), mdp.actions, offered[: len(values)]
-    free = np.flatnonzero(offered[~mdp.forced].any(axis=0))
-    actions = tuple(mdp.actions[number] for number in free)
-    expected = [f"({mdp.n_states}, {mdp.n_actions}) over all states"]
-    if "status" in mdp.space.names:
-        column: Column = mdp.space.column("status")
-        if values.shape == (column.size, len(actions)):
-            return StateSpace(columns=(column,)), actions, np.ones(values.shape, dtype=bool)
-        expected.append(f"({column.size}, {len(actions)}) over the statuses")
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Taken:
+    """A policy, and what it was taken from.
+
+    Attributes
+    ----------
+    policy : Policy
+    read_as : "q" or "policy"
+    array : bool
+        Whether a two-dimensional array was read, which might have been either.
+    values : (K, A), optional
+        The Q-table as it is.
+    """
+
+    policy: Policy
+    read_as: ReadAs = "policy"
+    array: bool = False
+    values: Numbers | None = None
+
+    @property
+    def said(self) -> str:
+        """What was taken, in words; empty where there was no array."""
+        if not self.array:
+            return ""
+        return "a Q-table: its greedy policy" if self.read_as == "q" else "action probabilities"
+
+
+def taken(mdp: MDP, policy: Any, *, kind: str = "auto") -> Taken:
+    """Return the policy of any form that the toolkit takes, and what was read; see `Policy.of`.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> taken(mdp, [[1.5, 2.5], [0, 0]]).read_as, taken(mdp, "random").read_as
+    ('q', 'policy')
+    """
+    asked = checked_kind(kind)
+    if isinstance(policy, str | Path) and Path(policy).suffix.lower() in (".npy", ".npz"):
+        from mdp.policy_file import array_file
+
+        return array_file(policy, lambda array: _of_array(mdp, array, asked))
+    if not isinstance(policy, Policy):
+        if hasattr(policy, "q") and callable(getattr(policy, "policy", None)):
+            return _of_array(mdp, numbers_of(policy.q), "q" if asked == "auto" else asked)
+        policy = policy.policy if _chosen(policy) else policy
+    found = _of_words(mdp, policy)
+    if found is None:
+        return _of_array(mdp, numbers_of(policy), asked)
+    if asked == "q":
+        raise ModelError(
+            "this is a policy, not a Q-table",
+            where="policy",
+            fix="leave kind out, or give an array of action values, or a file of one",
+        )
+    return Taken(policy=found)
+
+
+def _chosen(policy: object) -> bool:
+    """Return whether something holds (S,) action numbers, as solutions and certificates do."""
+    return isinstance(getattr(policy, "policy", None), np.ndarray)
+
+
+def _of_words(mdp: MDP, policy: object) -> Policy | None:
+    """Return the policy of anything but arrays; None where it must be one."""
+    if isinstance(policy, Policy):
+        return policy
+    if isinstance(policy, Mapping):
+        from mdp.policy_file import from_mapping
+
+        return from_mapping(mdp, policy, where="policy")
+    if isinstance(policy, str) and policy == "random":
+        return Policy.uniform(mdp)
+    if isinstance(policy, str) and policy.startswith("always:"):
+        return Policy.always(mdp, policy.removeprefix("always:"))
+    if isinstance(policy, str | Path):
+        from mdp.policy_file import read
+
+        return read(policy, mdp)
+    return None
+
+
+def _of_array(mdp: MDP, array: Numbers, kind: str) -> Taken:
+    if array.ndim == 2:
+        found = policy_of_array(mdp, array, kind)
+        values = found.values
+        return Taken(policy=_made(found), read_as=found.read_as, array=True, values=values)
+    if array.ndim == 1 and array.dtype.kind in "iu" and kind != "q":
+        return Taken(policy=Policy.from_choices(mdp, array))
     raise ModelError(
-        f"a Q-table of shape {values.shape}", where="Q-table", fix=f"give {' or '.join(expected)}"
+        f"a policy of shape {array.shape} and type {array.dtype}",
+        where="policy",
+        fix=f"give ({mdp.n_states},) action numbers, or ({mdp.n_states}, {mdp.n_actions}) "
+        "probabilities or action values",
     )
 
 
-def _free(mdp: MDP) -> int:
-    """Return the number of states, the extra ones at the end left out where they are forced."""
-    regular = mdp.space.regular
-    return regular if bool(mdp.forced[regular:].all()) else mdp.n_states
+def _made(found: ArrayPolicy) -> Policy:
+    return Policy(space=found.space, actions=found.actions, table=found.table)
 
 
 def check_action(name: str, actions: Sequence[str], where: str) -> int:

@@ -1,4 +1,4 @@
-"""Policies as files: JSON and CSV by column labels, NumPy arrays as greedy Q-tables."""
+"""Policies as files: JSON and CSV by column labels, NumPy arrays, see `policy_array`."""
 
 from __future__ import annotations
 
@@ -29,8 +29,6 @@ def read(path: str | Path, mdp: MDP) -> Policy:
         return _from_json(read_text(path), mdp, where)
     if suffix == ".csv":
         return _from_csv(read_text(path), mdp, where)
-    if suffix in (".npy", ".npz"):
-        return _from_numpy(path, mdp)
     raise ModelError(
         f"unknown kind of policy {where!r}",
         where="policy",
@@ -136,9 +134,10 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
     return _checked(mdp, space, rows, where)
 
 
-def _from_numpy(path: str | Path, mdp: MDP) -> Policy:
+def array_file(path: str | Path, make: Callable[[Numbers], T]) -> T:
+    """Return what is made of the array of a file, with the file's name in what goes wrong."""
     array = read_array(path)
-    return _at(str(path), lambda: Policy.from_q(mdp, array))
+    return _at(str(path), lambda: make(array))
 
 
 def read_array(path: str | Path) -> Numbers:

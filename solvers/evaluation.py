@@ -20,6 +20,7 @@ import numpy as np
 
 from mdp.errors import ModelError
 from mdp.model import MDP
+from mdp.policy_array import ReadAs
 from mdp.table import Floats
 from solvers.linear import FixedPoint, LinearSystem
 from solvers.policy_chain import Mask, PolicyChain
@@ -58,6 +59,11 @@ class Evaluation:
     def mdp(self) -> MDP:
         """The model."""
         return self.chain.mdp
+
+    @property
+    def read_as(self) -> ReadAs:
+        """What an array was taken for: "q" or "policy"."""
+        return self.chain.read_as
 
     @property
     def claim(self) -> Claim:
@@ -260,7 +266,7 @@ class Evaluation:
         }
 
 
-def evaluate(mdp: MDP, policy: object) -> Evaluation:
+def evaluate(mdp: MDP, policy: object, *, kind: str = "auto") -> Evaluation:
     """Return the mean and all else that there is to know about a policy's return.
 
     Parameters
@@ -268,6 +274,8 @@ def evaluate(mdp: MDP, policy: object) -> Evaluation:
     mdp : MDP
     policy : Policy, Solution, str, path, mapping or array
         Whatever `Policy.of` takes; a solution, for its policy; (L,) probabilities of pairs.
+    kind : "auto", "q" or "policy"
+        What a two-dimensional array holds; see `mdp.policy_array`.
 
     Raises
     ------
@@ -284,7 +292,7 @@ def evaluate(mdp: MDP, policy: object) -> Evaluation:
     >>> found.mean, found.steps, found.components, found.quantiles[0.5]
     (2.0, 2.0, {'reward': 2.0}, 1.0)
     """
-    chain = PolicyChain.of(mdp, policy)
+    chain = PolicyChain.of(mdp, policy, kind=kind)
     live = ~mdp.terminal
     if mdp.discount_exact == 1:
         chain.require_end()

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from mdp.chain import spans
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.policy import Policy
+from mdp.policy import Policy, taken
+from mdp.policy_array import ReadAs
 from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, OutcomeTable
 from solvers.bounds import levels
 from solvers.linear import LinearSystem
@@ -43,13 +44,16 @@ class PolicyChain:
     chosen : (L,)
         Probability of each pair given its state, as the policy states it: over the pairs of a
         state they sum to 1 up to rounding.
+    read_as : "q" or "policy"
+        What the policy was taken from; see `mdp.policy_array`.
     """
 
     mdp: MDP
     chosen: Floats
+    read_as: ReadAs = "policy"
 
     @classmethod
-    def of(cls, mdp: MDP, policy: object) -> PolicyChain:
+    def of(cls, mdp: MDP, policy: object, *, kind: str = "auto") -> PolicyChain:
         """Return the chain of a policy in any form that `evaluate` takes."""
         if isinstance(policy, PolicyChain):
             if policy.mdp is not mdp:
@@ -58,10 +62,9 @@ class PolicyChain:
         if isinstance(policy, Solution):
             policy = Policy.from_choices(mdp, policy.policy)
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
-            chosen = _checked(mdp, policy)
-        else:
-            chosen = Policy.of(mdp, policy).weights(mdp)
-        return cls(mdp=mdp, chosen=chosen)
+            return cls(mdp=mdp, chosen=_checked(mdp, policy))
+        found = taken(mdp, policy, kind=kind)
+        return cls(mdp=mdp, chosen=found.policy.weights(mdp), read_as=found.read_as)
 
     # ---- outcomes ----------------------------------------------------------------------------
 

@@ -130,7 +130,12 @@ class ReturnDistribution:
 
 
 def return_distribution(
-    mdp: MDP, policy: object, *, exact: bool = False, max_sweeps: int = 1_000_000
+    mdp: MDP,
+    policy: object,
+    *,
+    exact: bool = False,
+    max_sweeps: int = 1_000_000,
+    kind: str = "auto",
 ) -> ReturnDistribution:
     """Return the distribution of the total reward of an episode.
 
@@ -138,7 +143,7 @@ def return_distribution(
     ----------
     mdp : MDP
         With discount 1.
-    policy : as for `evaluate`
+    policy, kind : as for `evaluate`
     exact : bool
         Compute the probabilities as exact rationals; for chains without cycles, of modest size.
     max_sweeps : int
@@ -164,7 +169,7 @@ def return_distribution(
             where="discount",
             fix="choose discount 1; evaluate() gives mean and sd, simulate() samples returns",
         )
-    chain = PolicyChain.of(mdp, policy)
+    chain = PolicyChain.of(mdp, policy, kind=kind)
     chain.require_end()
     gain, unit = _lattice(chain)
     flow = Flow.of(chain, gain)

@@ -92,13 +92,14 @@ def simulate(
     seed: int | np.random.Generator,
     *,
     max_steps: int | None = None,
+    kind: str = "auto",
 ) -> Simulation:
     """Return the sampled returns of a policy's episodes.
 
     Parameters
     ----------
     mdp : MDP
-    policy : as for `evaluate`
+    policy, kind : as for `evaluate`
     episodes : int
     seed : int or numpy.random.Generator
         The same whole number gives the same returns, byte for byte; 0 is one like any other.
@@ -121,7 +122,7 @@ def simulate(
     """
     from tqdm import tqdm
 
-    chain = PolicyChain.of(mdp, policy)
+    chain = PolicyChain.of(mdp, policy, kind=kind)
     generator = generator_of(episodes, seed, max_steps)
     limit, size = _horizon(chain, max_steps)
     first, cumulative = _cumulative(chain)

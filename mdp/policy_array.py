@@ -1,0 +1,270 @@
+"""What an array says of a policy: action values (a Q-table), or probabilities of actions.
+
+The rule, the same for arrays and for files. A row counts where a state with a choice reads it; rows
+of terminal states and of states with one action may hold anything. Unless `kind` says which it is,
+
+    a row that counts is no distribution        the array is a Q-table
+    every such row gives 1 to a single action   both readings are the same policy: it is one
+    otherwise                                   both fit and differ: refused, `kind` has to say
+
+A distribution has entries of at least 0 that sum to 1, up to 1e-9. Of a Q-table the greedy policy
+counts: the greatest value among the actions offered, compared in the array's own numbers, the
+lowest action number on a tie. -inf is an action never to be taken. NaN and +inf, and -inf on every
+action offered, say nothing about what to do and are refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.space import StateSpace
+from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
+
+Flags = NDArray[np.bool_]
+ReadAs = Literal["q", "policy"]
+KINDS = ("auto", "q", "policy")
+SAY = 'say which: kind="policy" (--kind policy) or kind="q" (--kind q)'
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArrayPolicy:
+    """A policy as an array gives it.
+
+    Attributes
+    ----------
+    read_as : "q" or "policy"
+    space, actions : StateSpace, tuple of str
+        What the rows and columns are over.
+    table : (K, A)
+        Probabilities of actions; NaN in rows that say nothing.
+    values : (K, A), optional
+        The array as it is, where it is a Q-table.
+    """
+
+    read_as: ReadAs
+    space: StateSpace
+    actions: tuple[str, ...]
+    table: Floats
+    values: Numbers | None = None
+
+
+def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy:
+    """Return the policy that a two-dimensional array of numbers gives.
+
+    Parameters
+    ----------
+    array : (S, A) over all states, or (2^n, A) over the status vectors
+        Extra states (the end) may be left out where they offer no choice. Real numbers of any type.
+    kind : "auto", "q" or "policy"
+
+    Raises
+    ------
+    ModelError
+        For another shape; for rows that are no distribution, or from which no action can be
+        chosen; where both readings fit and differ.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> table = np.array([[0.5, 0.5], [7, 7]])
+    >>> found = policy_of_array(mdp, table * 2)
+    >>> found.read_as, found.table.tolist()
+    ('q', [[1.0, 0.0], [1.0, 0.0]])
+    >>> policy_of_array(mdp, table, "policy").table.tolist()
+    [[0.5, 0.5], [nan, nan]]
+    >>> policy_of_array(mdp, table)
+    Traceback (most recent call last):
+    mdp.errors.ModelError: the rows may be probabilities or action values, which differ
+      where: policy, state 0
+      fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q)
+    """
+    kind = checked_kind(kind)
+    layout = _Layout.of(mdp, array.shape)
+    if kind == "q":
+        return layout.greedy(array)
+    fits = _distributions(array)
+    wrong = np.flatnonzero(layout.counts & ~fits)
+    if kind == "policy" and len(wrong):
+        row = int(wrong[0])
+        raise ModelError(
+            f"action probabilities are {array[row].tolist()}, not a distribution",
+            where=f"policy, {layout.space.label(row)}",
+            fix="make them at least 0, with sum 1",
+        )
+    if len(wrong):
+        return layout.greedy(array)
+    alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
+    mixed = np.flatnonzero(layout.counts & ~np.asarray(alone, dtype=bool))
+    if kind == "auto" and len(mixed):
+        raise ModelError(
+            "the rows may be probabilities or action values, which differ",
+            where=f"policy, {layout.space.label(int(mixed[0]))}",
+            fix=SAY,
+        )
+    table = np.full(array.shape, np.nan)
+    table[fits] = array[fits].astype(np.float64)
+    return ArrayPolicy(read_as="policy", space=layout.space, actions=layout.actions, table=table)
+
+
+def checked_kind(kind: object) -> str:
+    """Return what was said of an array, or raise ModelError where it is not one of `KINDS`."""
+    if kind not in KINDS:
+        raise ModelError(
+            f"{kind!r} is not a kind of array", where="kind", fix=f"choose {', '.join(KINDS)}"
+        )
+    return str(kind)
+
+
+def numbers_of(given: object) -> Numbers:
+    """Return an array of numbers as they are, none of them rounded; lists included.
+
+    Raises
+    ------
+    ModelError
+        Where something in it is not a real number.
+
+    Examples
+    --------
+    >>> numbers_of([[2**53 + 1, 0.5]]).tolist() == [[2**53 + 1, 0.5]]
+    True
+    """
+    if isinstance(given, np.ndarray) and given.dtype.kind in "fiu":
+        return given
+    try:
+        array: Numbers = np.array(given, dtype=object)
+    except ValueError:
+        array = np.array(None, dtype=object)
+    array.flat[:] = [_plain(number) for number in array.flat]
+    kinds = {type(number) for number in array.flat}
+    if kinds == {float}:
+        return array.astype(np.float64)
+    whole = np.asarray(given) if kinds == {int} else array
+    if whole.dtype.kind in "iu":
+        return whole
+    if not kinds <= {int, float, Fraction} or not kinds:
+        raise ModelError(
+            f"{type(given).__name__} of shape {array.shape} does not hold real numbers alone",
+            where="policy",
+            fix="give action numbers, probabilities or action values",
+        )
+    return array
+
+
+def _plain(number: Any) -> Any:
+    """Return a NumPy scalar as the Python number that it is, so that comparisons are exact."""
+    if isinstance(number, np.longdouble) and np.isfinite(number):
+        return Fraction(*number.as_integer_ratio())
+    return number.item() if isinstance(number, np.generic) else number
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Layout:
+    """What the rows and columns of an array are over.
+
+    `offered` (K, A) says what can be chosen, `counts` (K,) which rows a state with a choice reads.
+    """
+
+    space: StateSpace
+    actions: tuple[str, ...]
+    offered: Flags
+    counts: Flags
+
+    @classmethod
+    def of(cls, mdp: MDP, shape: tuple[int, ...]) -> _Layout:
+        offered = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
+        offered[mdp.pair_state, mdp.pair_action] = True
+        choosing = ~mdp.forced & ~mdp.terminal
+        if shape in (offered.shape, (free_states(mdp), mdp.n_actions)):
+            rows = shape[0]
+            space = mdp.space
+            if rows < mdp.n_states:
+                space = StateSpace(columns=mdp.space.columns)
+            return cls(
+                space=space, actions=mdp.actions, offered=offered[:rows], counts=choosing[:rows]
+            )
+        numbers = np.flatnonzero(offered[~mdp.forced].any(axis=0))
+        actions = tuple(mdp.actions[number] for number in numbers)
+        expected = [f"({mdp.n_states}, {mdp.n_actions}) over all states"]
+        if "status" in mdp.space.names:
+            column = mdp.space.column("status")
+            if shape == (column.size, len(actions)):
+                counts = np.zeros(column.size, dtype=bool)
+                counts[mdp.space.values("status")[choosing]] = True
+                every = np.ones(shape, dtype=bool)
+                space = StateSpace(columns=(column,))
+                return cls(space=space, actions=actions, offered=every, counts=counts)
+            expected.append(f"({column.size}, {len(actions)}) over the statuses")
+        raise ModelError(
+            f"an array of shape {shape}", where="policy", fix=f"give {' or '.join(expected)}"
+        )
+
+    def greedy(self, values: Numbers) -> ArrayPolicy:
+        """Return the greedy policy of action values (K, A)."""
+        asked = self.offered & self.counts[:, None]
+        self._refuse("an action value is NaN", (np.asarray(values != values) & asked).any(axis=1))
+        best = np.asarray(values == np.inf) & asked
+        self._refuse("an action value is +inf", best.any(axis=1))
+        never = np.asarray(values == -np.inf) | ~self.offered
+        self._refuse("every action offered has the value -inf", never.all(axis=1) & self.counts)
+        # Elsewhere it does not matter what is chosen, as long as it is offered.
+        known = np.where(asked, values, _least(values))
+        chosen = np.argmax(known, axis=1)
+        lowest = np.argmax(self.offered, axis=1)
+        chosen = np.where(asked[np.arange(len(chosen)), chosen], chosen, lowest)
+        table = np.eye(len(self.actions))[chosen]
+        return ArrayPolicy(
+            read_as="q", space=self.space, actions=self.actions, table=table, values=values
+        )
+
+    def _refuse(self, what: str, rows: Any) -> None:
+        if np.any(rows):
+            raise ModelError(
+                what,
+                where=f"Q-table, {self.space.label(int(np.flatnonzero(rows)[0]))}",
+                fix="give a number for every available action; -inf for one never to be taken",
+            )
+
+
+def _least(values: Numbers) -> Any:
+    """Return a number of the array's own type that none of its values is below."""
+    if values.dtype.kind in "iu":
+        return values.min() if values.size else values.dtype.type(0)
+    return -np.inf if values.dtype == object else values.dtype.type(-np.inf)
+
+
+def _distributions(array: Numbers) -> Flags:
+    """Return (K,) True for rows that are distributions."""
+    most = 1 + FLOAT_ROW_TOLERANCE
+    inside = np.asarray((array >= 0) & (array <= most), dtype=bool).all(axis=1)
+    found = np.zeros(len(array), dtype=bool)
+    total = array[inside].astype(np.float64).sum(axis=1)
+    found[inside] = np.abs(total - 1) <= FLOAT_ROW_TOLERANCE
+    return found
+
+
+def free_states(mdp: MDP) -> int:
+    """Return the number of states, the extra ones at the end left out where they are forced."""
+    regular = mdp.space.regular
+    return regular if bool(mdp.forced[regular:].all()) else mdp.n_states
+
+
+def action_numbers(mdp: MDP, given: Numbers) -> Integers:
+    """Return (S,) action numbers; a forced end may be left out."""
+    numbers = np.asarray(given)
+    if numbers.ndim == 1 and len(numbers) == free_states(mdp) < mdp.n_states:
+        numbers = np.append(numbers, np.zeros(mdp.n_states - len(numbers), dtype=numbers.dtype))
+    inside = numbers.dtype.kind in "iu" and ((numbers >= 0) & (numbers < mdp.n_actions)).all()
+    if numbers.shape != (mdp.n_states,) or not inside:
+        raise ModelError(
+            f"action numbers of shape {numbers.shape}, or outside 0 … {mdp.n_actions - 1}",
+            where="policy",
+            fix=f"give one action number for each of the {mdp.n_states} states",
+        )
+    return numbers.astype(np.int64)

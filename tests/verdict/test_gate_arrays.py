@@ -1,0 +1,159 @@
+"""One array, one meaning: how arrays of policies are read, in memory and in files."""
+
+from fractions import Fraction as F
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import run
+
+from analysis import assert_policy_optimal, check
+from mdp import MDP, ModelError, Policy
+from mdp.load import save_model
+from mdp.policy import taken
+from solvers import evaluate
+from solvers.returns import return_distribution
+from solvers.simulation import simulate
+
+BOTH = np.array([[0.5, 0.5], [0.1, 0.9]])
+
+
+@pytest.fixture
+def mdp() -> MDP:
+    """Two states with a choice each, then the end, which has two actions as well."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 2, 0)]), (1, 1, [(1, 2, 2)])]
+    ends = [(2, 0, [(1, 2, 0)]), (2, 1, [(1, 2, 0)])]
+    return MDP.from_outcomes([*rows, *ends], states=["first", "second", "end"])
+
+
+def whole(top: object, last: object = (0.0, 0.0)) -> np.ndarray:
+    return np.vstack([np.asarray(top), np.asarray(last)])
+
+
+def test_an_array_that_fits_both_readings_is_refused_everywhere(mdp: MDP, tmp_path: Path) -> None:
+    """The same numbers mean the same in memory and in a file, or are refused in both."""
+    table = whole(BOTH)
+    np.save(tmp_path / "q.npy", table)
+    np.savez(tmp_path / "q.npz", q=table)
+    save_model(mdp, tmp_path / "m.npz")
+    forms: list[Any] = [table, table.tolist(), tmp_path / "q.npy", str(tmp_path / "q.npz")]
+    for form in forms:
+        for reader in (
+            lambda form: check(mdp, form),
+            lambda form: evaluate(mdp, form),
+            lambda form: Policy.of(mdp, form),
+            lambda form: assert_policy_optimal(mdp, form),
+            lambda form: return_distribution(mdp, form),
+            lambda form: simulate(mdp, form, 5, 0),
+        ):
+            with pytest.raises(ModelError, match="may be probabilities or action values") as error:
+                reader(form)
+            assert "first" in error.value.where
+            assert "--kind" in error.value.fix
+        assert check(mdp, form, kind="q").read_as == "q"
+        assert check(mdp, form, kind="q").regret.learned.value == 3
+        assert check(mdp, form, kind="policy").read_as == "policy"
+        assert float(check(mdp, form, kind="policy").regret.learned.value) == pytest.approx(2.3)
+        assert evaluate(mdp, form, kind="q").mean == 3
+        assert evaluate(mdp, form, kind="policy").mean == pytest.approx(2.3)
+        assert simulate(mdp, form, 5, 0, kind="q").mean == 3
+        assert return_distribution(mdp, form, kind="q").mean == 3
+    model, file = tmp_path / "m.npz", tmp_path / "q.npy"
+    for words in (("check",), ("evaluate",), ("returns",), ("simulate", "--episodes", "5")):
+        done = run(*words, model, file)
+        assert (done.status, done.out) == (2, "")
+        assert "may be probabilities or action values" in done.err
+        for kind, line in (("q", "a Q-table"), ("policy", "action probabilities")):
+            found = run(*words, model, file, "--kind", kind, "--json")
+            assert found.result["read_as"] == kind
+            text = run(*words, model, file, "--kind", kind).out
+            assert line in text.splitlines()[0]
+
+
+def test_the_rule_of_auto(mdp: MDP) -> None:
+    """No distributions: a Q-table. Ones and noughts: the same policy either way."""
+    q = check(mdp, whole([[3, 1], [1, 2]]))
+    assert (q.read_as, q.passed) == ("q", True)
+    assert q.message().splitlines()[0] == "the array was read as a Q-table: its greedy policy"
+    certain = check(mdp, whole([[1, 0], [0, 1]], [7, np.nan]))
+    assert (certain.read_as, certain.passed) == ("policy", True)
+    assert certain.q_error is None
+    assert check(mdp, [0, 1, 0]).read_as == "policy"
+    assert check(mdp, "random").read_as == "policy"
+    with pytest.raises(ModelError, match="not a distribution"):
+        check(mdp, whole([[3, 1], [1, 2]]), kind="policy")
+    with pytest.raises(ModelError, match="not a kind of array"):
+        check(mdp, whole([[3, 1], [1, 2]]), kind="table")
+    for words in ("random", {"first": "0", "second": "1", "end": "0"}, Policy.uniform(mdp)):
+        with pytest.raises(ModelError, match="not a Q-table"):
+            check(mdp, words, kind="q")
+    with pytest.raises(ModelError):
+        check(mdp, np.array([0, 1, 0]), kind="q")
+
+
+@pytest.mark.parametrize("last", [(0, 0), (np.nan, np.nan), (np.inf, -np.inf), (-np.inf, -np.inf)])
+def test_rows_of_terminal_states_may_hold_anything(mdp: MDP, last: tuple[float, float]) -> None:
+    """Nothing is chosen where everything has ended."""
+    for kind in ("q", "policy"):
+        assert check(mdp, whole([[1.0, 0], [0, 1]], last), kind=kind).passed
+    assert check(mdp, whole([[2.0, 0], [0, 3]], last)).passed
+    assert check(mdp, whole([[1.0, 0], [0, 1]], last)).read_as == "policy"
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_rows_that_say_nothing_are_refused_by_state(
+    mdp: MDP, number: float, tmp_path: Path
+) -> None:
+    """NaN or +inf on an action offered, or -inf on all of them, chooses nothing."""
+    save_model(mdp, tmp_path / "m.npz")
+    for row in ([number, 1], [-np.inf, -np.inf], [number, number]):
+        table = whole([[3.0, 1], row])
+        np.save(tmp_path / "q.npy", table)
+        for form in (table, tmp_path / "q.npy", table.astype(np.float32), table.tolist()):
+            with pytest.raises(ModelError) as error:
+                check(mdp, form)
+            assert "second" in error.value.where
+        done = run("check", tmp_path / "m.npz", tmp_path / "q.npy")
+        assert (done.status, done.out) == (2, "")
+    assert check(mdp, whole([[3.0, -np.inf], [-np.inf, 2]])).passed
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.uint64, np.longdouble, object])
+def test_q_tables_are_compared_as_they_are(mdp: MDP, dtype: Any, tmp_path: Path) -> None:
+    """2^53 and 2^53 + 1 are two numbers; as doubles they would tie and the first would win."""
+    if dtype is np.longdouble and np.finfo(np.longdouble).nmant < 60:
+        pytest.skip("long double is double here")
+    table = np.zeros((3, 2), dtype=dtype)
+    table[0] = [2**53 + 1, 2**53]
+    table[1] = [2**53, 2**53 + 1]
+    forms: list[Any] = [table]
+    if dtype is not object:
+        np.save(tmp_path / "q.npy", table)
+        forms.append(tmp_path / "q.npy")
+    if dtype is np.int64:
+        forms.append(table.tolist())
+        forms.append([[2**53 + 1, float(2**53)], [2**53, F(2**53) + F(1, 3)], [0, 0]])
+    for form in forms:
+        audit = check(mdp, form)
+        assert (audit.read_as, audit.passed) == ("q", True)
+        assert Policy.from_q(mdp, table).choices(mdp).tolist()[:2] == [0, 1]
+
+
+def test_numbers_beyond_floats_are_compared_too(mdp: MDP) -> None:
+    """Integers and fractions of any size decide; statistics of errors leave them out."""
+    audit = check(mdp, [[10**400 + 1, 10**400], [F(1, 10**400), F(2, 10**400)], [0, 0]])
+    assert audit.passed
+    assert audit.q_error is not None
+    if np.finfo(np.longdouble).max > np.finfo(np.float64).max:
+        table = np.array([[2, 1], [1, 2], [0, 0]], dtype=np.longdouble) * np.longdouble("1e400")
+        assert check(mdp, table).passed
+
+
+def test_what_was_taken_is_said(mdp: MDP) -> None:
+    """`taken` and the results of audits and evaluations name the reading."""
+    q = whole([[3, 1], [1, 2]])
+    assert taken(mdp, q).said == "a Q-table: its greedy policy"
+    assert taken(mdp, q).values is q
+    assert evaluate(mdp, q).read_as == "q"
+    assert evaluate(mdp, "random").read_as == "policy"
