@@ -121,10 +121,10 @@ def assert_policy_optimal(
 def _learned(mdp: MDP, learned: Any) -> tuple[Policy, Floats | None]:
     """Return a policy, and the action values (L,) where a Q-table was given."""
     if isinstance(learned, str | Path) and Path(learned).suffix.lower() in (".npy", ".npz"):
-        from mdp.policy_file import read_array
+        from mdp.numpy_file import read_array
 
         policy = Policy.of(mdp, learned)
-        return policy, pair_values(mdp, policy, read_array(learned))
+        return policy, pair_values(mdp, policy, read_array(learned, called="q"))
     if hasattr(learned, "q") and callable(getattr(learned, "policy", None)):
         policy = learned.policy(mdp)
         return policy, pair_values(mdp, policy, learned.q)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from mdp.errors import ModelError, suggest
 from mdp.model import MDP
+from mdp.names import check_names
 from mdp.space import Column, StateSpace
 from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, float_array
 
@@ -47,6 +48,7 @@ class Policy:
     table: Floats
 
     def __post_init__(self) -> None:
+        check_names(self.actions, "action", where="policy")
         table = float_array(self.table).copy()
         if table.shape != (self.space.size, len(self.actions)):
             raise ModelError(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdp.errors import ModelError, suggest
+from mdp.names import check_names
 
 Integers = NDArray[np.int64]
 
@@ -33,6 +34,10 @@ class Column:
     size: int
     bits: int = 0
     words: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_names((self.name,), "column", where="state space")
+        check_names(self.words, "value", where=f"column {self.name}")
 
     def label(self, value: int) -> str:
         """Return the printed form of one value."""
@@ -80,6 +85,9 @@ class StateSpace:
 
     columns: tuple[Column, ...]
     extra: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_names(self.extra, "state", where="state space")
 
     @property
     def regular(self) -> int:
