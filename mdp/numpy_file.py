@@ -94,7 +94,7 @@ def read_arrays(
     *,
     names: Callable[[Collection[str]], None],
     check: Check,
-    most: int = LARGEST,
+    ratio: int = RATIO,
 ) -> dict[str, Numbers]:
     """Return all arrays of an `.npz` file by name.
 
@@ -105,8 +105,8 @@ def read_arrays(
         Of the names of all arrays; raises ModelError where they are not as they should be.
     check : function
         Of name, type and shape of an array; raises ModelError for what it should not be.
-    most : int
-        Bytes that the file may have.
+    ratio : int
+        How many times its own size a compressed archive may claim; 1,032 is what is possible.
 
     Returns
     -------
@@ -127,13 +127,13 @@ def read_arrays(
     {'a': array([0, 1, 2])}
     """
     where = str(path)
-    with opened(path, most=most) as file, _named(where):
+    with opened(path, most=LARGEST) as file, _named(where):
         size = file.seek(0, 2)
         file.seek(0)
         with zipfile.ZipFile(file) as archive:
             members = members_of(archive)
             names(members.keys())
-            check_claims(members.values(), size)
+            check_claims(members.values(), size, ratio)
             return {
                 name: member_array(archive, member, name, check) for name, member in members.items()
             }
@@ -152,7 +152,7 @@ def members_of(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     return members
 
 
-def check_claims(members: Iterable[zipfile.ZipInfo], size: int) -> None:
+def check_claims(members: Iterable[zipfile.ZipInfo], size: int, ratio: int = RATIO) -> None:
     """Raise ModelError unless members of an archive of `size` bytes can be what they claim."""
     listed = list(members)
     methods = {member.compress_type for member in listed}
@@ -162,7 +162,7 @@ def check_claims(members: Iterable[zipfile.ZipInfo], size: int) -> None:
             "the archive is encrypted, or compressed in an unusual way", fix="save it again"
         )
     claimed = sum(member.file_size for member in listed)
-    if claimed > (size if methods == {zipfile.ZIP_STORED} else max(FREE, RATIO * size)):
+    if claimed > (size if methods == {zipfile.ZIP_STORED} else max(FREE, ratio * size)):
         raise ModelError(
             f"the archive of {size:,} bytes claims to hold {claimed:,}",
             fix="save it again, uncompressed",

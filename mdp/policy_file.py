@@ -125,7 +125,8 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
             )
         entry = dict(zip(header, line, strict=True))
         values = _at(place, partial(_values, space, entry))
-        action = check_action(entry["action"].strip(), mdp.actions, place)
+        word = entry["action"] if entry["action"] in mdp.actions else entry["action"].strip()
+        action = check_action(word, mdp.actions, place)
         chances = rows.setdefault(space.index(**values), {})
         if action in chances or (chances and "probability" not in header):
             raise ModelError(

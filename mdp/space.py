@@ -49,8 +49,9 @@ class Column:
         """Return the value that prints as `label`; raises ModelError where there is none."""
         text = label.strip()
         if self.words:
-            if text in self.words:
-                return self.words.index(text)
+            for word in (label, text):
+                if word in self.words:
+                    return self.words.index(word)
             fix = suggest(text, self.words)
         elif self.bits:
             if len(text) == self.bits and set(text) <= {"0", "1"}:
