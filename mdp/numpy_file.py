@@ -17,7 +17,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from mdp.errors import ModelError
+from mdp.errors import ModelError, shown_text
 from mdp.files import LARGEST, opened
 from mdp.table import Numbers
 
@@ -183,7 +183,7 @@ def _array(stream: Stream, size: int, where: str, check: Check) -> Numbers:
     shape, fortran, kind = _header(head, where)
     if kind.hasobject:
         raise ModelError(
-            "an array of type object, which would run programs when read",
+            "an array of type object, which could run any program when read",
             where=where,
             fix="save numbers alone",
         )
@@ -254,7 +254,7 @@ def _named(where: str) -> Iterator[None]:
     try:
         yield
     except ModelError as error:
-        inside = error.where and error.where != where
+        inside = error.where not in ("", shown_text(where))
         place = f"{where}, {error.where}" if inside else where
         raise ModelError(error.what, where=place, fix=error.fix) from error
     except OSError:

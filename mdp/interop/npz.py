@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError
+from mdp.errors import ModelError, shown_text
 from mdp.files import write_atomically
 from mdp.interop.npz_header import as_header, parts_of
 from mdp.model import MDP
@@ -120,7 +120,7 @@ def load(path: str | Path) -> MDP:
         state, action = arrays["pair_state"], arrays["pair_action"]
         return MDP(table, state, action, components=arrays["components"], **parts)
     except ModelError as error:
-        if error.where.startswith(where):
+        if error.where.startswith(shown_text(where)):
             raise
         place = f"{where}, {error.where}" if error.where else where
         raise ModelError(error.what, where=place, fix=error.fix) from error

@@ -114,7 +114,7 @@ def load(
             name=content.name or Path(path).stem,
         )
     except ModelError as error:
-        if error.where.startswith(where):
+        if error.where.startswith(shown_text(where)):
             raise
         place = f"{where}, {error.where}" if error.where else where
         raise ModelError(error.what, where=place, fix=error.fix) from error

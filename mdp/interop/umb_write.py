@@ -172,7 +172,10 @@ def _ratios(top: Numbers, bottom: Numbers, offsets: Numbers) -> list[Any]:
 
 
 def _expected(mdp: MDP) -> list[Any]:
-    """Return the expected rewards of the pairs, exact where the model is rational."""
+    """Return the expected rewards of the pairs, exact where they follow from exact numbers."""
+    table = mdp.table
+    if len(table.gain) == mdp.n_pairs:
+        return _ratios(table.gain, table.gain_denominator, np.arange(mdp.n_pairs + 1))
     if mdp.table.weight.dtype == np.float64 or mdp.table.gain.dtype == np.float64:
         return [float(value) for value in mdp.reward]
     top, bottom = mdp.table.expected_gain_exact()
