@@ -14,6 +14,8 @@ The arrays of an archive, nothing in it being a pickle:
     event         (N,) uint8     optional: bit b is set where event number b happens
     components    (L, C) float64 expected reward of each pair by component
 
+and any other array of floats that a table of outcomes may have, under its name.
+
 Integers are int64 where they fit. Where they do not, the array is uint8 of shape (…, k): each row
 is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has the keys `format`
 ("exact-mdp model"), `version` (1), `name`, `discount` ("p/q"), `start` ([[state, "p/q"], …]),
