@@ -111,6 +111,9 @@ def _refuse(error: Exception, words: Sequence[str]) -> int:
 
 
 def _tell(kind: str, what: str, where: str, fix: str) -> int:
+    from mdp.errors import shown_text
+
+    what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
     print(f"{kind}: {what}\n  where: {where}\n  fix:   {fix}", file=sys.stderr)
     return REFUSED
 
@@ -123,4 +126,6 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    print(f"warning: {message}", file=sys.stderr)
+    from mdp.errors import shown_text
+
+    print(f"warning: {shown_text(str(message), lines=True)}", file=sys.stderr)

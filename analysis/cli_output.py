@@ -40,20 +40,25 @@ def show(
     from rich.table import Table
     from rich.text import Text
 
+    from mdp.errors import shown_text
+
+    def plain(text: str) -> Text:  # the name of a file may hold what steers a terminal
+        return Text(shown_text(text, lines=True), overflow="fold")
+
     console = Console(no_color=True, highlight=False, markup=False, emoji=False)
     with console.capture() as captured:
         table = Table.grid(padding=(0, 2, 0, 0))
         for name, value in facts.items():
-            table.add_row(Text(name), Text(value, overflow="fold"))
+            table.add_row(plain(name), plain(value))
         console.print(table)
         for grid in grids:
             table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
             for column, heading in enumerate(grid.headings):
                 side: Side = "right" if column in grid.numeric else "left"
-                table.add_column(Text(heading), overflow="fold", justify=side)
+                table.add_column(plain(heading), overflow="fold", justify=side)
             for row in grid.rows:
-                table.add_row(*(Text(cell) for cell in row))
-            console.print(Text(f"\n{grid.title}"))
+                table.add_row(*(plain(cell) for cell in row))
+            console.print(plain(f"\n{grid.title}"))
             console.print(table)
     for line in captured.get().splitlines():
         print(line.rstrip())

@@ -59,11 +59,11 @@ def verify(
 
 def _read(path: str) -> Certificate | BoundedCertificate:
     """Read a certificate of either kind."""
-    from mdp.files import read_text
+    from mdp.files import LARGEST, read_text
     from solvers.certificate import BoundedCertificate, Certificate
 
     try:
-        content = json.loads(read_text(path))
+        content = json.loads(read_text(path, most=LARGEST))
         bounded = isinstance(content, dict) and content.get("kind") == "bounded"
     except (ValueError, RecursionError):  # integers of over 4,300 decimal digits among them
         bounded = False  # reading it as a certificate says what is wrong

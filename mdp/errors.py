@@ -1,9 +1,52 @@
-"""Errors that say what is wrong, where, and how to mend it."""
+"""Errors that say what is wrong, where, and how to correct it.
+
+What a message repeats from a file or a command line is data. Control characters steer a terminal
+and are not allowed in XML 1.0 (section 2.2); others change the direction of the text around them
+(Unicode Standard Annex 9), end a line, or cannot be seen. Messages show all of these escaped.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+CONTROL = "\\x00-\\x1f\\x7f-\\x9f"
+SEPARATORS = "\\u2028\\u2029"
+SURROGATES = "\\ud800-\\udfff"
+DIRECTIONS = "\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u206f"
+INVISIBLE = "\\u200b\\u2060-\\u2064\\ufeff"
+NEVER_CHARACTERS = "\\ufffe\\uffff"
+
+UNSAFE = re.compile(f"[{CONTROL}{SEPARATORS}{SURROGATES}{DIRECTIONS}{INVISIBLE}{NEVER_CHARACTERS}]")
+"""Characters that no name may hold, and that are escaped where a text is only shown."""
+
+
+def shown_text(text: str, *, lines: bool = False) -> str:
+    r"""Return a text with every character escaped that a terminal or XML could stumble over.
+
+    Parameters
+    ----------
+    text : str
+    lines : bool
+        Keep the ends of lines.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> print(shown_text("a" + chr(27) + "[31mb" + chr(0x202E)))
+    a\x1b[31mb\u202e
+    >>> print(shown_text("two" + chr(10) + "lines"))
+    two\nlines
+    """
+
+    def escaped(found: re.Match[str]) -> str:
+        return found[0] if lines and found[0] == "\n" else ascii(found[0])[1:-1]
+
+    return UNSAFE.sub(escaped, text)
 
 
 class ModelError(ValueError):
@@ -27,6 +70,7 @@ class ModelError(ValueError):
     """
 
     def __init__(self, what: str, *, where: str = "", fix: str = "") -> None:
+        what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
         self.what, self.where, self.fix = what, where, fix
         lines = [what]
         if where:

@@ -1,30 +1,194 @@
-"""Reading and writing files so that nothing is left half-written and every failure is named."""
+"""The one door to files: regular files alone, no larger than allowed, and nothing half-written.
+
+A file is opened first and looked at then, so that what was checked is what is read. It is opened
+without waiting: a pipe, which has no size and may never end, is refused and not waited for.
+"""
 
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from mdp.errors import ModelError
 
+SMALL = 2**24
+LARGE = 2**28
+LARGEST = 2**32
+"""16 MiB for what people write (scenarios, ranges), 256 MiB for policies, recordings and the like,
+4 GiB for what this program writes of large models."""
 
-def read_text(path: str | Path) -> str:
-    """Return a UTF-8 file's text; raises ModelError where it cannot be read."""
+# Waiting for the other end of a pipe, and taking over a terminal, are what opening could do.
+FLAGS = os.O_RDONLY | sum(
+    getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
+)
+
+FOLDER, PIPE, SOCKET, DEVICE = "a folder", "a pipe", "a socket", "a device"
+INSTEAD = {
+    FOLDER: "name a file in it",
+    PIPE: "write to a file and name that; a process substitution such as <(…) is a pipe too",
+    SOCKET: "name a regular file",
+    DEVICE: "name a regular file",
+}
+
+
+@contextmanager
+def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
+    """Open a regular file of at most `most` bytes for reading.
+
+    Parameters
+    ----------
+    path : str or path
+    most : int
+        Bytes that it may have.
+
+    Yields
+    ------
+    binary file
+
+    Raises
+    ------
+    ModelError
+        Where it cannot be opened or read, is a folder, pipe, device or socket, or is larger.
+
+    Examples
+    --------
+    >>> import os
+    >>> with opened(os.devnull) as file:
+    ...     file.read()
+    Traceback (most recent call last):
+    ...
+    mdp.errors.ModelError: cannot read the file: a device, not a regular file
+      where: /dev/null
+      fix:   name a regular file
+    """
+    with _open(path) as file:
+        try:
+            about = os.fstat(file.fileno())
+            if about.st_size > most:
+                raise too_large(path, about.st_size, most)
+            yield file
+        except OSError as error:
+            raise _unreadable(path, error) from error
+
+
+def _open(path: str | Path) -> BinaryIO:
+    """Return a regular file opened for reading, without waiting for the other end of a pipe."""
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
+        handle = os.open(path, FLAGS)
     except OSError as error:
+        raise _unreadable(path, error) from error
+    except ValueError as error:  # a null character in the name
         raise ModelError(
-            f"cannot read the file: {error.strerror}", where=str(path), fix="check the path"
+            f"cannot read the file: {error}", where=str(path), fix="check the path"
         ) from error
+    kind = kind_of(os.fstat(handle).st_mode)
+    if not kind:
+        return os.fdopen(handle, "rb")
+    os.close(handle)
+    raise ModelError(
+        f"cannot read the file: {kind}, not a regular file", where=str(path), fix=INSTEAD[kind]
+    )
+
+
+def kind_of(mode: int) -> str:
+    """Return what a file is where it is no regular file, from its mode; nothing where it is."""
+    if stat.S_ISREG(mode):
+        return ""
+    if stat.S_ISDIR(mode):
+        return FOLDER
+    if stat.S_ISFIFO(mode):
+        return PIPE
+    return SOCKET if stat.S_ISSOCK(mode) else DEVICE
+
+
+def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
+    """Return what a regular file of at most `most` bytes holds.
+
+    Parameters
+    ----------
+    path : str or path
+    most : int
+        Bytes that it may have.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ModelError
+        As `opened` does.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     write_atomically(f"{folder}/a.txt", "text")
+    ...     read_bytes(f"{folder}/a.txt")
+    b'text'
+    """
+    with opened(path, most=most) as file:
+        # Files that the system makes up as they are read say that their size is 0.
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise too_large(path, len(data), most)
+    return data
+
+
+def read_text(path: str | Path, *, most: int = LARGE) -> str:
+    """Return a UTF-8 file's text; raises ModelError where it cannot be read.
+
+    Parameters
+    ----------
+    path : str or path
+    most : int
+        Bytes that it may have.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ModelError
+        As `opened` does, and where it is not UTF-8.
+
+    Examples
+    --------
+    >>> read_text("no such file")
+    Traceback (most recent call last):
+    ...
+    mdp.errors.ModelError: cannot read the file: No such file or directory
+      where: no such file
+      fix:   check the path
+    """
+    try:
+        text = read_bytes(path, most=most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ModelError(
             "the file is not UTF-8 text", where=str(path), fix="save it as UTF-8 text"
         ) from error
-    except ValueError as error:  # a null character in the name
-        raise ModelError(
-            f"cannot read the file: {error}", where=repr(str(path)), fix="check the path"
-        ) from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def too_large(path: str | Path, size: int, most: int) -> ModelError:
+    """Return the error for a file that is larger than what it may hold."""
+    return ModelError(
+        f"the file has {size:,} bytes, more than the {most:,} that are read",
+        where=str(path),
+        fix="check that it is the right file",
+    )
+
+
+def _unreadable(path: str | Path, error: OSError) -> ModelError:
+    return ModelError(
+        f"cannot read the file: {error.strerror or error}", where=str(path), fix="check the path"
+    )
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
@@ -32,6 +196,13 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
     try:
+        kind = kind_of(target.stat().st_mode) if target.exists() else ""
+        if kind:  # the rename would put a file in its place
+            raise ModelError(
+                f"cannot write the file: there is {kind} of this name",
+                where=str(path),
+                fix="name another file",
+            )
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
             with os.fdopen(handle, "wb") as stream:
@@ -44,6 +215,12 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     except OSError as error:
         raise ModelError(
             f"cannot write the file: {error.strerror}", where=str(path), fix="check the folder"
+        ) from error
+    except ValueError as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(  # a null character in the name
+            f"cannot write the file: {error}", where=str(path), fix="check the path"
         ) from error
 
 

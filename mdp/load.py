@@ -40,7 +40,8 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
     sets : sequence of "KEY=VALUE"
         Changes to a scenario, in order; other models have nothing to set.
     discount : number or "p/q", optional
-        Instead of the model's own (1 where it states none); it wins over `sets`.
+        Instead of the model's own; it wins over `sets`. A `.umb` file of another program states
+        none: 1 is taken, with a warning.
 
     Raises
     ------
@@ -75,7 +76,7 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
         from mdp.interop import umb
 
         file, reward = _umb_parts(text)
-        mdp = umb.load(file, discount=1 if discount is None else discount, reward=reward)
+        mdp = umb.load(file, discount=discount, reward=reward)
     else:
         raise _unknown(text)
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=None)
@@ -112,7 +113,7 @@ def load_scenario(
 
 
 def save_model(mdp: MDP, path: str | Path) -> None:
-    """Write a model as `.npz` (without loss) or `.umb` (for model checkers), by its ending.
+    """Write all of a model as `.npz`, or as `.umb` for model checkers, by its ending.
 
     Examples
     --------

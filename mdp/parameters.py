@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from mdp.errors import ModelError
+from mdp.names import check_names
 from mdp.table import shown
 
 
@@ -37,6 +38,7 @@ class Parameter:
     high: Fraction | None = None
 
     def __post_init__(self) -> None:
+        check_names((self.name,), "parameter", where="parameters")
         below = self.low is not None and self.value < self.low
         above = self.high is not None and self.value > self.high
         if below or above:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from mdp.errors import ModelError, suggest
 from mdp.model import MDP
+from mdp.names import check_names
 from mdp.parameters import Parameter
 from mdp.table import exact
 
@@ -89,6 +90,10 @@ class Family:
     degrees: Mapping[str, int] = field(default_factory=dict)
     breaks: Mapping[str, Sequence[Fraction]] = field(default_factory=dict)
     rows: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_names((self.name,), "model")
+        check_names(self.rows, "row", where="rows")
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mdp.errors import ModelError, suggest
-from mdp.files import read_text
+from mdp.files import SMALL, read_text
 from mdp.model import MDP
 from mdp.policy import Policy
 from mdp.table import FLOAT_ROW_TOLERANCE, Floats, exact, float_array
@@ -139,7 +139,7 @@ def read(path: str | Path, mdp: MDP) -> Floats:
     if suffix == ".csv":
         return checked(_from_csv(read_text(path), mdp, where), size=size, where=where)
     if suffix == ".toml":
-        return checked(_from_toml(read_text(path), mdp, where), size=size, where=where)
+        return checked(_from_toml(read_text(path, most=SMALL), mdp, where), size=size, where=where)
     raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
 
 

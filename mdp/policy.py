@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from mdp.errors import ModelError, suggest
 from mdp.model import MDP
+from mdp.names import check_names
 from mdp.policy_array import (
     ArrayPolicy,
     ReadAs,
@@ -56,6 +57,7 @@ class Policy:
     table: Floats
 
     def __post_init__(self) -> None:
+        check_names(self.actions, "action", where="policy")
         table = float_array(self.table).copy()
         if table.shape != (self.space.size, len(self.actions)):
             raise ModelError(

@@ -15,9 +15,10 @@ import numpy as np
 from mdp.errors import ModelError, suggest
 from mdp.files import read_text, write_atomically
 from mdp.model import MDP
+from mdp.numpy_file import read_array
 from mdp.policy import Policy, check_action
 from mdp.space import StateSpace
-from mdp.table import Numbers, exact
+from mdp.table import exact
 
 T = TypeVar("T")
 
@@ -122,7 +123,8 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
             )
         entry = dict(zip(header, line, strict=True))
         values = _at(place, partial(_values, space, entry))
-        action = check_action(entry["action"].strip(), mdp.actions, place)
+        word = entry["action"] if entry["action"] in mdp.actions else entry["action"].strip()
+        action = check_action(word, mdp.actions, place)
         chances = rows.setdefault(space.index(**values), {})
         if action in chances or (chances and "probability" not in header):
             raise ModelError(
@@ -136,46 +138,8 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
 
 def array_file(path: str | Path, make: Callable[[Numbers], T]) -> T:
     """Return what is made of the array of a file, with the file's name in what goes wrong."""
-    array = read_array(path)
+    array = read_array(path, called="q")
     return _at(str(path), lambda: make(array))
-
-
-def read_array(path: str | Path) -> Numbers:
-    """Return the array of a `.npy` file, or the one called q (or the only one) of an `.npz`."""
-    where = str(path)
-    try:
-        # np.load leaves a damaged archive open; this closes it whatever happens.
-        with open(path, "rb") as stream:
-            loaded = np.load(stream, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                array = loaded
-            else:
-                with loaded:
-                    names = loaded.files
-                    if len(names) != 1 and "q" not in names:
-                        raise ModelError(
-                            f"the archive holds {', '.join(names) or 'nothing'}",
-                            where=where,
-                            fix="save one array, or call it q",
-                        )
-                    array = loaded["q" if "q" in names else names[0]]
-    except ModelError:
-        raise
-    except OSError as error:
-        raise ModelError(
-            f"cannot read the file: {error.strerror or 'not a NumPy file'}",
-            where=where,
-            fix="check the path",
-        ) from error
-    except Exception as error:  # np.load raises many kinds on damaged archives
-        raise ModelError(
-            f"not a readable NumPy array: {str(error)[:120]}",
-            where=where,
-            fix="save the Q-table again with numpy.save",
-        ) from error
-    if array.dtype.kind not in "fiu":
-        raise ModelError(f"an array of type {array.dtype}", where=where, fix="save real numbers")
-    return np.asarray(array)
 
 
 def _checked(

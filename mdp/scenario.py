@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from mdp.errors import ModelError, suggest
 from mdp.model import as_discount
+from mdp.names import check_names, check_text
 from mdp.parameters import Parameter
 from mdp.table import exact
 
@@ -286,6 +287,12 @@ def check_reading(name: str, option: object) -> str:
 
 def check_scenario(scenario: Scenario) -> None:
     """Raise ModelError unless the scenario's parts fit together."""
+    check_names((scenario.name,), "scenario", where="name")
+    check_names(scenario.statuses, "status", where="statuses")
+    check_names(scenario.actions, "action", where="actions")
+    check_names(scenario.weights.values(), "weight", where="status_weight")
+    for key in ("title", "source"):
+        check_text(getattr(scenario, key), key)
     as_tasks(scenario.tasks)
     as_max_trial(scenario.max_trial)
     as_discount(scenario.discount)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mdp.errors import ModelError, suggest
-from mdp.files import read_text
+from mdp.files import SMALL, read_text
 from mdp.model import as_discount
 from mdp.parameters import Parameter
 from mdp.scenario import (
@@ -58,7 +58,7 @@ def load(name: str | Path) -> Scenario:
             )
         source = files("mdp") / "scenarios" / f"{text}.toml"
         return parse(source.read_text(encoding="utf-8"), where=text)
-    return parse(read_text(name), where=text)
+    return parse(read_text(name, most=SMALL), where=text)
 
 
 def parse(text: str, *, where: str = "scenario") -> Scenario:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdp.errors import ModelError, suggest
+from mdp.names import check_names
 
 Integers = NDArray[np.int64]
 
@@ -34,6 +35,10 @@ class Column:
     bits: int = 0
     words: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        check_names((self.name,), "column", where="state space")
+        check_names(self.words, "value", where=f"column {self.name}")
+
     def label(self, value: int) -> str:
         """Return the printed form of one value."""
         if self.words:
@@ -44,8 +49,9 @@ class Column:
         """Return the value that prints as `label`; raises ModelError where there is none."""
         text = label.strip()
         if self.words:
-            if text in self.words:
-                return self.words.index(text)
+            for word in (label, text):
+                if word in self.words:
+                    return self.words.index(word)
             fix = suggest(text, self.words)
         elif self.bits:
             if len(text) == self.bits and set(text) <= {"0", "1"}:
@@ -80,6 +86,9 @@ class StateSpace:
 
     columns: tuple[Column, ...]
     extra: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_names(self.extra, "state", where="state space")
 
     @property
     def regular(self) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdp.errors import ModelError
+from mdp.names import check_names
 from mdp.table import (
     EXACT_IN_INT64,
     FLOAT_ROW_TOLERANCE,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 def check_model(mdp: MDP) -> None:
     """Raise ModelError, naming the place and the remedy, unless `mdp` is a finite MDP."""
+    _check_names(mdp)
     _check_pairs(mdp)
     _check_shapes(mdp.table, mdp.n_pairs)
     sound = _sound(mdp.table, mdp.n_states)
@@ -40,6 +42,13 @@ def check_model(mdp: MDP) -> None:
             where="discount",
             fix="choose a discount from 0 to 1",
         )
+
+
+def _check_names(mdp: MDP) -> None:
+    check_names((mdp.name,), "model")
+    check_names(mdp.actions, "action", where="actions")
+    check_names(mdp.component_names, "component", where="reward components")
+    check_names(mdp.events, "event", where="events")
 
 
 def _check_pairs(mdp: MDP) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mdp.errors import ModelError
-from mdp.files import read_text
+from mdp.files import SMALL, read_text
 from paper_repro.claims import Judged
 
 FILE = Path(__file__).parent / "expected.toml"
@@ -48,7 +48,7 @@ def expected(path: Path = FILE) -> dict[str, Pinned]:
     0.05
     """
     try:
-        data = tomllib.loads(read_text(path))
+        data = tomllib.loads(read_text(path, most=SMALL))
         return {name: Pinned(**entry) for name, entry in data.items()}
     except (tomllib.TOMLDecodeError, TypeError) as error:
         raise ModelError(str(error), where=str(path), fix="write it as the others are") from error

@@ -44,7 +44,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mdp.errors import ModelError
-from mdp.files import read_text, write_atomically
+from mdp.files import LARGEST, read_text, write_atomically
 from mdp.table import Floats, Integers
 from solvers.certificate import BoundedCertificate, Certificate
 from solvers.rationals import fraction
@@ -142,7 +142,7 @@ class _File:
     def __init__(self, path: str | Path, kind: str) -> None:
         self.path = str(path)
         try:
-            data = json.loads(read_text(path))
+            data = json.loads(read_text(path, most=LARGEST))
         except (ValueError, RecursionError) as error:
             if isinstance(error, ModelError):
                 raise

@@ -40,7 +40,7 @@ MODELS = {
             ),
             extra=("Ende – \U0001f3c1",),
         ),
-        name='quoted "name"\n', parameters=(
+        name='quoted "name" <b>$x$', parameters=(
             Parameter(name="p", value=WIDE, low=Fraction(0)),
             Parameter(name="q", value=Fraction(-3), high=Fraction(7, 3)),
         ),

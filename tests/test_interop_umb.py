@@ -28,7 +28,7 @@ def test_ours_come_back_with_the_same_laws(tmp_path: Path, name: str) -> None:
     again = umb.load(path, discount="9/10")
     assert laws(again) == laws(mdp)
     assert (again.start, again.actions) == (mdp.start, mdp.actions)
-    assert again.name == (mdp.name or "model")
+    assert again.name == mdp.name
     assert again.discount_exact == Fraction(9, 10)
     assert again.terminal.tolist() == mdp.terminal.tolist()
     assert [file.name for file in tmp_path.iterdir()] == ["model.umb"]
@@ -146,7 +146,7 @@ def test_rewards_of_states_choices_and_branches_add_up(tmp_path: Path) -> None:
     reward.set_state_values([Fraction(1, 2), 0])
     reward.set_choice_values([10, 20, 0])
     reward.set_branch_values([100, 200, 300, 0])
-    mdp = umb.load(written(ats, tmp_path))
+    mdp = umb.load(written(ats, tmp_path), discount=1)
     assert (mdp.actions, mdp.name) == (("go", "wait"), "theirs")
     half = Fraction(1, 2)
     assert laws(mdp) == {
@@ -168,25 +168,25 @@ def chain(**rewards: list[Any]) -> Any:
 
 
 def test_a_chain_and_a_state_without_choices(tmp_path: Path) -> None:
-    mdp = umb.load(written(chain(steps=[1.5, 0.0]), tmp_path))
+    mdp = umb.load(written(chain(steps=[1.5, 0.0]), tmp_path), discount=1)
     quarter = Fraction(1, 4)
     assert laws(mdp)[0, "0"] == {(0, Fraction(3, 2)): quarter, (1, Fraction(3, 2)): 1 - quarter}
     assert mdp.terminal.tolist() == [False, True]
     with pytest.raises(ModelError, match="in a state without choices"):
-        umb.load(written(chain(steps=[1.5, 2.0]), tmp_path))
+        umb.load(written(chain(steps=[1.5, 2.0]), tmp_path), discount=1)
 
 
 def test_a_reward_model_is_chosen_by_name(tmp_path: Path) -> None:
     path = written_with_two_rewards(tmp_path)
     for name, value in (("time", 1), ("cost", 7), ("a long name", 7)):
-        assert umb.load(path, reward=name).reward[0] == value
-        assert load(f"{path}#{name}").mdp.reward[0] == value
+        assert umb.load(path, discount=1, reward=name).reward[0] == value
+        assert load(f"{path}#{name}", discount=1).mdp.reward[0] == value
     with pytest.raises(ModelError, match=r"2 reward models(.|\n)*time, a long name"):
         umb.load(path)
     with pytest.raises(ModelError, match=r"no reward model 'tim'(.|\n)*did you mean time"):
         load(f"{path}#tim")
     with pytest.raises(ModelError, match=r"0 reward models(.|\n)*add a reward model"):
-        umb.load(written(chain(), tmp_path))
+        umb.load(written(chain(), tmp_path), discount=1)
 
 
 def written_with_two_rewards(folder: Path) -> Path:
@@ -201,12 +201,12 @@ def test_initial_states(tmp_path: Path) -> None:
     ats.set_initial_states([0, 1])
     path = written(ats, tmp_path)
     with pytest.raises(ModelError, match="2 initial states"):
-        umb.load(path)
-    assert umb.load(path, start=1).start == ((1, Fraction(1)),)
-    assert len(umb.load(path, start={0: "1/3", 1: "2/3"}).start) == 2
+        umb.load(path, discount=1)
+    assert umb.load(path, discount=1, start=1).start == ((1, Fraction(1)),)
+    assert len(umb.load(path, discount=1, start={0: "1/3", 1: "2/3"}).start) == 2
     ats.set_initial_states([])
     with pytest.raises(ModelError, match="0 initial states"):
-        umb.load(written(ats, tmp_path))
+        umb.load(written(ats, tmp_path), discount=1)
 
 
 def test_actions_that_repeat_in_a_state_are_numbered(tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def test_actions_that_repeat_in_a_state_are_numbered(tmp_path: Path) -> None:
         choice.action = action
         choice.add_branch(0, 1.0)
     ats.add_reward_annotation("r").set_choice_values([5, 6, 7])
-    mdp = umb.load(written(ats, tmp_path))
+    mdp = umb.load(written(ats, tmp_path), discount=1)
     assert (mdp.actions, mdp.reward.tolist()) == (("0", "1", "2"), [5, 6, 7])
 
 
@@ -225,26 +225,26 @@ def test_models_of_other_kinds(tmp_path: Path) -> None:
     timed = chain(steps=[1, 0])
     timed.time, timed.state_to_exit_rate = umbi.ats.TimeType.STOCHASTIC, [1.0, 2.0]
     with pytest.raises(ModelError, match="time is stochastic"):
-        umb.load(written(timed, tmp_path))
+        umb.load(written(timed, tmp_path), discount=1)
     game = chain(steps=[1, 0])
     game.num_players, game.state_to_player, game.player_to_name = 2, [0, 1], ["x", "y"]
     with pytest.raises(ModelError, match="2 players"):
-        umb.load(written(game, tmp_path))
+        umb.load(written(game, tmp_path), discount=1)
     hidden = chain(steps=[1, 0])
     hidden.num_players = 1
     hidden.add_observation_annotation(2).set_state_values([0, 1])
     with pytest.raises(ModelError, match="2 observations"):
-        umb.load(written(hidden, tmp_path))
+        umb.load(written(hidden, tmp_path), discount=1)
     vague = system(1)
     vague.add_state_choice(0).add_branch(0, umbi.datatypes.Interval(0.5, 1.0))
     vague.add_reward_annotation("r").set_state_values([1])
     with pytest.raises(ModelError, match="not a single number"):
-        umb.load(written(vague, tmp_path))
+        umb.load(written(vague, tmp_path), discount=1)
     half = system(1)
     half.add_state_choice(0).add_branch(0, 0.5)
     half.add_reward_annotation("r").set_state_values([1])
     with pytest.raises(ModelError, match=r"sum to 0\.5, not 1"):
-        umb.load(written(half, tmp_path))
+        umb.load(written(half, tmp_path), discount=1)
 
 
 def test_rewards_that_were_changed_for_choices_alone(tmp_path: Path) -> None:

@@ -39,10 +39,10 @@ def test_files_cut_short_or_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"#states": 33', '"#states": 34', "offsets that do not run"),
+        ('"#states": 33', '"#states": 34', "values"),
         ('"#states": 33', '"#states": 18446744073709551615', "the index claims"),
         ('"#choices": 129', '"#choices": 99999999999', "the index claims"),
-        ('"#choices": 129', '"#choices": 128', "offsets that do not run"),
+        ('"#choices": 129', '"#choices": 128', "values"),
         ('"#states": 33', '"#states": -1', "damaged"),
         ('"#states": 33', '"#states": "many"', "damaged"),
         ('"#states": 33,', "", "damaged"),
@@ -68,12 +68,12 @@ def test_indices_that_lie(tmp_path: Path, old: str, new: str, message: str) -> N
     [
         ("branch-to-target.bin", 0, 33, "leads to state 33 of 33"),
         ("branch-to-target.bin", 0, 2**63, "leads to state"),
-        ("branch-to-probability.bin", 0, 2**62, "average"),
-        ("branch-to-probability.bin", 0, 2**64 - 1, "average"),
+        ("branch-to-probability.bin", 0, 2**62, "sum to"),
+        ("branch-to-probability.bin", 0, 2**64 - 1, "a probability is"),
         ("branch-to-probability.bin", 8, 0, "damaged"),
         ("state-to-choices.bin", 8, 2**40, "offsets that do not run"),
         ("choice-to-branches.bin", 8, 2**40, "offsets that do not run"),
-        ("choice-to-branches.bin", 8, 0, "average"),
+        ("choice-to-branches.bin", 8, 0, "sum to 0, not 1"),
         ("actions/choices/values.bin", 0, 9, "an action beyond"),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from analysis.plots.style import axes_or_new
+from analysis.plots.style import axes_or_new, plain_text
 from mdp import Scenario
 
 
@@ -27,6 +27,7 @@ def influence_graph(scenario: Scenario) -> nx.DiGraph:
     return graph
 
 
+@plain_text
 def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     """Draw the influence graph; widths and labels are percentage points per timestep."""
     ax = axes_or_new(ax)
@@ -68,6 +69,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
+@plain_text
 def plot_status_transitions(
     law: NDArray[np.float64],
     statuses: Sequence[str],

@@ -10,12 +10,13 @@ from matplotlib.axes import Axes
 from analysis.instability import Prediction
 from analysis.learning import Outcomes, share_interval
 from analysis.learning_curves import LearningCurve
-from analysis.plots.style import LINES, PALETTE, axes_or_new
+from analysis.plots.style import LINES, PALETTE, axes_or_new, plain_text
 from mdp.table import Floats
 
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7])
 
 
+@plain_text
 def plot_learning_curves(
     curves: Mapping[str, LearningCurve],
     *,
@@ -52,6 +53,7 @@ def plot_learning_curves(
     return ax
 
 
+@plain_text
 def plot_value_bands(
     values: Mapping[str, Floats],
     *,
@@ -84,6 +86,7 @@ def plot_value_bands(
     return ax
 
 
+@plain_text
 def plot_regrets(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw the share of runs whose final regret is at most x, one step line for each training."""
     ax = axes_or_new(ax)
@@ -106,6 +109,7 @@ def plot_regrets(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Ax
     return ax
 
 
+@plain_text
 def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw how many policies are greedy in the last episodes of a run, with 95 % intervals."""
     ax = axes_or_new(ax)
@@ -121,6 +125,7 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
     return ax
 
 
+@plain_text
 def plot_instability(
     prediction: Prediction, counts: Sequence[int], *, ax: Axes | None = None
 ) -> Axes:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch, Rectangle
 
-from analysis.plots.style import LINES, PALETTE, action_styles, axes_or_new
+from analysis.plots.style import LINES, PALETTE, action_styles, axes_or_new, plain_text
 from mdp.table import Floats, Integers
 
 SHADES = (PALETTE[6], PALETTE[3], PALETTE[7])
@@ -36,6 +36,7 @@ class Average:
     span: tuple[float, float] | None = None
 
 
+@plain_text
 def plot_averages(
     averages: Sequence[Average], *, optimum: float | None = None, ax: Axes | None = None
 ) -> Axes:
@@ -85,6 +86,7 @@ def plot_averages(
     return ax
 
 
+@plain_text
 def plot_agreement(
     actions: Sequence[str],
     choices: Integers,
@@ -136,6 +138,7 @@ def plot_agreement(
     return ax
 
 
+@plain_text
 def plot_trials(flows: Mapping[str, tuple[Floats, Floats]], *, ax: Axes | None = None) -> Axes:
     """Draw the trials of a subtask: how many of those who try complete it, and who skips it.
 
@@ -189,6 +192,7 @@ def _arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> No
     )  # fmt: skip
 
 
+@plain_text
 def plot_choices(
     losses: Floats,
     *,
@@ -234,6 +238,7 @@ def plot_choices(
     return ax
 
 
+@plain_text
 def plot_experiments(
     curves: Mapping[str, Floats], *, window: int = 100, bin: int = 20, ax: Axes | None = None
 ) -> Axes:

@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from analysis.plots.style import action_styles, axes_or_new
+from analysis.plots.style import action_styles, axes_or_new, plain_text
 
 if TYPE_CHECKING:
     from analysis.perception import ErrorCosts, PriceOfPerception
@@ -22,6 +22,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 
 
+@plain_text
 def plot_accuracy_curves(
     curves: AccuracyCurves, *, needed: AccuracyNeeded | None = None, ax: Axes | None = None
 ) -> Axes:
@@ -68,6 +69,7 @@ def plot_accuracy_curves(
     return ax
 
 
+@plain_text
 def plot_prices(
     levels: Sequence[float], prices: Sequence[PriceOfPerception], *, ax: Axes | None = None
 ) -> Axes:
@@ -102,6 +104,7 @@ def plot_prices(
     return ax
 
 
+@plain_text
 def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     """Draw the loss by status: missed where present, and seen where absent."""
     ax = axes_or_new(ax)
@@ -126,6 +129,7 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
+@plain_text
 def plot_hedging(found: Hedging, *, ax: Axes | None = None) -> Axes:
     """Draw the best memoryless policy's action for each perceived status, along accuracies.
 
@@ -183,6 +187,7 @@ def _paler(fill: str) -> tuple[float, float, float]:
     return 0.75 + 0.25 * red, 0.75 + 0.25 * green, 0.75 + 0.25 * blue
 
 
+@plain_text
 def plot_confusion(confusion: NDArray[np.float64], *, ax: Axes | None = None) -> Axes:
     """Draw a confusion matrix: the darker, the likelier; numbers where 5 % and more."""
     ax = axes_or_new(ax)

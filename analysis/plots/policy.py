@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from analysis.plots.style import action_styles, axes_or_new
+from analysis.plots.style import action_styles, axes_or_new, plain_text
 from mdp import MDP
 
 
+@plain_text
 def plot_policy_map(
     mdp: MDP,
     choices: NDArray[np.int64],

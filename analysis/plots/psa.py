@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plots.style import axes_or_new
+from analysis.plots.style import axes_or_new, plain_text
 from analysis.sensitivity.intervals import tolerances_of
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#4D4D4D", "#8
 MOST_ROWS = 32
 
 
+@plain_text
 def plot_acceptability(
     found: PSA,
     *,
@@ -70,6 +71,7 @@ def plot_acceptability(
     return ax
 
 
+@plain_text
 def plot_expected_loss(found: LossCurve, *, ax: Axes | None = None) -> Axes:
     """Draw each policy's expected loss, with its 95 % interval, and the lowest one in grey."""
     ax = axes_or_new(ax)
@@ -109,6 +111,7 @@ def plot_expected_loss(found: LossCurve, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
+@plain_text
 def plot_optimal_actions(found: PSA, *, ax: Axes | None = None) -> Axes:
     """Draw, for each status and action, the share of draws in which the action is optimal."""
     ax = axes_or_new(ax)
@@ -128,6 +131,7 @@ def plot_optimal_actions(found: PSA, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
+@plain_text
 def plot_start_values(found: PSA, *, bins: int = 60, ax: Axes | None = None) -> Axes:
     """Draw the distribution of V* over the draws, its mean, and V* at today's values."""
     ax = axes_or_new(ax)
@@ -143,6 +147,7 @@ def plot_start_values(found: PSA, *, bins: int = 60, ax: Axes | None = None) -> 
     return ax
 
 
+@plain_text
 def plot_evppi(
     found: Mapping[str, PartialInformation], *, most: int = 12, ax: Axes | None = None
 ) -> Axes:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plots.style import axes_or_new
+from analysis.plots.style import axes_or_new, plain_text
 from solvers.returns import ReturnDistribution
 
 
+@plain_text
 def plot_return_distribution(
     distribution: ReturnDistribution, *, label: str = "", ax: Axes | None = None
 ) -> Axes:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from matplotlib.axes import Axes
 
-from analysis.plots.style import axes_or_new
+from analysis.plots.style import axes_or_new, plain_text
 
 if TYPE_CHECKING:
     from analysis.sensitivity.robust_result import RobustCurve
@@ -20,6 +20,7 @@ RADIUS = {
 }
 
 
+@plain_text
 def plot_robust_curve(curve: RobustCurve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value of both policies against the radius: tables right, and worst case.
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.patches import Patch
 
-from analysis.plots.style import LINES, action_styles, axes_or_new
+from analysis.plots.style import LINES, action_styles, axes_or_new, plain_text
 from analysis.sensitivity.units import unit_of
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 BELOW, ABOVE, LINE = "#FFFFFF", "#56B4E9", "#000000"
 
 
+@plain_text
 def plot_tornado(
     tornado: Tornado, *, most: int = 15, show: str = "optimal", ax: Axes | None = None
 ) -> Axes:
@@ -65,6 +66,7 @@ def plot_tornado(
     return ax
 
 
+@plain_text
 def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value along a parameter, the policy re-optimised and held fixed."""
     ax = axes_or_new(ax)
@@ -81,6 +83,7 @@ def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
+@plain_text
 def plot_thresholds(
     found: Mapping[str, Thresholds], *, reached: bool = False, ax: Axes | None = None
 ) -> Axes:
@@ -118,6 +121,7 @@ def plot_thresholds(
     return ax
 
 
+@plain_text
 def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters, or which action in one state.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plots.style import axes_or_new
+from analysis.plots.style import axes_or_new, plain_text
 from analysis.sensitivity.morris import effects_of
 from analysis.sensitivity.sobol import indices_of
 from mdp.errors import ModelError
@@ -26,6 +26,7 @@ OUTPUT = {
 }
 
 
+@plain_text
 def plot_sobol(
     found: Sobol, *, output: str = "optimal", most: int = 12, ax: Axes | None = None
 ) -> Axes:
@@ -73,6 +74,7 @@ def plot_sobol(
     return ax
 
 
+@plain_text
 def plot_morris(
     found: Morris, *, output: str = "optimal", labelled: int = 8, ax: Axes | None = None
 ) -> Axes:
@@ -124,6 +126,7 @@ def plot_morris(
     return ax
 
 
+@plain_text
 def plot_morris_bars(
     found: Morris, *, output: str = "optimal", most: int = 15, ax: Axes | None = None
 ) -> Axes:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
+from typing import ParamSpec
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -14,6 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from mdp.files import write_atomically
+
+Arguments = ParamSpec("Arguments")
 
 # Okabe and Ito's colours, ordered from light to dark so that greyscale keeps them apart.
 PALETTE = ("#FFFFFF", "#F0E442", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#0072B2", "#4D4D4D")
@@ -33,6 +37,7 @@ SETTINGS = {
     "svg.fonttype": "none",
     "svg.hashsalt": "exact-mdp",
     "figure.constrained_layout.use": True,
+    "text.parse_math": False,
 }
 
 
@@ -69,6 +74,47 @@ def action_styles(actions: Sequence[str]) -> list[ActionStyle]:
             )
         )
     return styles
+
+
+def plain_text(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
+    """Let a function that draws on axes show every text as it is: names hold "$", not formulas.
+
+    Parameters
+    ----------
+    function : function that returns the axes it drew on
+
+    Returns
+    -------
+    function
+
+    Examples
+    --------
+    >>> @plain_text
+    ... def plot(ax=None):
+    ...     ax = axes_or_new(ax)
+    ...     ax.set_title("from $a to $b")
+    ...     return ax
+    >>> plot().title.get_parse_math()
+    False
+    """
+
+    @wraps(function)
+    def plain(*arguments: Arguments.args, **settings: Arguments.kwargs) -> Axes:
+        given = settings.get("ax")
+        if isinstance(given, Axes):
+            _as_written(given)
+        with mpl.rc_context({"text.parse_math": False}):
+            ax = function(*arguments, **settings)
+        _as_written(ax)
+        return ax
+
+    return plain
+
+
+def _as_written(drawn: Axes | Figure) -> None:
+    """Show every text of a drawing as it is written; matplotlib takes $…$ for a formula."""
+    for text in drawn.findobj(Text):
+        text.set_parse_math(False)
 
 
 @contextmanager
@@ -114,6 +160,7 @@ def titled(ax: Axes, text: str) -> Text:
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as SVG and PNG, each whole or not at all; return the paths."""
+    _as_written(figure)
     paths = []
     for kind, metadata in (("svg", {"Date": None}), ("png", {})):
         buffer = io.BytesIO()

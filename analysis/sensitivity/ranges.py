@@ -12,7 +12,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from mdp.errors import ModelError
-from mdp.files import read_text
+from mdp.files import SMALL, read_text
 from mdp.parameters import Parameter
 from mdp.parametric import DISCOUNT, Parametric, parameter_of
 from mdp.table import exact, shown
@@ -108,7 +108,7 @@ def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]
 def load_ranges(model: Parametric, path: str | Path) -> dict[str, Range]:
     """Return the ranges that a TOML file states; raises ModelError for any mistake in it."""
     try:
-        content = tomllib.loads(read_text(path), parse_float=exact)
+        content = tomllib.loads(read_text(path, most=SMALL), parse_float=exact)
     except ModelError:
         raise
     except (ValueError, RecursionError) as error:

@@ -22,7 +22,7 @@ from typing import Any
 
 from analysis.sensitivity.uncertainty_settings import SETTINGS, number_of
 from mdp.errors import ModelError, suggest
-from mdp.files import read_text
+from mdp.files import SMALL, read_text
 
 DEFAULT = "default"
 
@@ -36,7 +36,7 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
         For broken TOML, a setting that is not known, and a file that states nothing.
     """
     try:
-        content = tomllib.loads(read_text(path))
+        content = tomllib.loads(read_text(path, most=SMALL))
     except ModelError:
         raise
     except (ValueError, RecursionError) as error:

@@ -14,6 +14,8 @@ The arrays of an archive, nothing in it being a pickle:
     event         (N,) uint8     optional: bit b is set where event number b happens
     components    (L, C) float64 expected reward of each pair by component
 
+and any other array of floats that a table of outcomes may have, under its name.
+
 Integers are int64 where they fit. Where they do not, the array is uint8 of shape (…, k): each row
 is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has the keys `format`
 ("exact-mdp model"), `version` (1), `name`, `discount` ("p/q"), `start` ([[state, "p/q"], …]),
@@ -28,24 +30,21 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-from collections.abc import Mapping
-from math import prod
+from collections.abc import Collection, Mapping
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError
+from mdp.errors import ModelError, shown_text
 from mdp.files import write_atomically
 from mdp.interop.npz_header import as_header, parts_of
 from mdp.model import MDP
+from mdp.numpy_file import read_arrays
 from mdp.table import Numbers, OutcomeTable
 
-INTEGERS = ("weight", "denominator", "gain", "gain_denominator")
-KINDS: Mapping[str, tuple[str, ...]] = {
-    "header": ("uint8",),
-    "pair_state": ("int64",),
-    "pair_action": ("int64",),
+FIELDS: Mapping[str, tuple[str, ...]] = {
     "offsets": ("int64",),
     "next": ("int32", "int64"),
     "weight": ("int64", "float64", "uint8"),
@@ -53,14 +52,21 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "gain": ("int64", "float64", "uint8"),
     "gain_denominator": ("int64", "uint8"),
     "event": ("uint8",),
+}
+"""Types that an array of the table may have; uint8 among several means rows of bytes."""
+
+OPTIONAL = tuple(field.name for field in fields(OutcomeTable) if field.default is None)
+"""Arrays that a table may lack. Those that are not above are floats."""
+
+TABLE = {field.name: FIELDS.get(field.name, ("float64",)) for field in fields(OutcomeTable)}
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "header": ("uint8",),
+    "pair_state": ("int64",),
+    "pair_action": ("int64",),
+    **TABLE,
     "components": ("float64",),
 }
-"""Every array with the types it may have; uint8 among several means rows of bytes."""
-
-OPTIONAL = ("event",)
 WIDTH = 8
-SMALL, RATIO = 2**26, 50
-"""A compressed archive may claim up to 64 MiB, or 50 times its own size, whichever is more."""
 
 
 def save(mdp: MDP, path: str | Path) -> None:
@@ -86,13 +92,12 @@ def save(mdp: MDP, path: str | Path) -> None:
         "header": np.frombuffer(text, dtype=np.uint8),
         "pair_state": mdp.pair_state,
         "pair_action": mdp.pair_action,
-        "offsets": table.offsets,
-        "next": table.next,
         "components": mdp.components,
     }
-    arrays |= {name: _as_bytes(getattr(table, name)) for name in INTEGERS}
-    if table.event is not None:
-        arrays["event"] = table.event
+    for name in TABLE:
+        array = getattr(table, name)
+        if array is not None:
+            arrays[name] = _as_bytes(array)
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **arrays)
     write_atomically(path, stream.getvalue())
@@ -109,21 +114,18 @@ def load(path: str | Path) -> MDP:
     """
     where = str(path)
     try:
-        arrays = _arrays(path)
-        parts = parts_of(_header(arrays.pop("header")), pairs=len(arrays["pair_state"]))
-        numbers = {name: _as_integers(arrays.pop(name)) for name in INTEGERS}
+        arrays = read_arrays(path, names=_check_names, check=_check_array)
+        parts = parts_of(_header(arrays["header"]), pairs=len(arrays["pair_state"]))
         table = OutcomeTable(
-            offsets=arrays["offsets"], next=arrays["next"], event=arrays.get("event"), **numbers
+            **{name: _as_integers(arrays[name]) for name in TABLE if name in arrays}
         )
         state, action = arrays["pair_state"], arrays["pair_action"]
         return MDP(table, state, action, components=arrays["components"], **parts)
     except ModelError as error:
+        if error.where.startswith(shown_text(where)):
+            raise
         place = f"{where}, {error.where}" if error.where else where
         raise ModelError(error.what, where=place, fix=error.fix) from error
-    except OSError as error:
-        raise ModelError(
-            f"cannot read the file: {error.strerror or error}", where=where, fix="check the path"
-        ) from error
 
 
 def _header(data: Numbers) -> object:
@@ -135,68 +137,18 @@ def _header(data: Numbers) -> object:
         ) from error
 
 
-def _arrays(path: str | Path) -> dict[str, Numbers]:
-    """Return the arrays of an archive, after its claims have been compared with its size."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = {m.filename.removesuffix(".npy"): m for m in archive.infolist()}
-            _check_members(archive, members, Path(path).stat().st_size)
-            return {name: _array(archive, member, name) for name, member in members.items()}
-    except (ModelError, OSError):
-        raise
-    except Exception as error:  # zipfile and NumPy raise many kinds on damaged archives
-        raise ModelError(
-            f"the file is damaged or no archive: {str(error)[:200]}", fix="save the model again"
-        ) from error
-
-
-def _check_members(
-    archive: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo], size: int
-) -> None:
-    """Raise ModelError unless an archive of `size` bytes holds the arrays of a model, plainly."""
+def _check_names(names: Collection[str]) -> None:
+    """Raise ModelError unless an archive holds the arrays of a model, by their names."""
     needed = {name for name in KINDS if name not in OPTIONAL}
-    if len(members) != len(archive.infolist()) or not needed <= members.keys() <= KINDS.keys():
+    if not needed <= set(names) <= KINDS.keys():
         raise ModelError(
-            f"the archive holds {', '.join(members)[:200] or 'nothing'}",
+            f"the archive holds {', '.join(names)[:200] or 'nothing'}",
             fix="give a model that exact-mdp wrote; a Q-table is a policy, not a model",
         )
-    methods = {member.compress_type for member in members.values()}
-    encrypted = any(member.flag_bits & 1 for member in members.values())
-    if encrypted or not methods <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-        raise ModelError(
-            "the archive is encrypted, or compressed in an unusual way", fix="save the model again"
-        )
-    claimed = sum(member.file_size for member in members.values())
-    if claimed > (size if methods == {zipfile.ZIP_STORED} else max(SMALL, RATIO * size)):
-        raise ModelError(
-            f"the archive of {size:,} bytes claims to hold {claimed:,}",
-            fix="save the model again, uncompressed",
-        )
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> Numbers:
-    _check_claim(archive, member, name)
-    with archive.open(member) as stream:
-        array: Numbers = np.lib.format.read_array(stream, allow_pickle=False)
-        # Reading on to the end makes zipfile compare the checksum.
-        if stream.read(1):
-            raise ModelError("data after the array", where=name, fix="save the model again")
-    return array.astype(array.dtype.newbyteorder("="), copy=False)
-
-
-def _check_claim(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> None:
-    """Raise ModelError unless an array's header agrees with its size, before memory is taken."""
-    with archive.open(member) as stream:
-        version = np.lib.format.read_magic(stream)
-        if version == (1, 0):
-            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-        elif version == (2, 0):
-            shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-        else:
-            raise ModelError(
-                f"array format {version[0]}.{version[1]}", where=name, fix="save the model again"
-            )
-        start = stream.tell()
+def _check_array(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Raise ModelError unless an array has a type and a shape that the format allows."""
     kinds, kind = KINDS[name], str(dtype.newbyteorder("="))
     bytewise = kind == "uint8" and len(kinds) > 1
     dimensions = 2 if bytewise or name == "components" else 1
@@ -210,12 +162,6 @@ def _check_claim(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -
             f"an array of type {dtype} and shape {shape}",
             where=name,
             fix=f"give {' or '.join(kinds)}, as the format says",
-        )
-    if start + prod(int(length) for length in shape) * dtype.itemsize != member.file_size:
-        raise ModelError(
-            f"an array of shape {shape} in {member.file_size:,} bytes",
-            where=name,
-            fix="save the model again",
         )
 
 
@@ -231,7 +177,7 @@ def _as_bytes(array: Numbers) -> Numbers:
 
 def _as_integers(array: Numbers) -> Numbers:
     """Return rows of bytes as Python integers; other arrays as they are."""
-    if array.dtype != np.uint8:
+    if array.dtype != np.uint8 or array.ndim == 1:
         return array
     values = [int.from_bytes(row.tobytes(), "little", signed=True) for row in array]
     wide = np.empty(len(values), dtype=object)

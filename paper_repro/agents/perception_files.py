@@ -17,7 +17,7 @@ from typing import Any
 from analysis.record import run_record
 from mdp import MDP
 from mdp.errors import ModelError
-from mdp.files import write_atomically
+from mdp.files import read_bytes, write_atomically
 from paper_repro.agents import DISCLAIMER, recording
 from paper_repro.agents.measure import Floats, Labelled, to_csv
 from paper_repro.agents.schema import behaviour_schema, violations
@@ -59,7 +59,7 @@ class Notebook:
         """
         make(out)
         path, self.header = out / "labelled.jsonl", {"kind": "header", **header}
-        data = path.read_bytes() if path.exists() else b""
+        data = read_bytes(path) if path.exists() else b""
         if data and not resume:
             raise ModelError(
                 "the folder holds a measurement",

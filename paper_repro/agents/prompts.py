@@ -17,7 +17,7 @@ from string import Template
 from typing import Any
 
 from mdp.errors import ModelError, suggest
-from mdp.files import read_text
+from mdp.files import SMALL, read_text
 from paper_repro.agents.protocol import PURPOSES
 
 FOLDER = Path(__file__).parent / "prompts"
@@ -170,7 +170,7 @@ def encode(value: object) -> str:
 def read_toml(path: Path) -> dict[str, Any]:
     """Return a TOML file's content; raises ModelError where it cannot be read."""
     try:
-        return tomllib.loads(read_text(path))
+        return tomllib.loads(read_text(path, most=SMALL))
     except tomllib.TOMLDecodeError as error:
         raise ModelError(f"not TOML: {error}", where=str(path), fix="mend the line") from error
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mdp.errors import ModelError
+from mdp.files import read_bytes
 from paper_repro.agents.record_shape import END, HEADER, fault, step_fault
 
 FORMAT = 1
@@ -85,12 +86,7 @@ def read(path: str | Path) -> Recording:
     ModelError
         For a file that is no recording, or is damaged before its last line.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise ModelError(
-            f"cannot read the recording: {error.strerror}", where=str(path), fix="check the path"
-        ) from error
+    data = read_bytes(path)
     entries: list[dict[str, Any]] = []
     whole = data[: data.rfind(b"\n") + 1]
     for number, written in enumerate(whole.split(b"\n")[:-1], start=1):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mdp.errors import ModelError
-from mdp.files import write_atomically
+from mdp.files import read_bytes, write_atomically
 from paper_repro.agents import recording, text_view
 from paper_repro.agents.conversation import Conversation, totals
 from paper_repro.agents.html_view import page
@@ -200,7 +200,7 @@ def _kept(path: Path, header: Mapping[str, Any], resume: bool) -> Recording | No
         raise ModelError(
             "the folder holds a conversation", where=str(path), fix="add --resume, or another --out"
         )
-    if b"\n" not in path.read_bytes():  # stopped within the header: nothing to keep
+    if b"\n" not in read_bytes(path):  # stopped within the header: nothing to keep
         return None
     kept = recording.read(path)
     other = [key for key in header if json.loads(json.dumps(header[key])) != kept.header.get(key)]

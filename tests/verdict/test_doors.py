@@ -1,0 +1,263 @@
+"""Every file is a regular one and no larger than it says, or it is refused at once, in words."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import lzma
+import os
+import signal
+import socket
+import tarfile
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from umb_files import archive_of
+
+from analysis.sensitivity.ranges import load_ranges
+from analysis.sensitivity.uncertainty_file import load_uncertainty
+from mdp import MDP, ModelError, Policy, Scenario
+from mdp.files import opened, read_bytes, read_text, write_atomically
+from mdp.interop import npz, umb
+from mdp.load import load
+from mdp.numpy_file import read_array
+from mdp.perception import read as read_perception
+from mdp.perception_counts import read_counts
+from mdp.scenario_file import load as read_scenario
+from paper_repro.agents import recording
+from solvers import Certificate
+from solvers.certificate import BoundedCertificate
+from solvers.pieces import read_piece
+
+MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")
+CARE = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile()
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "text": read_text,
+    "bytes": read_bytes,
+    "model.npz": npz.load,
+    "model.umb": umb.load,
+    "load.npz": load,
+    "load.umb": load,
+    "load.toml": load,
+    "scenario.toml": read_scenario,
+    "policy.csv": lambda path: Policy.read(path, MODEL),
+    "policy.json": lambda path: Policy.read(path, MODEL),
+    "policy.npy": lambda path: Policy.read(path, MODEL),
+    "policy.npz": lambda path: Policy.read(path, MODEL),
+    "array.npy": lambda path: read_array(path, called="q"),
+    "perception.csv": lambda path: read_perception(path, CARE),
+    "perception.toml": lambda path: read_perception(path, CARE),
+    "counts.jsonl": lambda path: read_counts(path, CARE),
+    "certificate.json": Certificate.load,
+    "bounded.json": BoundedCertificate.load,
+    "piece.npz": read_piece,
+    "recording.jsonl": recording.read,
+    "ranges.toml": lambda path: load_ranges(Scenario.load("yuan2025"), path),
+    "uncertainty.toml": load_uncertainty,
+}
+
+
+@pytest.fixture(autouse=True)
+def _in_time() -> Iterator[None]:
+    """Fail, rather than wait, where a reader waits for the other end of a pipe."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError("a reader waits")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_pipes_devices_and_folders(tmp_path: Path, name: str) -> None:
+    """A FIFO does not block, /dev/zero is not read, a folder and a socket are named as such."""
+    path = tmp_path / name
+    os.mkfifo(path)
+    words = "damaged" if name == "piece.npz" else "cannot read the file"
+    with pytest.raises(ModelError, match=words) as caught:
+        READERS[name](path)
+    assert caught.value.where.startswith(str(path))
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with pytest.raises(ModelError, match=words):
+        READERS[name](path)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(ModelError, match=words):
+        READERS[name](path)
+
+
+def test_what_is_refused_is_named(tmp_path: Path) -> None:
+    """The message says what the file is; a process substitution is told to be a pipe."""
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(ModelError, match="a pipe, not a regular file") as caught:
+        read_text(tmp_path / "fifo")
+    assert "<(…)" in caught.value.fix
+    with pytest.raises(ModelError, match="a device"):
+        read_text("/dev/zero")
+    with pytest.raises(ModelError, match="a folder"):
+        read_text(tmp_path)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "s"))
+        with pytest.raises(ModelError, match="cannot read the file"):
+            read_text(tmp_path / "s")
+    with pytest.raises(ModelError, match="null byte"):
+        read_text("a\0b")
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(3):
+        with pytest.raises(ModelError):
+            read_text(tmp_path)
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_nothing_but_a_regular_file_is_written_over(tmp_path: Path) -> None:
+    """Renaming a finished file into place would put it where a device or a pipe was."""
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(ModelError, match="there is a pipe of this name"):
+        write_atomically(tmp_path / "fifo", "text")
+    with pytest.raises(ModelError, match="cannot write the file"):
+        write_atomically(tmp_path / "a\0b", "text")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fifo"]
+
+
+def test_files_beyond_the_limit(tmp_path: Path) -> None:
+    """The size of a file is known before a byte of it is read; what grows is cut off."""
+    with open(tmp_path / "big", "wb") as file:
+        file.truncate(2**29)
+    with pytest.raises(ModelError, match="536,870,912 bytes"):
+        read_bytes(tmp_path / "big")
+    os.rename(tmp_path / "big", tmp_path / "big.toml")
+    with pytest.raises(ModelError, match="536,870,912 bytes"):
+        read_scenario(tmp_path / "big.toml")
+    with opened(tmp_path / "big.toml", most=2**30) as file:
+        assert file.read(1) == b"\0"
+    with pytest.raises(ModelError, match="more than the 10"):
+        read_bytes("/proc/self/status", most=10)
+
+
+def header(shape: str, kind: str = "<f8") -> bytes:
+    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+def zipped(members: dict[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+def refused(content: bytes, name: str, folder: Path) -> str:
+    path = folder / name
+    path.write_bytes(content)
+    with pytest.raises(ModelError) as caught:
+        Policy.read(path, MODEL)
+    assert caught.value.where.startswith(str(path))
+    assert "pickle" not in str(caught.value)
+    return caught.value.what
+
+
+def test_a_policy_archive_that_expands(tmp_path: Path) -> None:
+    """783 kB of .npz became 768 MB of memory; its directory says so before."""
+    bomb = zipped({"q.npy": header("(20000000,)") + bytes(160_000_000)})
+    assert len(bomb) < 1_000_000
+    assert "claims to hold 160,000," in refused(bomb, "q.npz", tmp_path)
+
+
+def test_arrays_that_claim_more_than_they_hold(tmp_path: Path) -> None:
+    """The shape in a header takes no memory before the file's size has been compared."""
+    for content in (header("(9000000000000,)"), header("(4, 1)"), header("(1, 1)") + bytes(7)):
+        assert "bytes, not" in refused(content, "q.npy", tmp_path)
+        assert "bytes, not" in refused(zipped({"q.npy": content}), "q.npz", tmp_path)
+    assert "header is damaged" in refused(header("(" * 300), "q.npy", tmp_path)
+    assert "header is damaged" in refused(header("(1,)" + " " * 60_000), "q.npy", tmp_path)
+    assert "not a readable NumPy array" in refused(b"q", "q.npy", tmp_path)
+    good = zipped({"q.npy": header("(1, 1)") + bytes(8)})
+    for length in range(2, len(good) - 1, 9):
+        refused(good[:length], "q.npz", tmp_path)
+
+
+def test_numpy_is_not_quoted_on_pickles(tmp_path: Path) -> None:
+    """An array of objects is refused in our words, which advise nobody to allow it."""
+    stream = io.BytesIO()
+    np.save(stream, np.array([[{}]], dtype=object), allow_pickle=True)
+    assert "could run any program" in refused(stream.getvalue(), "q.npy", tmp_path)
+    assert "could run any program" in refused(
+        zipped({"q.npy": stream.getvalue()}), "q.npz", tmp_path
+    )
+    # What np.load takes for a pickle, because it is nothing else.
+    refused(b"\x80\x04K\x01.", "q.npy", tmp_path)
+
+
+def test_numbers_of_every_type_come_through(tmp_path: Path) -> None:
+    """int64 and long double are handed on as they are, in either order of bytes and of axes."""
+    for kind in ("i8", ">i8", "u8", "f4", ">f8", np.longdouble, "f2"):
+        for order in "CF":
+            values = np.asarray(np.arange(6).reshape(2, 3), dtype=kind, order=order)
+            np.save(tmp_path / "q.npy", values)
+            found = read_array(tmp_path / "q.npy", called="q")
+            assert found.dtype == np.dtype(kind).newbyteorder("=")
+            assert np.array_equal(found, values)
+            np.savez_compressed(tmp_path / "q.npz", q=values, other=values)
+            assert np.array_equal(read_array(tmp_path / "q.npz", called="q"), values)
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, lzma.compress])
+def test_umb_archives_that_expand(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
+    """What unpacks out of proportion is refused, whatever it is packed with."""
+    path = tmp_path / "bomb.umb"
+    path.write_bytes(pack(archive_of({"index.json": bytes(100_000_000)})))
+    with pytest.raises(ModelError, match="unpacks to over"):
+        umb.load(path)
+
+
+def test_umb_archives_whose_headers_lie(tmp_path: Path) -> None:
+    """The name of a file, the size of a file and the ranges of names may each claim gigabytes."""
+    path = tmp_path / "bad.umb"
+    member = tarfile.TarInfo("index.json")
+    member.size = 2**33
+    path.write_bytes(member.tobuf(tarfile.GNU_FORMAT))
+    with pytest.raises(ModelError):
+        umb.load(path)
+    member = tarfile.TarInfo("././@LongLink")
+    member.type, member.size = tarfile.GNUTYPE_LONGNAME, 2**33
+    path.write_bytes(gzip.compress(member.tobuf(tarfile.GNU_FORMAT) + bytes(100_000_000)))
+    with pytest.raises(ModelError, match="unpacks to over"):
+        umb.load(path)
+
+
+def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
+    """Each file of the archive has the length that the index gives it, before it is decoded."""
+    from umb_files import members_of
+
+    umb.save(CARE, tmp_path / "m.umb")
+    members = members_of(tmp_path / "m.umb")
+    names = ("state-is-initial.bin", "branch-to-probability.bin", "actions/choices/values.bin")
+    for name in (*names, "annotations/rewards/reward/choices/values.bin"):
+        (tmp_path / "m.umb").write_bytes(archive_of(members | {name: bytes(2**20)}))
+        with pytest.raises(ModelError, match="a file of 1,048,576 bytes"):
+            umb.load(tmp_path / "m.umb")
+    mapping = "actions/choices/string-mapping.bin"
+    ends = np.frombuffer(members[mapping], "<u8").copy()
+    ends[1:-1] = ends[-1], 0, ends[-1]
+    (tmp_path / "m.umb").write_bytes(archive_of(members | {mapping: ends.tobytes()}))
+    with pytest.raises(ModelError, match="ranges of the names fall"):
+        umb.load(tmp_path / "m.umb")
+
+
+def test_a_constant_piece_is_not_out_of_proportion(tmp_path: Path) -> None:
+    """Pieces of a run are compressed as far as they go; our own are never refused."""
+    from solvers.pieces import write_piece
+
+    write_piece(tmp_path / "a.npz", {"zeros": np.zeros(20_000_000)})
+    found = read_piece(tmp_path / "a.npz")
+    assert found is not None
+    assert found["zeros"].shape == (20_000_000,)

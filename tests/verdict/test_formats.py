@@ -1,0 +1,221 @@
+"""A model that is written is read back whole: every field, every number, through every format."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import fields
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import umbi.ats
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from saved_models import MODELS
+
+from analysis.cli import cli
+from mdp import MDP, Column, ModelError, StateSpace
+from mdp.interop import umb
+from mdp.load import load, load_model, save_model
+from mdp.table import OutcomeTable
+
+FORMATS = ("npz", "umb")
+DERIVED = ("table", "transition", "reward", "pair_offsets")
+
+
+def assert_whole(ours: MDP, theirs: MDP) -> None:
+    """Fail unless two models agree in every field, and in every number as it was given."""
+    for field in fields(MDP):
+        if field.name in DERIVED:
+            continue
+        left, right = getattr(ours, field.name), getattr(theirs, field.name)
+        same = np.array_equal(left, right) if isinstance(left, np.ndarray) else left == right
+        assert same, field.name
+    assert np.array_equal(ours.reward, theirs.reward)
+    table, again = ours.table, theirs.table
+    for pair in range(ours.n_pairs):
+        assert table.row(pair) == again.row(pair)
+    for name in ("weight_rounding", "gain_rounding"):
+        assert np.array_equal(getattr(table, name)(), getattr(again, name)()), name
+    for field in fields(OutcomeTable):
+        if field.default is None:
+            left, right = getattr(table, field.name), getattr(again, field.name)
+            assert (left is None) == (right is None), field.name
+            assert left is None or np.array_equal(left, right), field.name
+    assert (table.weight.dtype.kind == "f") == (again.weight.dtype.kind == "f")
+    assert (table.gain.dtype.kind == "f") == (again.gain.dtype.kind == "f")
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("ending", FORMATS)
+def test_every_field_comes_back(tmp_path: Path, name: str, ending: str) -> None:
+    """No format drops anything of a model, the discount of a .umb file least of all."""
+    save_model(MODELS[name], tmp_path / f"m.{ending}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert_whole(MODELS[name], load_model(tmp_path / f"m.{ending}"))
+
+
+def test_there_and_back_on_the_command_line(tmp_path: Path) -> None:
+    """`convert` to .umb and back to .npz changes nothing; a discount of 0.95 stays 0.95."""
+    first, second, third = (str(tmp_path / name) for name in ("a.npz", "b.umb", "c.npz"))
+    small = ["--set", "tasks=[1]", "--set", "max_trial=1", "--discount", "0.95"]
+    for words in (["yuan2025", first, *small], [first, second], [second, third]):
+        done = CliRunner().invoke(cli, ["convert", *words], standalone_mode=False)
+        assert done.exception is None, done.output
+    assert load_model(second).discount_exact == Fraction(19, 20)
+    assert_whole(load_model(first), load_model(third))
+
+
+NUMBERS = st.one_of(
+    st.fractions(),
+    st.integers(-(10**30), 10**30),
+    st.floats(-1e300, 1e300),
+    st.sampled_from([0.0, -0.0, 5e-324, -5e-324, 2.2250738585072014e-308, 1e-310, 0.1]),
+)
+
+
+@st.composite
+def models(draw: st.DrawFn) -> MDP:
+    """Draw a model of exact numbers, of floats, or of both, with names and a start."""
+    chances = draw(
+        st.sampled_from([(0.5, 0.5), (0.1, 0.9), (Fraction(1, 3), Fraction(2, 3)), ("1/2", 0.5)])
+    )
+    size = draw(st.integers(1, 4))
+    rows = []
+    for state in range(size):
+        for action in range(draw(st.integers(1, 2))):
+            then = draw(st.integers(0, size - 1))
+            listed = [(chances[0], state, draw(NUMBERS)), (chances[1], then, draw(NUMBERS))]
+            rows.append((state, action, listed))
+    words = draw(st.lists(NAMES, min_size=size, max_size=size, unique=True))
+    return MDP.from_outcomes(
+        rows,
+        draw(st.fractions(0, 1)),
+        start={0: "1/3", size - 1: "2/3"} if size > 1 else 0,
+        actions=draw(st.lists(NAMES, min_size=2, max_size=2, unique=True)),
+        space=StateSpace(columns=(Column(name=draw(NAMES), size=size, words=tuple(words)),)),
+        name=draw(NAMES),
+        component_names=(draw(NAMES),),
+    )
+
+
+NAMES = st.text(
+    st.characters(exclude_categories=("Cs", "Cc", "Cf", "Zl", "Zp", "Cn")), min_size=1, max_size=9
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(mdp=models(), ending=st.sampled_from(FORMATS))
+def test_any_model_comes_back(
+    tmp_path_factory: pytest.TempPathFactory, mdp: MDP, ending: str
+) -> None:
+    """Exact numbers, floats, mixtures, denormal numbers and -0 beside 0 all survive."""
+    path = tmp_path_factory.mktemp("formats") / f"m.{ending}"
+    save_model(mdp, path)
+    assert_whole(mdp, load_model(path))
+
+
+def test_denormal_rewards_are_no_contradiction(tmp_path: Path) -> None:
+    """UMB took the rounding of a mean of denormal numbers for a change by another program."""
+    mdp = MDP.from_arrays([[[0.3, 0.7], [0, 1.0]]], [[[1e-320, 2e-322], [0, -0.0]]], 0.5)
+    umb.save(mdp, tmp_path / "m.umb")
+    assert_whole(mdp, umb.load(tmp_path / "m.umb"))
+
+
+def test_minus_zero_beside_zero(tmp_path: Path) -> None:
+    """Two outcomes of one state whose rewards are 0 and -0 stay two outcomes."""
+    table = OutcomeTable(
+        offsets=np.array([0, 2, 3]),
+        next=np.array([0, 0, 1]),
+        weight=np.array([0.5, 0.5, 1.0]),
+        denominator=np.array([1, 1]),
+        gain=np.array([-0.0, 0.0, 0.0]),
+        gain_denominator=np.array([1, 1]),
+        event=np.array([1, 0, 0], dtype=np.uint8),
+    )
+    states = np.array([0, 1])
+    mdp = MDP(
+        table, states, np.zeros(2, np.int64), space=StateSpace.plain(2), actions=("go",),
+        events=("fall",), discount_exact=Fraction(1, 2),
+    )  # fmt: skip
+    for ending in FORMATS:
+        save_model(mdp, tmp_path / f"m.{ending}")
+        assert_whole(mdp, load_model(tmp_path / f"m.{ending}"))
+
+
+def test_names_of_500_characters(tmp_path: Path) -> None:
+    """Long names are no file names inside an archive, and so may be long."""
+    long = "n" * 500
+    parts = np.array([[1.0, 2.0], [0.0, 0.0]])
+    mdp = MDP.from_outcomes(
+        [(0, 0, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])], "1/2", actions=[long], states=[long, "b"],
+        component_names=(long, long + "2"), components=parts, name=long,
+    )  # fmt: skip
+    for ending in FORMATS:
+        save_model(mdp, tmp_path / f"m.{ending}")
+        assert_whole(mdp, load_model(tmp_path / f"m.{ending}"))
+
+
+def test_columns_of_one_name(tmp_path: Path) -> None:
+    """The variables of UMB have different names; a model whose columns have not is kept too."""
+    columns = (Column(name="x", size=1), Column(name="x", size=1))
+    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2", space=StateSpace(columns=columns))
+    umb.save(mdp, tmp_path / "m.umb")
+    assert_whole(mdp, umb.load(tmp_path / "m.umb"))
+
+
+def foreign(folder: Path) -> Path:
+    ats = umbi.ats.ExplicitAts()
+    ats.num_players = 1
+    ats.add_state()
+    ats.set_initial_states([0])
+    ats.add_state_choice(0).add_branch(0, 1.0)
+    ats.add_reward_annotation("reward").set_choice_values([1.0])
+    umbi.ats.write(ats, folder / "theirs.umb")
+    return folder / "theirs.umb"
+
+
+def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
+    """A file of another program has no discount: 1 is taken, and said; a given one is silent."""
+    path = foreign(tmp_path)
+    with pytest.warns(UserWarning, match="no discount, so that 1 is taken"):
+        assert load(path).mdp.discount_exact == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert load(path, discount="1/2").mdp.discount_exact == Fraction(1, 2)
+
+
+def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
+    """A header that no longer fits the numbers is refused, not taken for some other model."""
+    from test_interop_umb import read_by_umbi
+
+    for change, message in (
+        (lambda c: c.choice_action_to_string.__setitem__(0, "x"), "the names of the actions"),
+        (lambda c: c.state_is_initial.__setitem__(0, False), "the initial states"),
+        (
+            lambda c: c.annotations["rewards"]["reward"]["choices"].__setitem__(0, Fraction(9)),
+            "rewards of branches average",
+        ),
+    ):
+        umb.save(MODELS["care"], tmp_path / "m.umb")
+        content = read_by_umbi(tmp_path / "m.umb")
+        content.index.valuations = None
+        change(content)
+        umbi.umb.write(content, tmp_path / "m.umb")
+        with pytest.raises(ModelError, match=message):
+            umb.load(tmp_path / "m.umb")
+
+
+def test_another_reward_of_our_own_file(tmp_path: Path) -> None:
+    """A component is read as a model of its own, with the discount and the names of the whole."""
+    mdp = MODELS["care"].with_(discount="9/10")
+    umb.save(mdp, tmp_path / "m.umb")
+    again = load(f"{tmp_path}/m.umb#anger").mdp
+    assert (again.discount_exact, again.space, again.events) == (
+        mdp.discount_exact, mdp.space, mdp.events,
+    )  # fmt: skip
+    number = mdp.component_names.index("anger")
+    assert np.array_equal(again.reward, mdp.components[:, number])
