@@ -18,7 +18,7 @@ from mdp.model import MDP
 from mdp.numpy_file import read_array
 from mdp.policy import Policy, check_action
 from mdp.space import StateSpace
-from mdp.table import exact
+from mdp.table import Numbers, exact
 
 T = TypeVar("T")
 
