@@ -1,17 +1,15 @@
-"""The program `exact-mdp`: its commands, its exit statuses and how it fails.
+"""The program `exact-mdp` and its commands; `analysis.exit_status` says how it ends.
 
-0 done, 1 a check did not hold, 2 bad input or usage. A failure is told on standard error as what,
-where and fix, with nothing on standard output. To add a command, write it and name it in COMMANDS.
+A failure is told on standard error as what, where and fix, with nothing on standard output. To add
+a command, write it and name it in COMMANDS.
 """
 
 from __future__ import annotations
 
-import io
-import os
 import sys
-import warnings
 from collections.abc import Sequence
-from typing import TextIO
+from contextlib import suppress
+from pathlib import Path
 
 import click
 
@@ -23,6 +21,7 @@ from analysis.cli_sensitivity import sensitivity
 from analysis.cli_solve import solve
 from analysis.cli_train import train
 from analysis.cli_verify import verify
+from analysis.exit_status import Told, leave, run
 
 PROGRAM = "exact-mdp"
 COMMANDS = (
@@ -38,8 +37,6 @@ COMMANDS = (
     sensitivity,
     perception,
 )
-
-DONE, FAILED, REFUSED, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
 
 @click.group(
@@ -61,71 +58,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         The words after the program's name; those of this process unless given.
     """
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may lack a letter of a state's name
-        sys.stdout.reconfigure(errors="backslashreplace")
     words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _warn
-            with cli.make_context(PROGRAM, list(words), obj=words) as context:
-                status = cli.invoke(context)
-        sys.stdout.flush()
-    except click.exceptions.Exit as end:  # --help and --version
-        return end.exit_code
-    except click.ClickException as error:
-        path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
-        what = error.format_message().removesuffix(".")
-        return _tell(type(error).__name__, what, path or PROGRAM, f"see {path or PROGRAM} --help")
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except BrokenPipeError:
-        # Python flushes once more when it ends; let that go nowhere.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PIPE_CLOSED
-    except MemoryError as error:
-        return _tell(
-            "MemoryError", str(error) or "not enough memory", PROGRAM, "use a smaller model"
-        )
-    except (ValueError, RuntimeError) as error:
-        return _refuse(error, words)
-    return int(status or DONE)
+    status = run(cli, PROGRAM, words, told=_reporting(words))
+    if arguments is None:
+        leave(status)
+    return status
 
 
-def _refuse(error: Exception, words: Sequence[str]) -> int:
-    """Tell of a refused model or an answer that cannot be given; raise anything else again."""
-    from mdp.errors import ModelError
+def _reporting(words: list[str]) -> Told | None:
+    """Let the JUnit report of a check say at once that it has not ended, and later why it did not.
 
-    if isinstance(error, ModelError):
-        command = next((word for word in words if word in cli.commands), "")
-        usage = f"{PROGRAM} {command}".strip()
-        where, fix = error.where or usage, error.fix or f"see {usage} --help"
-        return _tell("ModelError", error.what, where, fix)
+    So no report of an earlier run stays, whatever becomes of this one.
+    """
+    if next((word for word in words if not word.startswith("-")), None) != check.name:
+        return None
+    rest = words[words.index(check.name) + 1 :]
+    if {"--help"} & set(rest):
+        return None
+    anything = {"ignore_unknown_options": True, "allow_extra_args": True}
+    with check.make_context(check.name, rest, resilient_parsing=True, **anything) as context:
+        path, model = context.params.get("junit"), context.params.get("model") or "?"
+    if not isinstance(path, str) or not path.lower().endswith(".xml"):
+        return None  # the command refuses it
+    if not Path(path).parent.is_dir():
+        return None
 
-    from analysis.optimum import Contradiction
-    from solvers.solution import SolverError
+    def write(message: str) -> None:
+        from analysis.junit import Case, write_junit
 
-    if isinstance(error, SolverError | Contradiction):
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return FAILED
-    raise error
+        first = message.partition("\n")[0]
+        case = Case(name="check", error=first, text=message)
+        with suppress(ValueError, OSError):  # told by the command, or about something worse
+            write_junit(path, f"{PROGRAM} check {model}", [case], seconds=0.0, properties={})
 
-
-def _tell(kind: str, what: str, where: str, fix: str) -> int:
-    from mdp.errors import shown_text
-
-    what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
-    print(f"{kind}: {what}\n  where: {where}\n  fix:   {fix}", file=sys.stderr)
-    return REFUSED
-
-
-def _warn(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    from mdp.errors import shown_text
-
-    print(f"warning: {shown_text(str(message), lines=True)}", file=sys.stderr)
+    write("the check did not end: the process was killed, or is still at work")
+    return lambda _, message: write(message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,7 +130,7 @@ def _settings(loaded: Loaded, options: dict[str, Any]) -> QLearning:
         method=options["method"],
         epochs=whole_of(options["epochs"], "--epochs", 1, 10**7),
         episodes=whole_of(options["episodes"], "--episodes", 1, 10**9),
-        discount=options["learning_discount"],
+        discount=_discount(options["learning_discount"]),
         rate=Constant(_float(options["rate"], "--rate")),
         rate_power=_float(options["rate_power"], "--rate-power"),
         exploration=exploration,
@@ -140,6 +141,16 @@ def _settings(loaded: Loaded, options: dict[str, Any]) -> QLearning:
         max_steps=whole_of(options["max_steps"], "--max-steps", 1, 10**9),
         snapshot_episode=min(10, whole_of(options["episodes"], "--episodes", 1)),
     )
+
+
+def _discount(text: str) -> Fraction:
+    from mdp.errors import ModelError
+    from mdp.model import as_discount
+
+    try:
+        return as_discount(text)
+    except ModelError as error:
+        raise ModelError(error.what, where="--learning-discount", fix=error.fix) from error
 
 
 def _float(text: str, option: str) -> float:

@@ -20,7 +20,7 @@ from analysis.regret import LAST_CYCLE, Regret, cheap, regret
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.policy import Taken, taken
-from mdp.table import exact, shown
+from mdp.table import LARGEST, exact, shown
 from solvers.policy_chain import PolicyChain
 
 
@@ -150,4 +150,8 @@ def _limit(name: str, limit: object | None) -> Fraction | None:
         raise ModelError(error.what, where=name, fix=error.fix) from error
     if found < 0:
         raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose 0 or more")
+    if found > LARGEST:
+        raise ModelError(
+            f"{name} is {shown(found)}, beyond the floats", where=name, fix="choose less"
+        )
     return found

@@ -1,8 +1,9 @@
 """The report of a gate as JUnit XML, which continuous integration systems show.
 
-One test case for each verdict. Some systems show a failure's `message` and some only its text, so
-the text holds all of it. Values are properties of the suite. The elements are those that the xunit2
-form of pytest and Jenkins has in common; characters that XML cannot hold become "?".
+One test case for each verdict; a check that came to none has a single case with an error. Some
+systems show a failure's `message` and some only its text, so the text holds all of it. Values are
+properties of the suite. The elements are those that the xunit2 form of pytest and Jenkins has in
+common; characters that XML cannot hold become "?".
 """
 
 from __future__ import annotations
@@ -29,12 +30,15 @@ class Case:
     name : str
     failure : str, optional
         What was found, on one line; None where the case passed.
+    error : str, optional
+        Why there is no verdict, on one line; None where there is one.
     text : str
-        All there is to say of the failure.
+        All there is to say of the failure or the error.
     """
 
     name: str
     failure: str | None = None
+    error: str | None = None
     text: str = ""
 
 
@@ -50,7 +54,8 @@ def junit(
     True
     """
     failures = sum(case.failure is not None for case in cases)
-    counts = {"tests": len(cases), "failures": failures, "errors": 0, "skipped": 0}
+    errors = sum(case.error is not None for case in cases)
+    counts = {"tests": len(cases), "failures": failures, "errors": errors, "skipped": 0}
     shared = {name: str(count) for name, count in counts.items()} | {"time": f"{seconds:.3f}"}
     root = ElementTree.Element("testsuites", {"name": "exact-mdp"} | shared)
     at = datetime.now(UTC).isoformat(timespec="seconds")
@@ -67,6 +72,10 @@ def junit(
             message = _clean(case.failure)
             failed = ElementTree.SubElement(element, "failure", message=message, type="regret")
             failed.text = _clean(case.text)
+        if case.error is not None:
+            message = _clean(case.error)
+            broken = ElementTree.SubElement(element, "error", message=message, type="error")
+            broken.text = _clean(case.text)
     ElementTree.indent(root)
     report: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return report + b"\n"

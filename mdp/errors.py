@@ -49,6 +49,9 @@ def shown_text(text: str, *, lines: bool = False) -> str:
     return UNSAFE.sub(escaped, text)
 
 
+LONGEST = 1000  # characters of what a message quotes
+
+
 class ModelError(ValueError):
     """A model, policy or file that cannot be used as it is.
 
@@ -70,7 +73,7 @@ class ModelError(ValueError):
     """
 
     def __init__(self, what: str, *, where: str = "", fix: str = "") -> None:
-        what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
+        what, where, fix = shown_text(short(what)), shown_text(short(where)), shown_text(fix)
         self.what, self.where, self.fix = what, where, fix
         lines = [what]
         if where:
@@ -87,6 +90,21 @@ def _rebuild(kind: type[ModelError], what: str, where: str, fix: str) -> ModelEr
     return kind(what, where=where, fix=fix)
 
 
+def short(text: str, most: int = LONGEST) -> str:
+    """Return a text as it is, or its two ends where it has more than `most` characters.
+
+    Examples
+    --------
+    >>> short("1" * 9000, most=40)
+    '111111111… (9,000 characters) …111111111'
+    """
+    if len(text) <= most:
+        return text
+    note = f"… ({len(text):,} characters) …"
+    kept = max(1, (most - len(note)) // 2)
+    return f"{text[:kept]}{note}{text[-kept:]}"
+
+
 def suggest(name: str, known: Iterable[str]) -> str:
     """Return advice that names the known spelling nearest to `name`.
 
@@ -98,7 +116,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
     'choose one of a, b'
     """
     options = list(known)
-    close = get_close_matches(name, options, n=1, cutoff=0.6)
+    close = get_close_matches(name[:LONGEST], options, n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]}?"
     if len(options) <= 12:

@@ -6,6 +6,7 @@ without waiting: a pipe, which has no size and may never end, is refused and not
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import tempfile
@@ -21,6 +22,17 @@ LARGE = 2**28
 LARGEST = 2**32
 """16 MiB for what people write (scenarios, ranges), 256 MiB for policies, recordings and the like,
 4 GiB for what this program writes of large models."""
+# What the path is not to blame for: a full disk, a quota, too many open files, a failing device.
+EXHAUSTED = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EIO,
+    errno.EMFILE,
+    errno.ENFILE,
+    errno.ENOMEM,
+)
+
 
 # Waiting for the other end of a pipe, and taking over a terminal, are what opening could do.
 FLAGS = os.O_RDONLY | sum(
@@ -192,7 +204,15 @@ def _unreadable(path: str | Path, error: OSError) -> ModelError:
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
-    """Write a whole file or none: to a temporary file beside it, then one rename."""
+    """Write a whole file or none: to a temporary file beside it, then one rename.
+
+    Raises
+    ------
+    ModelError
+        Where the path cannot be written to.
+    OSError
+        Where the disk is full, or the system fails in another way.
+    """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
     try:
@@ -213,6 +233,8 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
             os.unlink(temporary)
             raise
     except OSError as error:
+        if error.errno in EXHAUSTED:
+            raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
         raise ModelError(
             f"cannot write the file: {error.strerror}", where=str(path), fix="check the folder"
         ) from error

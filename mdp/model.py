@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mdp.errors import ModelError, suggest
 from mdp.space import StateSpace
-from mdp.table import Floats, Integers, OutcomeTable, exact, shown
+from mdp.table import Floats, Integers, OutcomeTable, beside, exact
 from mdp.validate import check_model
 
 if TYPE_CHECKING:
@@ -342,10 +342,13 @@ class MDP:
 
 def as_discount(discount: object) -> Fraction:
     """Return a discount as an exact number in [0, 1]."""
-    value = exact(discount)
+    try:
+        value = exact(discount)
+    except ModelError as error:
+        raise ModelError(error.what, where="discount", fix=error.fix) from error
     if not 0 <= value <= 1:
         raise ModelError(
-            f"discount is {shown(value)}, outside [0, 1]",
+            f"discount is {beside(value, Fraction(0), Fraction(1))}, outside [0, 1]",
             where="discount",
             fix="choose a discount from 0 to 1",
         )

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from mdp.errors import ModelError
 from mdp.names import check_names
-from mdp.table import shown
+from mdp.table import beside, shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +44,9 @@ class Parameter:
         if below or above:
             low = "-∞" if self.low is None else shown(self.low)
             high = "∞" if self.high is None else shown(self.high)
+            ends = [end for end in (self.low, self.high) if end is not None]
             raise ModelError(
-                f"{self.name} is {shown(self.value)}, outside [{low}, {high}]",
+                f"{self.name} is {beside(self.value, *ends)}, outside [{low}, {high}]",
                 where=f"parameter {self.name}",
                 fix="choose a value in that range",
             )

@@ -22,7 +22,7 @@ from mdp.errors import ModelError, suggest
 from mdp.model import MDP
 from mdp.names import check_names
 from mdp.parameters import Parameter
-from mdp.table import exact
+from mdp.table import beside, exact
 
 if TYPE_CHECKING:
     from mdp.scenario import Scenario
@@ -244,7 +244,7 @@ def _rebalanced(
     left = 1 - sum((values[name] for name in states.values()), Fraction(0))
     if left < 0:
         raise ModelError(
-            f"named probabilities sum to {float(1 - left):g}, more than 1",
+            f"named probabilities sum to {beside(1 - left, Fraction(1))}, more than 1",
             where=mdp.where(pair),
             fix="choose smaller values",
         )

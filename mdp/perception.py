@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import csv
 import io
-import tomllib
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,8 @@ from mdp.errors import ModelError, suggest
 from mdp.files import SMALL, read_text
 from mdp.model import MDP
 from mdp.policy import Policy
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, exact, float_array
+from mdp.structured import toml_of
+from mdp.table import FLOAT_ROW_TOLERANCE, Floats, beside, exact, float_array
 
 
 def perceived(mdp: MDP, policy: object, confusion: ArrayLike) -> Policy:
@@ -197,12 +198,7 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Floats:
 
 def _from_toml(text: str, mdp: MDP, where: str) -> Floats:
     names = [p.name.removeprefix("base.") for p in mdp.parameters if p.name.startswith("base.")]
-    try:
-        content = tomllib.loads(text, parse_float=exact)
-    except ModelError as error:
-        raise ModelError(error.what, where=where, fix=error.fix) from error
-    except (ValueError, RecursionError) as error:
-        raise ModelError(f"broken TOML: {str(error)[:200]}", where=where, fix="mend it") from error
+    content = toml_of(text, where)
     rates = []
     for table in ("sensitivity", "specificity"):
         given = content.pop(table, None)
@@ -230,5 +226,9 @@ def _number(value: object, where: str) -> float:
     except ModelError as error:
         raise ModelError(error.what, where=where, fix=error.fix) from error
     if not 0 <= number <= 1:
-        raise ModelError(f"{value} is outside [0, 1]", where=where, fix="give a probability")
+        raise ModelError(
+            f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]",
+            where=where,
+            fix="give a probability",
+        )
     return float(number)

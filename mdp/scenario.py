@@ -25,7 +25,7 @@ from mdp.errors import ModelError, suggest
 from mdp.model import as_discount
 from mdp.names import check_names, check_text
 from mdp.parameters import Parameter
-from mdp.table import exact
+from mdp.table import MOST_DIGITS, exact
 
 if TYPE_CHECKING:
     from mdp.model import MDP
@@ -252,10 +252,16 @@ def as_tasks(value: object) -> tuple[int, ...]:
 
 def as_max_trial(value: object) -> int:
     """Return max_trial from a positive integer or its text."""
-    if isinstance(value, str) and len(value) < 10 and value.isascii() and value.isdigit():
-        value = int(value)
+    if isinstance(value, str) and value.isascii() and value.isdigit():
+        value = int(value[:MOST_DIGITS])  # cut, it is too large as well
     if isinstance(value, int) and _positive(value):
-        return value
+        if value <= MOST_STATES:
+            return value
+        raise ModelError(
+            f"max_trial is over {MOST_STATES:,}, more than the states of any model",
+            where="max_trial",
+            fix="allow fewer trials in a subtask",
+        )
     raise ModelError(
         f"max_trial is {value!r}, not a positive whole number",
         where="max_trial",

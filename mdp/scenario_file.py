@@ -7,7 +7,6 @@ out is 0; any other number that is missing, or a name that is not known, is an e
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from fractions import Fraction
 from importlib.resources import files
@@ -27,6 +26,7 @@ from mdp.scenario import (
     as_tasks,
     check_reading,
 )
+from mdp.structured import toml_of
 from mdp.table import exact
 
 TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
@@ -63,14 +63,7 @@ def load(name: str | Path) -> Scenario:
 
 def parse(text: str, *, where: str = "scenario") -> Scenario:
     """Return the scenario that a TOML text states; `where` names it in errors."""
-    try:
-        content = tomllib.loads(text, parse_float=exact)
-    except ModelError as error:
-        raise ModelError(error.what, where=where, fix=error.fix) from error
-    except (ValueError, RecursionError) as error:
-        raise ModelError(
-            f"broken TOML: {str(error)[:200]}", where=where, fix="mend the syntax at that place"
-        ) from error
+    content = toml_of(text, where)
     try:
         return _scenario(content, default_name=Path(where).stem)
     except ModelError as error:
@@ -236,10 +229,7 @@ def _table(content: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _discount(value: object) -> Fraction:
-    try:
-        return as_discount(value)
-    except ModelError as error:
-        raise ModelError(error.what, where="discount", fix=error.fix) from error
+    return as_discount(value)
 
 
 def _text(content: dict[str, Any], key: str, default: str) -> str:

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import lcm, log10
+from math import lcm
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,9 @@ Numbers = NDArray[Any]
 EXACT_IN_FLOAT = 2**53
 EXACT_IN_INT64 = 2**62
 FLOAT_ROW_TOLERANCE = 1e-9
+FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
+LARGEST = Fraction(2**1024 - 2**971)  # the largest float
+MOST_DIGITS = 4000  # of a number that is given as text: Python itself stops at 4,300
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,13 +190,15 @@ def exact(number: object) -> Fraction:
         number = number.item()
     if isinstance(number, bool) or not isinstance(number, int | float | str):
         raise ModelError(f"{number!r} is not a number", fix='write a number, or "p/q"')
-    if isinstance(number, str) and len(number) > 4000:
-        raise ModelError("a number of over 4,000 characters", fix="round it")
+    if isinstance(number, str) and len(number) > MOST_DIGITS:
+        raise ModelError(f"a number of over {MOST_DIGITS:,} characters", fix="round it")
     try:
         if isinstance(number, str) and "e" in number.lower():
             exponent = int(number.lower().partition("e")[2])
-            if abs(exponent) > 4000:
-                raise ModelError(f"{number!r} has an exponent beyond 4,000", fix="scale the model")
+            if abs(exponent) > MOST_DIGITS:
+                raise ModelError(
+                    f"{number!r} has an exponent beyond {MOST_DIGITS:,}", fix="scale the model"
+                )
         return Fraction(number)
     except ModelError:
         raise
@@ -207,14 +213,31 @@ def shown(number: Fraction, digits: int = 6) -> str:
 
     Examples
     --------
-    >>> shown(Fraction(2, 3)), shown(Fraction(-(10**400)))
-    ('0.666667', '-1e400')
+    >>> shown(Fraction(2, 3)), shown(Fraction(-(10**400))), shown(Fraction(1, 3 * 10**400))
+    ('0.666667', '-1e400', '3.33333e-401')
     """
-    try:
+    if number == 0 or FLOAT_RANGE[0] < abs(number) < FLOAT_RANGE[1]:
         return f"{float(number):.{digits}g}"
-    except OverflowError:
-        tenfold = log10(abs(number.numerator)) - log10(number.denominator)
-        return f"{'-' if number < 0 else ''}1e{round(tenfold)}"
+    context = Context(prec=digits, Emax=MAX_EMAX, Emin=MIN_EMIN)
+    quotient = context.divide(Decimal(number.numerator), Decimal(number.denominator))
+    return f"{quotient.normalize(context):e}".replace("e+", "e")
+
+
+def beside(number: Fraction, *limits: Fraction) -> str:
+    """Return a rational in decimals that is on the same side of every limit as the number is.
+
+    Examples
+    --------
+    >>> beside(Fraction(3, 2), Fraction(1)), beside(1 + Fraction(1, 10**22), Fraction(1))
+    ('1.5', '1 + 1e-22')
+    """
+    text = shown(number)
+    rounded = Fraction(text)
+    for limit in limits:
+        if (rounded > limit) - (rounded < limit) != (number > limit) - (number < limit):
+            sign = "+" if number > limit else "-"
+            return f"{shown(limit)} {sign} {shown(abs(number - limit))}"
+    return text
 
 
 def as_float(number: Fraction | float) -> float:

@@ -15,6 +15,7 @@ from mdp.table import (
     FLOAT_ROW_TOLERANCE,
     Integers,
     OutcomeTable,
+    beside,
     exact,
     magnitude,
     shown,
@@ -38,7 +39,7 @@ def check_model(mdp: MDP) -> None:
     _check_start(mdp)
     if not 0 <= mdp.discount_exact <= 1:
         raise ModelError(
-            f"discount is {shown(mdp.discount_exact)}, outside [0, 1]",
+            f"discount is {beside(mdp.discount_exact, Fraction(0), Fraction(1))}, outside [0, 1]",
             where="discount",
             fix="choose a discount from 0 to 1",
         )
@@ -249,7 +250,7 @@ def _check_start(mdp: MDP) -> None:
     total = sum(weights, Fraction(0))
     if any(weight < 0 for weight in weights) or abs(total - 1) > FLOAT_ROW_TOLERANCE:
         raise ModelError(
-            f"start probabilities sum to {shown(total, 12)}, not 1, or one is negative",
+            f"start probabilities sum to {beside(total, Fraction(1))}, not 1, or one is negative",
             where="start",
             fix="give a distribution over states",
         )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 
 import click
 
+from analysis.exit_status import FAILED, Program
 
-@click.command()
+
+@click.command(cls=Program)
 @click.option(
     "--quick",
     is_flag=True,
@@ -31,27 +32,25 @@ import click
 @click.option(
     "--candidates", is_flag=True, help="Print what is found in the form of expected.toml."
 )
-def main(quick: bool, out: Path, scheduler: str | None, name: str | None, candidates: bool) -> None:
+def main(
+    quick: bool, out: Path, scheduler: str | None, name: str | None, candidates: bool
+) -> int | None:
     """Reproduce Yuan et al. (2025): every claim beside the exact answer.
 
-    Exit status: 0 done, 1 a number differs from the pinned one, 2 bad input.
+    Exit status: 0 done, 1 a number differs from the pinned one, 2 bad input, 3 anything else.
     """
-    from mdp import ModelError
-
     started = time.perf_counter()
     try:
         if name is None:
             failed = _all(quick, out, scheduler, candidates)
         else:
             failed = _one(name, quick, out, scheduler, candidates)
-    except ModelError as error:
-        click.echo(f"{type(error).__name__}: {error}", err=True)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        click.echo("stopped; finished parts are kept, the same command goes on", err=True)
-        sys.exit(130)
+    except KeyboardInterrupt as stop:
+        if not getattr(stop, "__notes__", ()):
+            stop.add_note(f"what is finished is kept in {out}, and the same command goes on")
+        raise
     click.echo(f"done in {time.perf_counter() - started:.1f} s", err=True)
-    sys.exit(1 if failed else 0)
+    return FAILED if failed else None
 
 
 def _one(name: str, quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:

@@ -7,13 +7,13 @@ changes the file compares the two and says why. Nothing here writes it.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from mdp.errors import ModelError
 from mdp.files import SMALL, read_text
+from mdp.structured import toml_of
 from paper_repro.claims import Judged
 
 FILE = Path(__file__).parent / "expected.toml"
@@ -48,9 +48,9 @@ def expected(path: Path = FILE) -> dict[str, Pinned]:
     0.05
     """
     try:
-        data = tomllib.loads(read_text(path, most=SMALL))
+        data = toml_of(read_text(path, most=SMALL), str(path), number=float)
         return {name: Pinned(**entry) for name, entry in data.items()}
-    except (tomllib.TOMLDecodeError, TypeError) as error:
+    except TypeError as error:
         raise ModelError(str(error), where=str(path), fix="write it as the others are") from error
 
 

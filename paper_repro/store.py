@@ -20,6 +20,7 @@ from typing import Any
 
 from mdp.errors import ModelError
 from mdp.files import read_text, write_atomically
+from mdp.structured import json_of
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMED = re.compile(r"code-[0-9a-f]{12}")
@@ -75,8 +76,8 @@ class Store:
         path = self.root / f"{name}.json"
         if path.exists():
             try:
-                return json.loads(read_text(path))
-            except json.JSONDecodeError as error:
+                return json_of(read_text(path), str(path))
+            except ModelError as error:
                 raise ModelError(
                     "the file is damaged", where=str(path), fix="delete it, and run again"
                 ) from error

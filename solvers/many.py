@@ -19,7 +19,7 @@ import numpy as np
 
 from mdp.errors import ModelError
 from solvers.cluster import ATTEMPTS, died, on_cluster
-from solvers.pieces import Arrays, open_folder, read_piece, write_piece
+from solvers.pieces import Arrays, kept, open_folder, read_piece, write_piece
 
 RECORD = "work.json"
 
@@ -85,6 +85,7 @@ def many(
     waiting = [index for index in range(len(pieces)) if index not in done]
     tasks = [(index, pieces[index]) for index in waiting]
     with (
+        kept(done, len(pieces), what, place),
         tqdm(
             total=len(pieces),
             initial=len(done),

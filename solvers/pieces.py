@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sized
+from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +19,11 @@ import numpy as np
 from mdp.errors import ModelError
 from mdp.files import read_text, write_atomically
 from mdp.numpy_file import read_arrays
+from mdp.structured import json_of
 from mdp.table import Numbers
 
 Arrays = dict[str, Numbers]
+DIGEST = "sha256"  # the name of the array that holds the digest of the others
 
 MOST = 1100
 """Times its own size: pieces are compressed as far as they go, and their arrays may be constant."""
@@ -69,11 +73,9 @@ def open_folder(
         write_atomically(path, text + "\n")
         return folder
     try:
-        found = json.loads(read_text(path))
-    except ValueError as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError("broken JSON", where=str(path), fix="choose another folder") from error
+        found = json_of(read_text(path), str(path))
+    except ModelError as error:
+        raise ModelError(error.what, where=error.where, fix="choose another folder") from error
     wanted = json.loads(text)
     if found != wanted:
         known = found if isinstance(found, dict) else {}
@@ -87,9 +89,12 @@ def open_folder(
 
 
 def write_piece(path: Path, arrays: Mapping[str, Numbers]) -> None:
-    """Write arrays, of no Python objects, as an .npz file; equal arrays give equal bytes."""
+    """Write arrays, of no Python objects, as an .npz file; equal arrays give equal bytes.
+
+    A digest of them all is written with them, so that no other content is taken for theirs.
+    """
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    np.savez_compressed(buffer, allow_pickle=False, **arrays, **{DIGEST: _digest(arrays)})
     write_atomically(path, buffer.getvalue())
 
 
@@ -104,9 +109,48 @@ def read_piece(path: Path) -> Arrays | None:
     if not path.exists():
         return None
     try:
-        return read_arrays(path, names=_any, check=_any, ratio=MOST)
-    except ModelError as error:
+        arrays = read_arrays(path, names=_any, check=_any, ratio=MOST)
+        stated = arrays.pop(DIGEST).tobytes()
+    except (ModelError, KeyError) as error:
         raise damaged(path) from error
+    if stated != _digest(arrays).tobytes():
+        raise damaged(path)
+    return arrays
+
+
+def _digest(arrays: Mapping[str, Numbers]) -> Numbers:
+    """Return (32,) bytes that tell names, types, shapes and numbers from all others."""
+    digest = sha256()
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        content = array.tobytes()
+        head = [name, array.dtype.str, list(array.shape), len(content)]
+        digest.update(json.dumps(head).encode() + content)
+    return np.frombuffer(digest.digest(), dtype=np.uint8)
+
+
+@contextmanager
+def kept(done: Sized, total: int, what: str, folder: Path | None) -> Iterator[None]:
+    """Let an interruption say what is finished: whoever ends the program tells of it.
+
+    Examples
+    --------
+    >>> try:
+    ...     with kept([1, 2, 3], 200, "runs", Path("out")):
+    ...         raise KeyboardInterrupt
+    ... except KeyboardInterrupt as stop:
+    ...     print(*stop.__notes__)
+    what is finished (runs: 3 of 200) is kept in out, and the same command goes on from there
+    """
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        if folder is not None:
+            stop.add_note(
+                f"what is finished ({what}: {len(done)} of {total}) is kept in {folder}, "
+                "and the same command goes on from there"
+            )
+        raise
 
 
 def _any(*_: object) -> None:

@@ -243,6 +243,31 @@ class Trainer:
             cut_short=int(cut_short),
         )
 
+    def possible(self, run: TrainingRun) -> bool:
+        """Return whether a run that was read from a file can be one of these settings.
+
+        Compiled code takes its numbers as they are: an action that there is not would be read from
+        beyond an array.
+        """
+        own, (rows, actions) = self.settings, self.rows.offered.shape
+        recorded = {
+            "q": (np.float64, (rows, actions)),
+            "policies": (np.int16, (len(run.policies), rows)),
+            "snapshots": (np.int32, (own.epochs if own.snapshot_episode else 0,)),
+            "last": (np.int32, (min(own.last, own.epochs * own.episodes),)),
+            "returns": (np.float64, (own.epochs,)),
+        }
+        for name, (kind, shape) in recorded.items():
+            array = getattr(run, name)
+            if array.dtype != kind or array.shape != shape:
+                return False
+        numbers, taken = np.concatenate([run.snapshots, run.last]), run.policies.astype(np.int64)
+        within = (numbers >= 0).all() and (numbers < len(taken)).all()
+        known = (taken >= 0).all() and (taken < actions).all()
+        counts = isinstance(run.steps, int) and isinstance(run.cut_short, int)
+        finite = np.isfinite(run.returns).all()
+        return bool(within and known and counts and finite and len(taken))
+
 
 def distinct(policies: Numbers) -> tuple[Numbers, Numbers]:
     """Return the distinct rows of (n, K) as they first appear, and which of them each row is.

@@ -26,7 +26,7 @@ from mdp.model import MDP
 from mdp.space import StateSpace
 from mdp.table import Numbers
 from solvers.many import as_done, check_jobs
-from solvers.pieces import damaged, open_folder, read_piece, write_piece
+from solvers.pieces import damaged, kept, open_folder, read_piece, write_piece
 from solvers.q_learning import QLearning, Trainer, TrainingRun
 from solvers.sampler import as_sequence, child
 
@@ -88,9 +88,12 @@ def train_many(
     folder = None if out is None else _folder(Path(out), mdp, settings, root)
     blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
     done: dict[int, list[TrainingRun]] = {}
-    with tqdm(
-        total=runs, desc="training", unit="run", disable=None if progress else True, delay=1
-    ) as bar:
+    with (
+        kept(done, runs, "runs", folder),
+        tqdm(
+            total=runs, desc="training", unit="run", disable=None if progress else True, delay=1
+        ) as bar,
+    ):
         waiting = []
         for block in blocks:
             found = None if folder is None else _read(folder, block, trainer)
@@ -192,6 +195,8 @@ def _read(folder: Path, block: range, trainer: Trainer) -> list[TrainingRun] | N
         runs = list(_unpacked(arrays, trainer.rows.space))
     except Exception as error:  # arrays that are missing, or do not fit together
         raise damaged(path) from error
+    if not all(trainer.possible(run) for run in runs):
+        raise damaged(path)
     return runs[: len(block)] if len(runs) >= len(block) else None
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from analysis.cli import main
 from mdp.load import load_model, save_model
 
 # ---- what it refuses -------------------------------------------------------------------------
@@ -131,11 +130,16 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
         raise ValueError("a mistake")
 
     monkeypatch.setattr("mdp.load.load", broken)
-    with pytest.raises(ValueError, match="a mistake"):
-        main(["info", "yuan2025"])
+    done = run("info", "yuan2025")
+    assert (done.status, done.out) == (3, "")
+    assert done.err.startswith("ValueError: a fault of the program, not of what you gave it: a mis")
+    assert "where: exact-mdp info, in analysis/cli_model.py, line " in done.err
+    assert "EXACT_MDP_TRACEBACK=1" in done.err
+    monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
+    assert "Traceback (most recent call last)" in run("info", "yuan2025").err
 
 
-def test_a_solver_that_gives_up_ends_with_1(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
     from solvers import SolverError, Status
 
     def give_up(*_: object) -> None:
@@ -143,11 +147,11 @@ def test_a_solver_that_gives_up_ends_with_1(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr("solvers.solve", give_up)
     done = run("solve", "yuan2025", "--json")
-    assert (done.status, done.out) == (1, "")
+    assert (done.status, done.out) == (3, "")
     assert done.err.startswith("SolverError: double precision cannot bound")
 
 
-def test_a_solver_that_contradicts_the_proof_ends_with_1(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
 
     import solvers
 
@@ -159,14 +163,14 @@ def test_a_solver_that_contradicts_the_proof_ends_with_1(monkeypatch: pytest.Mon
 
     monkeypatch.setattr("solvers.solve", wrong)
     done = run("solve", "yuan2025", "--certify", "--json")
-    assert (done.status, done.out) == (1, "")
+    assert (done.status, done.out) == (3, "")
     assert done.err.startswith("Contradiction: exact values differ")
 
 
-def test_interrupted_quietly(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("mdp.load.load", stop)
     done = run("info", "yuan2025")
-    assert (done.status, done.out, done.err.strip()) == (130, "", "")
+    assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")

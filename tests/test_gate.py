@@ -230,9 +230,11 @@ def test_bad_input_is_refused(mdp: MDP, tmp_path: Path) -> None:
     assert run("check", *good, "--limit", "1").status == 2
 
 
-def test_a_report_is_not_written_for_bad_input(tmp_path: Path) -> None:
-    done = run("check", "yuan2025", tmp_path / "no.npy", "--junit", tmp_path / "report.xml")
-    assert (done.status, list(tmp_path.iterdir())) == (2, [])
+def test_a_report_of_bad_input_is_an_error(tmp_path: Path) -> None:
+    report = tmp_path / "report.xml"
+    done = run("check", "yuan2025", tmp_path / "no.npy", "--junit", report)
+    assert (done.status, list(tmp_path.iterdir())) == (2, [report])
+    assert b'errors="1"' in report.read_bytes()
 
 
 # ---- reports -----------------------------------------------------------------------------------

@@ -74,7 +74,7 @@ class Uncertain:
         if not least <= self.size <= most:
             what = "effective sample size" if share else "relative standard deviation"
             raise ModelError(
-                f"{what} {self.size:g}",
+                f"{what} {self.size!r}",
                 where=where,
                 fix=f"choose a number above 0, from {least:g} to {most:g}",
             )

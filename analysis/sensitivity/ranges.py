@@ -5,7 +5,6 @@ A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the do
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -15,7 +14,8 @@ from mdp.errors import ModelError
 from mdp.files import SMALL, read_text
 from mdp.parameters import Parameter
 from mdp.parametric import DISCOUNT, Parametric, parameter_of
-from mdp.table import exact, shown
+from mdp.structured import toml_of
+from mdp.table import beside, exact, shown
 
 RELATIVE = Fraction(1, 5)
 
@@ -40,7 +40,7 @@ class Range:
     def __post_init__(self) -> None:
         if self.low > self.high:
             raise ModelError(
-                f"the range from {shown(self.low)} to {shown(self.high)} is empty",
+                f"the range from {beside(self.low, self.high)} to {shown(self.high)} is empty",
                 where="range",
                 fix="put the smaller number first",
             )
@@ -96,7 +96,7 @@ def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]
                 Parameter(name=name, value=end, low=parameter.low, high=parameter.high)
             if low == high:
                 raise ModelError(
-                    f"the range from {shown(low)} to {shown(high)} is empty",
+                    f"the range from {beside(low, high)} to {shown(high)} is empty",
                     fix="give two different numbers",
                 )
             found[name] = Range(low=low, high=high)
@@ -107,14 +107,7 @@ def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]
 
 def load_ranges(model: Parametric, path: str | Path) -> dict[str, Range]:
     """Return the ranges that a TOML file states; raises ModelError for any mistake in it."""
-    try:
-        content = tomllib.loads(read_text(path, most=SMALL), parse_float=exact)
-    except ModelError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ModelError(
-            f"broken TOML: {str(error)[:200]}", where=str(path), fix="mend the syntax there"
-        ) from error
+    content = toml_of(read_text(path, most=SMALL), str(path))
     flat: dict[str, object] = {}
 
     def visit(prefix: str, value: object) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from analysis.cli_common import policy_of, whole_of
 from analysis.sensitivity.ranges import Range, around, checked, load_ranges, whole
 from mdp.errors import ModelError
 from mdp.parametric import Parametric, parameter_of, parametric
-from mdp.table import exact
+from mdp.table import FLOAT_RANGE, exact, shown
 
 if TYPE_CHECKING:
     from mdp.load import Loaded
@@ -50,10 +51,24 @@ def ranges_from(model: Parametric, options: Mapping[str, Any]) -> dict[str, Rang
         elif options["whole"]:
             found[name] = whole(parameter)
         elif options["relative"] is not None:
-            found[name] = around(parameter, exact(options["relative"]))
+            found[name] = around(parameter, share_of(options["relative"]))
         else:
             found[name] = around(parameter)
     return found
+
+
+def share_of(relative: object) -> Fraction:
+    """Return what `--relative` states."""
+
+    try:
+        share = exact(relative)
+    except ModelError as error:
+        raise ModelError(error.what, where="--relative", fix=error.fix) from error
+    if share and not FLOAT_RANGE[0] < abs(share) < FLOAT_RANGE[1]:
+        raise ModelError(
+            f"a share of {shown(share)}", where="--relative", fix="choose one nearer to 1"
+        )
+    return share
 
 
 def not_empty(spans: Mapping[str, Range]) -> tuple[dict[str, Range], list[str]]:

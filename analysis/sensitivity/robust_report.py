@@ -13,7 +13,7 @@ from analysis.sensitivity.report_options import policy_from
 from analysis.sensitivity.robust import SETS, ambiguity_of, robust
 from analysis.sensitivity.robust_result import Robust
 from mdp.errors import ModelError, suggest
-from mdp.table import exact, shown
+from mdp.table import LARGEST, beside, exact, shown
 from solvers.solution import Bounded
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ def robust_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     radius = radius_from(options, RADII[kind])
     if kind == "l1" and radius > MOST_APART:
         raise ModelError(
-            f"an L1 radius of {shown(radius)}, and no two laws are more than {MOST_APART} apart",
+            f"an L1 radius of {beside(radius, Fraction(MOST_APART))}, "
+            f"and no two laws are more than {MOST_APART} apart",
             where="--radius",
             fix=f"choose one from 0 to {MOST_APART}",
         )
@@ -125,6 +126,10 @@ def radius_from(options: Mapping[str, Any], usual: object) -> Fraction:
     if radius < 0:
         raise ModelError(
             f"a radius of {shown(radius)}", where="--radius", fix="choose one from 0 up"
+        )
+    if radius > LARGEST:
+        raise ModelError(
+            f"a radius of {shown(radius)}, beyond the floats", where="--radius", fix="choose less"
         )
     return radius
 

@@ -16,13 +16,13 @@ relative_sd = 0.2
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from analysis.sensitivity.uncertainty_settings import SETTINGS, number_of
 from mdp.errors import ModelError, suggest
 from mdp.files import SMALL, read_text
+from mdp.structured import toml_of
 
 DEFAULT = "default"
 
@@ -35,14 +35,7 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     ModelError
         For broken TOML, a setting that is not known, and a file that states nothing.
     """
-    try:
-        content = tomllib.loads(read_text(path, most=SMALL))
-    except ModelError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ModelError(
-            f"broken TOML: {str(error)[:200]}", where=str(path), fix="mend the syntax there"
-        ) from error
+    content = toml_of(read_text(path, most=SMALL), str(path), number=float)
     found: dict[str, dict[str, object]] = {}
     _visit("", content, found, str(path))
     if not found:

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import sys
-
 import click
 
+from analysis.exit_status import Programs
 from paper_repro.agents.cli_measure import claims, measure, variants
 from paper_repro.agents.cli_run import fetch_model, prompts, render, replay, run
 
 
-class Group(click.Group):
-    """Commands whose errors are one message and exit status 2."""
+class Recording(Programs):
+    """Commands of which an interruption loses nothing that was recorded."""
 
     def invoke(self, ctx: click.Context) -> object:
-        from mdp.errors import ModelError
-
+        """Run the command that the words name."""
         try:
             return super().invoke(ctx)
-        except ModelError as error:
-            click.echo(f"{type(error).__name__}: {error}", err=True)
-            sys.exit(2)
-        except KeyboardInterrupt:
-            click.echo("stopped; what was recorded stays, --resume goes on", err=True)
-            sys.exit(130)
+        except KeyboardInterrupt as stop:
+            stop.add_note("what was recorded stays, --resume goes on")
+            raise
 
 
-@click.group(cls=Group)
+@click.group(cls=Recording)
 def main() -> None:
     """The two agents of Yuan et al. (2025): a person living with dementia and a robot caregiver.
 

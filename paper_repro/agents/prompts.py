@@ -9,7 +9,6 @@ are our own.
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 from mdp.errors import ModelError, suggest
 from mdp.files import SMALL, read_text
+from mdp.structured import toml_of
 from paper_repro.agents.protocol import PURPOSES
 
 FOLDER = Path(__file__).parent / "prompts"
@@ -169,10 +169,7 @@ def encode(value: object) -> str:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Return a TOML file's content; raises ModelError where it cannot be read."""
-    try:
-        return tomllib.loads(read_text(path, most=SMALL))
-    except tomllib.TOMLDecodeError as error:
-        raise ModelError(f"not TOML: {error}", where=str(path), fix="mend the line") from error
+    return toml_of(read_text(path, most=SMALL), str(path), number=float)
 
 
 def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:

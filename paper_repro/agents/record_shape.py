@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any
 
+MOST_COUNTED = 10**18  # of anything that a recording counts: steps, tokens
 EVENTS = ("completed", "failed", "skipped")
 CALL = ("purpose", "request", "data", "attempts", "prompt_tokens", "completion_tokens", "seconds")
 
@@ -13,6 +14,10 @@ Test = Callable[[Any], bool]
 
 
 def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < MOST_COUNTED
+
+
+def _seed(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
@@ -64,7 +69,8 @@ def _calls(value: Any) -> bool:
 HEADER: dict[str, Test] = {
     **dict.fromkeys(("disclaimer", "scenario", "policy", "setting", "activity", "variant"), _text),
     **dict.fromkeys(("activity_named", "prompts_named"), _text),
-    **dict.fromkeys(("seed", "trials", "history"), _whole),
+    "seed": _seed,
+    **dict.fromkeys(("trials", "history"), _whole),
     **dict.fromkeys(("set", "statuses", "actions"), _texts),
     "backend": _table,
     "steps": _steps,

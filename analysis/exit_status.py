@@ -1,0 +1,342 @@
+"""How the programs end: one exit status, one sentence, no traceback.
+
+0 done, 1 a check did not hold, 2 bad input or usage, 3 anything else that went wrong: a full disk,
+a closed standard output, too little memory, numbers beyond the arithmetic, a method that gave up, a
+fault of the program itself. A signal that asks to stop ends with 128 + its number, as shells count:
+130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed; and 141, without a word, where the reader
+of a pipe went away (`| head`).
+
+Failures are told on standard error. The variable EXACT_MDP_TRACEBACK=1 shows the traceback, for
+reports of a fault.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn, TextIO
+
+import click
+
+DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
+SIGNALS = 128  # what shells add to the number of the signal that ended a program
+TRACEBACK = "EXACT_MDP_TRACEBACK"
+ONE_REQUEST = 1.0  # seconds: `timeout` and others signal the process, then its group with it in it
+ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
+
+Told = Callable[[int, str], None]
+
+
+class Stopped(KeyboardInterrupt):
+    """The process was asked to end by a signal; everything ends as it does after Ctrl-C."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+class Program(click.Command):
+    """A command that is a program of its own: it ends as this module says."""
+
+    def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
+        """Run, and end the process."""
+        name = prog_name or str(self.name)
+        if args is None:
+            leave(run(self, name, sys.argv[1:]))
+        sys.exit(run(self, name, args))
+
+
+class Programs(click.Group):
+    """The same of a group of commands."""
+
+    def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
+        """Run, and end the process."""
+        name = prog_name or str(self.name)
+        if args is None:
+            leave(run(self, name, sys.argv[1:]))
+        sys.exit(run(self, name, args))
+
+
+def run(
+    command: click.Command, program: str, words: Sequence[str], told: Told | None = None
+) -> int:
+    """Run a command and return its exit status; what goes wrong is told on standard error.
+
+    Parameters
+    ----------
+    command : click.Command
+        What it returns is the status; None is 0.
+    program : str
+        Its name, as messages give it.
+    words : sequence of str
+        The words after the name.
+    told : callable, optional
+        Called with the status and the message where the command neither passed nor failed.
+
+    Examples
+    --------
+    >>> run(click.Command("say", callback=lambda: 1), "say", [])
+    1
+    """
+    if not _streams():
+        what = "standard output is closed, so that the result could not be told"
+        fix = "direct it to /dev/null to see the status alone"
+        return _told(BROKEN, _message("OSError", what, program, fix), told)
+    output = _Output(sys.stdout)
+    try:
+        with redirect_stdout(output), _signals(), warnings.catch_warnings():
+            warnings.showwarning = _warn
+            with command.make_context(program, list(words), obj=list(words)) as context:
+                status = command.invoke(context)
+            output.flush()
+        return int(status or DONE)
+    except click.exceptions.Exit as end:  # --help and --version
+        return end.exit_code
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else DONE if end.code is None else FAILED
+    except BaseException as error:
+        if os.environ.get(TRACEBACK, "") not in ("", "0"):
+            traceback.print_exc()
+        status, message = _outcome(error, output.error, command, program, words)
+        return _told(status, message, told)
+
+
+def leave(status: int) -> NoReturn:
+    """End the process; after a signal without taking the interpreter apart.
+
+    Work that a signal cut short may have left a library in the middle of something, compiling for
+    example, and such a library can crash when it is taken apart.
+    """
+    if status <= SIGNALS or status == PIPE_CLOSED:
+        sys.exit(status)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(status)
+
+
+def say(text: str) -> None:
+    """Print on standard error, wherever that leads."""
+    try:
+        print(text, file=sys.stderr, flush=True)
+    except OSError:
+        _silence(sys.stderr)
+
+
+def _outcome(
+    error: BaseException,
+    unwritten: OSError | None,
+    command: click.Command,
+    program: str,
+    words: Sequence[str],
+) -> tuple[int, str]:
+    """Return the exit status and the message of whatever ended a command."""
+    name = _named(command, words)
+    usage = f"{program} {name}".strip()
+    if unwritten is not None:
+        _silence(sys.stdout)
+        if isinstance(unwritten, BrokenPipeError):
+            return PIPE_CLOSED, ""
+        fix = "make room there, or direct it elsewhere"
+        return BROKEN, _message(
+            "OSError", f"cannot write to standard output: {unwritten.strerror}", usage, fix
+        )
+    if isinstance(error, KeyboardInterrupt):
+        number = error.number if isinstance(error, Stopped) else signal.SIGINT
+        asked = f"stopped by {signal.Signals(number).name}"
+        return SIGNALS + number, "; ".join([asked, *getattr(error, "__notes__", ())])
+    if isinstance(error, click.ClickException):
+        path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
+        what, place = error.format_message().removesuffix("."), path or program
+        return REFUSED, _message(type(error).__name__, what, place, f"see {place} --help")
+
+    from mdp.errors import ModelError
+
+    if isinstance(error, ModelError):
+        where = _option(command, name, error.where, words) or usage
+        fix = error.fix or f"see {usage} --help"
+        return REFUSED, _message("ModelError", error.what, where, fix)
+    return BROKEN, _broken(error, usage)
+
+
+def _broken(error: BaseException, usage: str) -> str:
+    """Return the message for what is neither bad input nor a failed check."""
+    from analysis.optimum import Contradiction
+    from mdp.errors import short
+    from solvers.solution import SolverError
+
+    kind, said = type(error).__name__, short(" ".join(str(error).split()))
+    if isinstance(error, SolverError | Contradiction):
+        return f"{kind}: {error}"
+    if isinstance(error, MemoryError):
+        return _message("MemoryError", said or "not enough memory", usage, "use a smaller model")
+    if isinstance(error, RecursionError):
+        return _message(kind, "something is nested too deeply", usage, "use flatter input")
+    if isinstance(error, OverflowError) or "integer string conversion" in said:
+        fix = "scale the model, or round its numbers"
+        return _message(kind, f"a number is too large to compute with: {said}", usage, fix)
+    if isinstance(error, ImportError):
+        fix = "install the package again, with the extra that this needs"
+        return _message(kind, f"a package cannot be loaded: {said}", usage, fix)
+    if isinstance(error, OSError) and error.errno is not None:
+        place = str(error.filename) if error.filename is not None else usage
+        fix = "make room, or write elsewhere" if error.errno in FULL else "try again"
+        return _message("OSError", f"the system refuses: {error.strerror}", place, fix)
+    return _message(
+        kind,
+        f"a fault of the program, not of what you gave it: {said or 'no message'}",
+        f"{usage}, in {_place(error)}",
+        f"report it with this command; {TRACEBACK}=1 shows the traceback to send along",
+    )
+
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def _place(error: BaseException) -> str:
+    """Return the last line of this project that an exception went through."""
+    found = "an unknown place"
+    for frame in traceback.extract_tb(error.__traceback__):
+        parts = Path(frame.filename).parts
+        rooms = [place for place, part in enumerate(parts) if part in ROOMS]
+        if rooms:
+            found = f"{'/'.join(parts[rooms[-1] :])}, line {frame.lineno}"
+    return found
+
+
+def _named(command: click.Command, words: Sequence[str]) -> str:
+    """Return the command of a group that the words name; nothing where there is none."""
+    known = command.commands if isinstance(command, click.Group) else {}
+    return next((word for word in words if word in known), "")
+
+
+def _option(command: click.Command, name: str, where: str, words: Sequence[str]) -> str:
+    """Return where the error is: the option as it was written, for the argument's name."""
+    chosen = command.commands[name] if isinstance(command, click.Group) and name else command
+    for parameter in chosen.params:
+        spelled = max(parameter.opts, key=len)
+        given = any(word == spelled or word.startswith(f"{spelled}=") for word in words)
+        if spelled.startswith("--") and parameter.name == where and given:
+            return spelled
+    return where
+
+
+def _message(kind: str, what: str, where: str, fix: str) -> str:
+    from mdp.errors import shown_text
+
+    what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
+    return f"{kind}: {what}\n  where: {where}\n  fix:   {fix}"
+
+
+def _told(status: int, message: str, told: Told | None) -> int:
+    """Tell the message, where there is one, and return the status."""
+    if message:
+        say(message)
+        if told is not None:
+            told(status, message)
+    return status
+
+
+# ---- signals -------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _signals() -> Iterator[None]:
+    """Let SIGTERM, and SIGHUP unless it is ignored, stop the work as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may say what signals do
+        return
+    last = dict.fromkeys(range(signal.NSIG), -ONE_REQUEST)
+
+    def stop(number: int, _: FrameType | None) -> None:
+        before, last[number] = last[number], time.monotonic()
+        if last[number] - before >= ONE_REQUEST:
+            raise Stopped(number)
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    taken = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
+# ---- standard streams ----------------------------------------------------------------------------
+
+
+def _streams() -> bool:
+    """Return whether there is a standard output; what is closed leads nowhere from now on.
+
+    A file that is opened later would take the number of a closed stream, and get its text.
+    """
+    open_before = sys.stdout is not None
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may lack a letter of a state's name
+        sys.stdout.reconfigure(errors="backslashreplace")
+    return open_before
+
+
+class _Output:
+    """Standard output that remembers why it took nothing more."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.error: OSError | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str, /) -> int:
+        with self._noted():
+            return self._stream.write(text)
+
+    def flush(self) -> None:
+        with self._noted():
+            self._stream.flush()
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.error = error
+            raise
+
+
+def _silence(stream: TextIO) -> None:
+    """Let a stream lead nowhere: Python flushes once more when it ends."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    from mdp.errors import shown_text
+
+    say(f"warning: {shown_text(str(message), lines=True)}")
