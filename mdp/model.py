@@ -112,8 +112,11 @@ class MDP:
         yield from (self.pair_state, self.pair_action, self.pair_offsets)
         yield from (table.offsets, table.next, table.weight, table.denominator)
         yield from (table.gain, table.gain_denominator)
-        if table.event is not None:
-            yield table.event
+        yield from (
+            part
+            for part in (table.event, table.weight_doubt, table.gain_doubt)
+            if part is not None
+        )
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

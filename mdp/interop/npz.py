@@ -13,6 +13,8 @@ The arrays of an archive, nothing in it being a pickle:
     gain_denominator (L,) integers                   gain[i] / gain_denominator[l]
     event         (N,) uint8     optional: bit b is set where event number b happens
     components    (L, C) float64 expected reward of each pair by component
+    weight_doubt  (N,) float64   optional: how far each probability, and each reward, may lie from
+    gain_doubt    (N,) or (L,) float64     what it was rounded from, where the arrays do not tell
 
 Integers are int64 where they fit. Where they do not, the array is uint8 of shape (…, k): each row
 is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has the keys `format`
@@ -54,10 +56,12 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "gain_denominator": ("int64", "uint8"),
     "event": ("uint8",),
     "components": ("float64",),
+    "weight_doubt": ("float64",),
+    "gain_doubt": ("float64",),
 }
 """Every array with the types it may have; uint8 among several means rows of bytes."""
 
-OPTIONAL = ("event",)
+OPTIONAL = ("event", "weight_doubt", "gain_doubt")
 WIDTH = 8
 SMALL, RATIO = 2**26, 50
 """A compressed archive may claim up to 64 MiB, or 50 times its own size, whichever is more."""
@@ -91,8 +95,8 @@ def save(mdp: MDP, path: str | Path) -> None:
         "components": mdp.components,
     }
     arrays |= {name: _as_bytes(getattr(table, name)) for name in INTEGERS}
-    if table.event is not None:
-        arrays["event"] = table.event
+    parts = {name: getattr(table, name) for name in OPTIONAL}
+    arrays |= {name: part for name, part in parts.items() if part is not None}
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **arrays)
     write_atomically(path, stream.getvalue())
@@ -112,8 +116,9 @@ def load(path: str | Path) -> MDP:
         arrays = _arrays(path)
         parts = parts_of(_header(arrays.pop("header")), pairs=len(arrays["pair_state"]))
         numbers = {name: _as_integers(arrays.pop(name)) for name in INTEGERS}
+        optional = {name: arrays.get(name) for name in OPTIONAL}
         table = OutcomeTable(
-            offsets=arrays["offsets"], next=arrays["next"], event=arrays.get("event"), **numbers
+            offsets=arrays["offsets"], next=arrays["next"], **numbers, **optional
         )
         state, action = arrays["pair_state"], arrays["pair_action"]
         return MDP(table, state, action, components=arrays["components"], **parts)
