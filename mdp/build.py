@@ -9,6 +9,7 @@ as floats; else as integers over one denominator for each row.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from functools import reduce
 from itertools import pairwise
@@ -25,15 +26,16 @@ from mdp.model import MDP, as_discount, as_start
 from mdp.space import StateSpace
 from mdp.table import (
     Floats,
+    Given,
     Integers,
     Numbers,
     OutcomeTable,
-    Rounded,
     as_float,
     common,
     exact,
     given,
     integers,
+    multiply,
     ones,
     rounding_of,
 )
@@ -41,8 +43,11 @@ from mdp.threads import IN_CACHE, block_ends, run_blocks
 
 MOST_UNNAMED_ACTIONS = 100_000
 
+Outcomes = dict[tuple[int, Any, bool], Any]
+"""Probabilities by next state, reward, and whether that may be a rounded one."""
 
-def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **names: Any) -> MDP:
+
+def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names: Any) -> MDP:
     """See `MDP.from_arrays`."""
     stacked, actions, states = _stacked(P, "P", "transitions")
     pair = np.arange(actions * states)
@@ -58,9 +63,8 @@ def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **
     elif rewards.shape == (actions, states, states):
         reward = rewards.transpose(1, 0, 2).reshape(actions * states, states)
     else:
-        shape = (len(R), *R[0].shape) if by_move else rewards.shape
         raise ModelError(
-            f"rewards have shape {shape}",
+            f"rewards have shape {(actions, *R[0].shape) if by_move else rewards.shape}",
             where="R",
             fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
         )
@@ -127,10 +131,13 @@ def from_outcomes(
             fix="give (state, action, [(probability, next state, reward), …]) with whole numbers "
             "for states and actions",
         ) from error
-    flat = [key for row in merged for key in row]
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in merged])]).astype(np.int64)
     weight = _grouped([value for row in merged for value in row.values()], offsets)
-    gain = _grouped([key[1] for key in flat], offsets)
+    owned = _owned(merged)
+    if owned is None:
+        gain = _grouped([reward for row in merged for reward in _earned(row)], offsets)
+    else:
+        gain = _grouped(owned, np.arange(len(merged) + 1))
     table = OutcomeTable(
         offsets=offsets,
         next=following,
@@ -141,29 +148,86 @@ def from_outcomes(
         weight_doubt=weight.doubt,
         gain_doubt=gain.doubt,
     )
+    table = _by_outcome(table) if owned is None else table
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
 
-def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> dict[tuple[int, Any, bool], Any]:
+def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
     """Return the positive probabilities of one pair by next state and reward, sorted.
 
     Rewards that are equal, one given as a float and one as an exact number, are kept apart.
     """
-    row: dict[tuple[int, Any, bool], Any] = {}
+    row: Outcomes = {}
     for probability, then, reward in outcomes:
         earned, chance = _number(reward), _number(probability)
-        key = (index(then), earned, isinstance(earned, float | Rounded))
+        key = (index(then), earned, rounding_of(earned) > 0)
         row[key] = _sum(row[key], chance) if key in row else chance
     return {key: row[key] for key in sorted(row) if row[key] != 0}
 
 
+def _owned(rows: list[Outcomes]) -> list[Any] | None:
+    """Return the rewards of pairs where some are certain and none is of an outcome; else None.
+
+    `OutcomeTable.row` says that a reward is certain where the pair earns it in full, although the
+    probabilities do not sum to 1.
+    """
+    if not any(isinstance(key[1], Given) and key[1].certain for row in rows for key in row):
+        return None
+    for row in rows:
+        rewards = {key[1] for key in row}
+        if len(rewards) != 1 or not (_certain(row) or rewards == {0} or _total(row) == 1):
+            return None
+    return [next(iter(row))[1] for row in rows]
+
+
+def _earned(row: Outcomes) -> list[Any]:
+    """Return the rewards of a pair's outcomes, of which certain ones average what they are."""
+    rewards = [key[1] for key in row]
+    if not _certain(row):
+        return rewards
+    total = _total(row)
+    return [Given(exact(reward) / total, rounding=rounding_of(reward)) for reward in rewards]
+
+
+def _certain(row: Outcomes) -> bool:
+    return bool(row) and all(isinstance(key[1], Given) and key[1].certain for key in row)
+
+
+def _total(row: Outcomes) -> Fraction:
+    return sum(map(exact, row.values()), Fraction(0))
+
+
+def _by_outcome(table: OutcomeTable) -> OutcomeTable:
+    """Return a table whose rewards belong to outcomes beyond doubt.
+
+    With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
+    unless a probability is only nearly 1; such outcomes are told as two exact halves.
+    """
+    if len(table.next) != table.pairs or (table.weight == table.denominator).all():
+        return table
+    floats = table.weight.dtype == np.float64
+    below = table.denominator if floats else multiply(table.denominator, integers([2]))
+    doubts = (table.weight_doubt, table.gain_doubt)
+    return replace(
+        table,
+        offsets=2 * table.offsets,
+        next=np.repeat(table.next, 2),
+        weight=np.repeat(table.weight / 2 if floats else table.weight, 2),
+        denominator=below,
+        gain=np.repeat(table.gain, 2),
+        weight_doubt=None if doubts[0] is None else np.repeat(doubts[0] / 2, 2),
+        gain_doubt=None if doubts[1] is None else np.repeat(doubts[1], 2),
+    )
+
+
 def _sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
     """Return the exact sum of two numbers, of which each may be off by its rounding."""
-    if not (isfinite(left) and isfinite(right)):
-        return float(left) + float(right)  # no model: it is refused by its place
+    for value in (left, right):
+        if isinstance(value, float) and not isfinite(value):
+            return value  # no model: it is refused by its place
     total, off = exact(left) + exact(right), rounding_of(left) + rounding_of(right)
-    return Rounded(total, off) if off else total
+    return Given(total, rounding=off) if off else total
 
 
 def _from_rows(
@@ -211,6 +275,8 @@ def _from_rows(
     )
     if rising:
         vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
+    if reward.ndim == 2:
+        table = _by_outcome(table)
     return _assemble(state, action, table, size, discount, start, names)
 
 
@@ -244,8 +310,7 @@ def _added(matrix: sp.csr_array) -> tuple[Integers, Numbers, Any]:
         values = np.empty(len(first), dtype=object)
         ends = [*first[1:].tolist(), len(parts)]
         values[:] = [
-            reduce(_sum, parts[begin:end])
-            for begin, end in zip(first.tolist(), ends, strict=True)
+            reduce(_sum, parts[begin:end]) for begin, end in zip(first.tolist(), ends, strict=True)
         ]
         row = row[first]
     kept = np.asarray(values != 0, dtype=bool)
@@ -404,6 +469,8 @@ def _array(values: Any) -> Any:
             array = np.asarray(values)
         else:
             array = np.array(_leaves(values), dtype=object)
+            if any(isinstance(value, list) for value in array.flat):
+                raise ValueError
     except ValueError as error:
         raise ModelError("rows of different lengths", fix="make the array rectangular") from error
     if array.dtype.kind in "iub" and array.dtype != np.uint64:
@@ -466,15 +533,16 @@ def _grouped(values: Any, offsets: Integers) -> _Grouped:
     if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
         return _Grouped(np.ascontiguousarray(values), ones(groups))
     if isinstance(values, np.ndarray) and values.dtype != object:
-        doubles = values.astype(np.float64)
+        with np.errstate(over="ignore"):
+            doubles = values.astype(np.float64)
         if values.dtype.kind == "f" and not (doubles != values).any():
-            off = np.where(values == 0, 0, np.spacing(np.abs(values)) / 2)
+            off = np.where(values == 0, 0, np.spacing(np.abs(values)).astype(np.float64) / 2)
             return _Grouped(doubles, ones(groups), _doubt(doubles, off))
         values = [_number(value) for value in values]
     flat = list(values)
     off = np.array([rounding_of(value) for value in flat])
-    if any(isinstance(value, float | Rounded) for value in flat):
-        if not all(isfinite(value) for value in flat):
+    if off.any() or any(isinstance(value, float) for value in flat):
+        if any(isinstance(value, float) and not isfinite(value) for value in flat):
             # The model is refused, by the place of the number.
             return _Grouped(np.array([as_float(value) for value in flat]), ones(groups))
         if all(isinstance(value, float) or _is_double(value) for value in flat):

@@ -113,9 +113,7 @@ class MDP:
         yield from (table.offsets, table.next, table.weight, table.denominator)
         yield from (table.gain, table.gain_denominator)
         yield from (
-            part
-            for part in (table.event, table.weight_doubt, table.gain_doubt)
-            if part is not None
+            part for part in (table.event, table.weight_doubt, table.gain_doubt) if part is not None
         )
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -9,8 +9,8 @@ table, every number rounded once; there is no second source.
 What a row of floats means: its probabilities are the numbers given, nothing is scaled. So they may
 sum to a little more or less than 1, by up to `ROW_TOLERANCE`; only what is binary may: a row with a
 float in it, or one whose numbers all have a power of two below the line, as floats do. Every other
-row sums to 1 exactly. The expected reward of a pair is Σ p r; a reward that all its outcomes share
-is earned in full, whatever the probabilities sum to.
+row sums to 1 exactly. The expected reward of a pair is Σ p r where rewards are of outcomes; where
+they are of pairs (an array of shape (L,)) it is r, whatever the probabilities sum to.
 """
 
 from __future__ import annotations
@@ -38,47 +38,63 @@ FLOAT_ROW_TOLERANCE = 1e-9
 ROW_TOLERANCE = Fraction(1, 10**9)
 
 
-class Rounded(Fraction):
-    """The exact value of a number that was given as a float, and so may be a rounded one.
+class Given(Fraction):
+    """The exact value of a number of a model, and what else is known of it.
 
     It calculates as any `Fraction` does; the results are plain ones, but for a change of sign.
 
     Parameters
     ----------
-    value : Fraction
+    value, denominator : as for `Fraction`
     rounding : float
-        How far the value may lie from the number that it was rounded from.
+        How far the value may lie from the number that it was rounded from: more than 0 where it
+        was given as a float.
+    certain : bool
+        Of a reward: it is the pair's own, earned in full whatever the probabilities sum to.
 
     Examples
     --------
-    >>> number = Rounded(Fraction(1, 4), 2.0**-55)
+    >>> number = Given(Fraction(1, 4), rounding=2.0**-55)
     >>> number, number + 1, (-number).rounding == number.rounding
     (Fraction(1, 4), Fraction(5, 4), True)
     """
 
-    __slots__ = ("rounding",)
+    __slots__ = ("certain", "rounding")
     rounding: float
+    certain: bool
 
-    def __new__(cls, value: Fraction, rounding: float) -> Self:
-        """Return `value` with its rounding."""
-        found = super().__new__(cls, value)
-        found.rounding = rounding
+    def __new__(
+        cls,
+        value: Any = 0,
+        denominator: int | None = None,
+        *,
+        rounding: float = 0.0,
+        certain: bool = False,
+    ) -> Self:
+        """Return a number, given in any way that `Fraction` takes, with what is known of it."""
+        found = super().__new__(cls, value, denominator)
+        found.rounding, found.certain = rounding, certain
         return found
 
-    def __neg__(self) -> Rounded:
-        return Rounded(super().__neg__(), self.rounding)
+    def __neg__(self) -> Given:
+        return Given(super().__neg__(), rounding=self.rounding, certain=self.certain)
 
     def __repr__(self) -> str:
         return f"Fraction({self.numerator}, {self.denominator})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Rounded, (Fraction(self.numerator, self.denominator), self.rounding)
+        value = Fraction(self.numerator, self.denominator)
+        return _again, (value, self.rounding, self.certain)
 
     def __copy__(self) -> Self:
         return self
 
     def __deepcopy__(self, memo: Any) -> Self:
         return self
+
+
+def _again(value: Fraction, rounding: float, certain: bool) -> Given:
+    return Given(value, rounding=rounding, certain=certain)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -188,9 +204,8 @@ class OutcomeTable:
         if len(self.gain) == self.pairs:
             return divide(self.gain, self.gain_denominator)
         if self.weight.dtype == np.float64 or self.gain.dtype == np.float64:
-            gains = self.gains()
-            found = np.add.reduceat(self.probabilities() * gains, self.offsets[:-1])
-            return np.where(self._shared(), gains[self.offsets[:-1]], found)
+            product = self.probabilities() * self.gains()
+            return np.asarray(np.add.reduceat(product, self.offsets[:-1]), dtype=np.float64)
         top, bottom = self.expected_gain_exact()
         return divide(top, bottom)
 
@@ -202,17 +217,10 @@ class OutcomeTable:
             return gain, gain_denominator
         longest = int(np.diff(self.offsets).max(initial=1))
         product = multiply(weight, gain, terms=longest)
-        total = np.add.reduceat(product, self.offsets[:-1])
-        if not self.sums_to_one:
-            whole = multiply(gain[self.offsets[:-1]], denominator)
-            total = np.where(self._shared(), whole, total)
-        return np.asarray(total), multiply(denominator, gain_denominator)
-
-    def _shared(self) -> NDArray[np.bool_]:
-        """Return (L,) True where all outcomes of a pair earn the same."""
-        first = self.offsets[:-1]
-        same = np.maximum.reduceat(self.gain, first) == np.minimum.reduceat(self.gain, first)
-        return np.asarray(same, dtype=bool)
+        return (
+            np.asarray(np.add.reduceat(product, self.offsets[:-1])),
+            multiply(denominator, gain_denominator),
+        )
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
         """Return (N,), (L,) integers: floats become integers over a power of two for each row."""
@@ -254,8 +262,8 @@ class OutcomeTable:
     def row(self, pair: int) -> list[tuple[Fraction, int, Fraction]]:
         """Return the exact outcomes of one pair: probability, next state, reward.
 
-        Numbers that were given as floats are `Rounded`, so that a model built of such rows is the
-        same in all, what its floats may have been rounded from included.
+        Numbers that were given as floats know that (`Given`), and so do rewards of a pair whose
+        probabilities do not sum to 1: a model built of such rows is the same in all.
 
         Examples
         --------
@@ -279,7 +287,9 @@ class OutcomeTable:
             self.gain_denominator[pair],
             None if self.gain_doubt is None else self.gain_doubt[earned],
         )
-        if len(gains) == 1:
+        if len(self.gain) == self.pairs:
+            if gains[0] and sum(chances) != 1:
+                gains = [Given(gains[0], rounding=rounding_of(gains[0]), certain=True)]
             gains *= len(chances)
         return list(zip(chances, self.next[begin:end].tolist(), gains, strict=True))
 
@@ -331,7 +341,7 @@ def given(number: object) -> Fraction:
     """
     value = exact(number)
     if isinstance(number, float | np.floating) and value != 0:
-        return Rounded(value, half_ulp(number))
+        return Given(value, rounding=half_ulp(number))
     return value
 
 
@@ -344,7 +354,7 @@ def half_ulp(number: float | np.floating[Any]) -> float:
 
 def rounding_of(number: object) -> float:
     """Return how far a number, as it was given, may lie from what it was rounded from."""
-    if isinstance(number, Rounded):
+    if isinstance(number, Given):
         return number.rounding
     return half_ulp(number) if isinstance(number, float) and number != 0 else 0.0
 
@@ -433,7 +443,7 @@ def float_array(values: ArrayLike) -> Floats:
 
 
 def _rationals(top: Numbers, bottom: Any, doubt: Floats | None) -> list[Fraction]:
-    """Return the numbers of a row, those that are floats as `Rounded` ones."""
+    """Return the numbers of a row, those that are floats as `Given` ones."""
     if top.dtype == np.float64 and doubt is None:
         return [given(value) for value in top.tolist()]
     below = int(bottom)
@@ -441,7 +451,7 @@ def _rationals(top: Numbers, bottom: Any, doubt: Floats | None) -> list[Fraction
     if doubt is None:
         return found
     return [
-        Rounded(value, off) if off else value
+        Given(value, rounding=off) if off else value
         for value, off in zip(found, doubt.tolist(), strict=True)
     ]
 

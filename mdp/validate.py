@@ -202,6 +202,7 @@ def _check_rows(mdp: MDP) -> None:
         wrong = ~(np.abs(sums - table.denominator) <= FLOAT_ROW_TOLERANCE * table.denominator)
     else:
         wrong = np.asarray(sums != table.denominator, dtype=bool)
+        vars(table)["sums_to_one"] = not wrong.any()
         for pair in np.flatnonzero(wrong).tolist():
             wrong[pair] = not _nearly(table, pair, int(sums[pair]))
     if wrong.any():

@@ -79,7 +79,7 @@ def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Flo
             reward_error = (terms + 4) * UNIT * size
         error = (2 * terms + 8) * UNIT * rate * flow + reward_error
         error += 4 * UNIT * (np.abs(reward) + np.abs(leak * own))
-        if table.weight.dtype == np.float64:
+        if not table.sums_to_one:
             error += rate * (np.abs(total - 1) + 2 * terms * UNIT) * np.abs(own)
         error = error * SLACK + TINY * (terms + 1) * (1 + np.abs(value).max())
         return np.asarray(reward + rate * steps - leak * own), np.asarray(error)

@@ -95,8 +95,8 @@ def save(mdp: MDP, path: str | Path) -> None:
         "components": mdp.components,
     }
     arrays |= {name: _as_bytes(getattr(table, name)) for name in INTEGERS}
-    parts = {name: getattr(table, name) for name in OPTIONAL}
-    arrays |= {name: part for name, part in parts.items() if part is not None}
+    given = {name: getattr(table, name) for name in OPTIONAL}
+    arrays |= {name: part for name, part in given.items() if part is not None}
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **arrays)
     write_atomically(path, stream.getvalue())
@@ -116,9 +116,13 @@ def load(path: str | Path) -> MDP:
         arrays = _arrays(path)
         parts = parts_of(_header(arrays.pop("header")), pairs=len(arrays["pair_state"]))
         numbers = {name: _as_integers(arrays.pop(name)) for name in INTEGERS}
-        optional = {name: arrays.get(name) for name in OPTIONAL}
         table = OutcomeTable(
-            offsets=arrays["offsets"], next=arrays["next"], **numbers, **optional
+            offsets=arrays["offsets"],
+            next=arrays["next"],
+            event=arrays.get("event"),
+            weight_doubt=arrays.get("weight_doubt"),
+            gain_doubt=arrays.get("gain_doubt"),
+            **numbers,
         )
         state, action = arrays["pair_state"], arrays["pair_action"]
         return MDP(table, state, action, components=arrays["components"], **parts)
