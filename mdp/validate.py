@@ -161,7 +161,15 @@ def _check_numbers(mdp: MDP, *, sound: bool) -> None:
                     where=mdp.where(_pair_of(table, index, len(array))),
                     fix="give a finite number",
                 )
-        elif array.dtype not in (np.int64, object):
+        elif array.dtype == object:
+            other = next((type(x).__name__ for x in array.tolist() if type(x) is not int), None)
+            if other is not None:  # others may overflow
+                raise ModelError(
+                    f"{name} holds a number of type {other}",
+                    where="outcome table",
+                    fix="use Python integers",
+                )
+        elif array.dtype != np.int64:
             raise ModelError(
                 f"{name} has type {array.dtype}",
                 where="outcome table",

@@ -82,7 +82,10 @@ class Cycle:
         largest = max(1, *(abs(int(number)) for number in self.fixed))
         pivot = self.pivot
         earned = np.array([int(a) / (largest * b) for a, b in zip(self.fixed, pivot, strict=True)])
-        share = [int(w) / pivot[l] for w, l in zip(self.weight, self.row.tolist(), strict=True)]
+        try:
+            share = [int(w) / pivot[l] for w, l in zip(self.weight, self.row.tolist(), strict=True)]
+        except OverflowError:  # beyond the floats, which only suggest a policy to begin with
+            return policy
         chain = sp.csr_array((share, (self.row, self.column)), shape=(len(pivot), size))
         identity = sp.eye_array(size, format="csc")
         with np.errstate(all="ignore"):
