@@ -161,7 +161,7 @@ def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
     row: Outcomes = {}
     for probability, then, reward in outcomes:
         earned, chance = _number(reward), _number(probability)
-        key = (index(then), earned, rounding_of(earned) > 0)
+        key = (index(then), earned, type(earned) is float or rounding_of(earned) > 0)
         row[key] = _sum(row[key], chance) if key in row else chance
     return {key: row[key] for key in sorted(row) if row[key] != 0}
 
@@ -430,14 +430,16 @@ def _sparse(values: Any) -> sp.csr_array:
         )
     if values.format in ("csr", "csc", "coo"):
         _check_places(values)
-    if values.format == "coo":
-        # SciPy would add up what comes twice, in floats.
+    found = sp.csr_array(values)
+    if values.format == "coo" and found.nnz != values.nnz:
+        # SciPy added up what comes twice, in floats: here it stays.
         order = np.lexsort((values.col, values.row))
         counts = np.bincount(values.row, minlength=values.shape[0])
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(values.col.dtype)
         parts = (values.data[order], values.col[order], indptr)
-        return sp.csr_array(parts, shape=values.shape)
-    return sp.csr_array(values)
+        found = sp.csr_array(parts, shape=values.shape)
+    whole = found.dtype.kind in "iub" and found.dtype != np.uint64
+    return found.astype(np.int64) if whole else found
 
 
 def _check_places(matrix: Any) -> None:
@@ -507,6 +509,8 @@ def _leaves(values: Any) -> Any:
 
 def _number(value: object) -> Fraction | float:
     """Return an exact number, or the double itself where one was given."""
+    if type(value) is float:
+        return value
     return float(value) if isinstance(value, float) else given(value)
 
 
@@ -540,6 +544,8 @@ def _grouped(values: Any, offsets: Integers) -> _Grouped:
             return _Grouped(doubles, ones(groups), _doubt(doubles, off))
         values = [_number(value) for value in values]
     flat = list(values)
+    if set(map(type, flat)) == {float}:
+        return _Grouped(np.array(flat), ones(groups))
     off = np.array([rounding_of(value) for value in flat])
     if off.any() or any(isinstance(value, float) for value in flat):
         if any(isinstance(value, float) and not isfinite(value) for value in flat):
