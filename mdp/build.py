@@ -1,7 +1,9 @@
 """Models from arrays, from rows and from lists of outcomes, floats or exact rationals alike.
 
-Numbers that are all Fractions, integers or "p/q" strings stay exact; where a float is among them,
-the row is kept in floats, each being the dyadic rational that it is.
+Every number keeps its exact value, whatever stands beside it: Fractions, integers and "p/q" strings
+are what they say, a float is the dyadic rational that it is, and outcomes that come twice are added
+exactly. Where all numbers are doubles, and one at least was given as a float, the table holds them
+as floats; else as integers over one denominator for each row.
 """
 
 from __future__ import annotations
@@ -9,9 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import reduce
 from itertools import pairwise
+from math import isfinite
 from operator import index
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,28 +25,36 @@ from mdp.errors import ModelError
 from mdp.model import MDP, as_discount, as_start
 from mdp.space import StateSpace
 from mdp.table import (
+    Floats,
+    Given,
     Integers,
     Numbers,
     OutcomeTable,
     as_float,
     common,
     exact,
-    float_array,
+    given,
     integers,
+    multiply,
     ones,
+    rounding_of,
 )
 from mdp.threads import IN_CACHE, block_ends, run_blocks
 
 MOST_UNNAMED_ACTIONS = 100_000
 
+Outcomes = dict[tuple[int, Any, bool], Any]
+"""Probabilities by next state, reward, and whether that may be a rounded one."""
 
-def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **names: Any) -> MDP:
+
+def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names: Any) -> MDP:
     """See `MDP.from_arrays`."""
-    stacked, actions, states = _stacked(P)
+    stacked, actions, states = _stacked(P, "P", "transitions")
     pair = np.arange(actions * states)
     state, action = pair // actions, pair % actions
-    rewards = _stacked(R)[0] if _is_sparse_list(R) else _sparse_or_array(R)
-    if rewards.shape == (actions * states, states) and _is_sparse_list(R):
+    by_move = _is_sparse_list(R)
+    rewards = _stacked(R, "R", "rewards")[0] if by_move else _dense(_numbers(R, "R"))
+    if by_move and rewards.shape == (actions * states, states):
         reward = rewards
     elif rewards.shape == (states,):
         reward = np.repeat(rewards, actions)
@@ -52,7 +64,7 @@ def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **
         reward = rewards.transpose(1, 0, 2).reshape(actions * states, states)
     else:
         raise ModelError(
-            f"rewards have shape {rewards.shape}",
+            f"rewards have shape {(actions, *R[0].shape) if by_move else rewards.shape}",
             where="R",
             fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
         )
@@ -72,8 +84,10 @@ def from_pairs(
 ) -> MDP:
     """See `MDP.from_pairs`."""
     state, action = _indices(pair_state, "pair_state"), _indices(pair_action, "pair_action")
-    rows = _sparse_or_array(transition)
-    rewards = _sparse_or_array(reward)
+    rows = _numbers(transition, "transition")
+    rewards = _numbers(reward, "reward")
+    if rewards.shape != rows.shape:
+        rewards = _dense(rewards)
     if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
         raise ModelError(
             f"{len(state)} states and {len(action)} actions for transitions of shape {rows.shape}",
@@ -117,30 +131,103 @@ def from_outcomes(
             fix="give (state, action, [(probability, next state, reward), …]) with whole numbers "
             "for states and actions",
         ) from error
-    flat = [key for row in merged for key in row]
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in merged])]).astype(np.int64)
-    weight, denominator = _grouped([value for row in merged for value in row.values()], offsets)
-    gain, gain_denominator = _grouped([key[1] for key in flat], offsets)
+    weight = _grouped([value for row in merged for value in row.values()], offsets)
+    owned = _owned(merged)
+    if owned is None:
+        gain = _grouped([reward for row in merged for reward in _earned(row)], offsets)
+    else:
+        gain = _grouped(owned, np.arange(len(merged) + 1))
     table = OutcomeTable(
         offsets=offsets,
         next=following,
-        weight=weight,
-        denominator=denominator,
-        gain=gain,
-        gain_denominator=gain_denominator,
+        weight=weight.top,
+        denominator=weight.bottom,
+        gain=gain.top,
+        gain_denominator=gain.bottom,
+        weight_doubt=weight.doubt,
+        gain_doubt=gain.doubt,
     )
-    table = _by_outcome(table)
+    table = _by_outcome(table) if owned is None else table
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
 
-def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> dict[tuple[int, Any], Any]:
-    """Return the positive probabilities of one pair by next state and reward, sorted."""
-    row: dict[tuple[int, Any], Any] = {}
+def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
+    """Return the positive probabilities of one pair by next state and reward, sorted.
+
+    Rewards that are equal, one given as a float and one as an exact number, are kept apart.
+    """
+    row: Outcomes = {}
     for probability, then, reward in outcomes:
-        key = (index(then), _number(reward))
-        row[key] = row.get(key, 0) + _number(probability)
+        earned, chance = _number(reward), _number(probability)
+        key = (index(then), earned, type(earned) is float or rounding_of(earned) > 0)
+        row[key] = _sum(row[key], chance) if key in row else chance
     return {key: row[key] for key in sorted(row) if row[key] != 0}
+
+
+def _owned(rows: list[Outcomes]) -> list[Any] | None:
+    """Return the rewards of pairs where some are certain and none is of an outcome; else None.
+
+    `OutcomeTable.row` says that a reward is certain where the pair earns it in full, although the
+    probabilities do not sum to 1.
+    """
+    if not any(isinstance(key[1], Given) and key[1].certain for row in rows for key in row):
+        return None
+    for row in rows:
+        rewards = {key[1] for key in row}
+        if len(rewards) != 1 or not (_certain(row) or rewards == {0} or _total(row) == 1):
+            return None
+    return [next(iter(row))[1] for row in rows]
+
+
+def _earned(row: Outcomes) -> list[Any]:
+    """Return the rewards of a pair's outcomes, of which certain ones average what they are."""
+    rewards = [key[1] for key in row]
+    if not _certain(row):
+        return rewards
+    total = _total(row)
+    return [Given(exact(reward) / total, rounding=rounding_of(reward)) for reward in rewards]
+
+
+def _certain(row: Outcomes) -> bool:
+    return bool(row) and all(isinstance(key[1], Given) and key[1].certain for key in row)
+
+
+def _total(row: Outcomes) -> Fraction:
+    return sum(map(exact, row.values()), Fraction(0))
+
+
+def _by_outcome(table: OutcomeTable) -> OutcomeTable:
+    """Return a table whose rewards belong to outcomes beyond doubt.
+
+    With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
+    unless a probability is only nearly 1; such outcomes are told as two exact halves.
+    """
+    if len(table.next) != table.pairs or (table.weight == table.denominator).all():
+        return table
+    floats = table.weight.dtype == np.float64
+    below = table.denominator if floats else multiply(table.denominator, integers([2]))
+    doubts = (table.weight_doubt, table.gain_doubt)
+    return replace(
+        table,
+        offsets=2 * table.offsets,
+        next=np.repeat(table.next, 2),
+        weight=np.repeat(table.weight / 2 if floats else table.weight, 2),
+        denominator=below,
+        gain=np.repeat(table.gain, 2),
+        weight_doubt=None if doubts[0] is None else np.repeat(doubts[0] / 2, 2),
+        gain_doubt=None if doubts[1] is None else np.repeat(doubts[1], 2),
+    )
+
+
+def _sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
+    """Return the exact sum of two numbers, of which each may be off by its rounding."""
+    for value in (left, right):
+        if isinstance(value, float) and not isfinite(value):
+            return value  # no model: it is refused by its place
+    total, off = exact(left) + exact(right), rounding_of(left) + rounding_of(right)
+    return Given(total, rounding=off) if off else total
 
 
 def _from_rows(
@@ -154,34 +241,37 @@ def _from_rows(
 ) -> MDP:
     """Build from sorted pairs, their (L, S) rows and rewards (L,) or (L, S)."""
     size = rows.shape[1]
-    if sp.issparse(rows):
+    rising = False
+    if sp.issparse(rows) and rows.dtype == np.float64 and rows.has_canonical_format:
         rows, lowest = _copied(rows)
-        rows.sum_duplicates()
         if lowest <= 0:
             rows.eliminate_zeros()
         rising = True
         offsets, following = rows.indptr.astype(np.int64), rows.indices
-        weight: Numbers = rows.data
-        denominator = ones(len(state))
+        weight = _Grouped(rows.data, ones(len(state)))
+    elif sp.issparse(rows):
+        offsets, following, values = _added(rows)
+        weight = _grouped(values, offsets)
     else:
-        rising = False
         kept = np.array(rows != 0, dtype=bool)
         pair, following = np.nonzero(kept)
         offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
-        weight, denominator = _grouped(rows[pair, following], offsets)
+        weight = _grouped(rows[pair, following], offsets)
     if reward.ndim == 1:
         # A copy: the model freezes its arrays, and the caller's stay the caller's.
-        gain, gain_denominator = _grouped(np.array(reward), np.arange(len(state) + 1))
+        gain = _grouped(np.array(reward), np.arange(len(state) + 1))
     else:
         pair = np.repeat(np.arange(len(state)), np.diff(offsets))
-        gain, gain_denominator = _grouped(np.asarray(reward[pair, following]), offsets)
+        gain = _grouped(_picked(reward, pair, following), offsets)
     table = OutcomeTable(
         offsets=offsets,
         next=following if size < 2**31 else following.astype(np.int64),
-        weight=weight,
-        denominator=denominator,
-        gain=gain,
-        gain_denominator=gain_denominator,
+        weight=weight.top,
+        denominator=weight.bottom,
+        gain=gain.top,
+        gain_denominator=gain.bottom,
+        weight_doubt=weight.doubt,
+        gain_doubt=gain.doubt,
     )
     if rising:
         vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
@@ -206,22 +296,49 @@ def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:
     return sp.csr_array((data, indices, indptr), shape=rows.shape, copy=False), lowest.min()
 
 
-def _by_outcome(table: OutcomeTable) -> OutcomeTable:
-    """Return a table whose rewards belong to outcomes beyond doubt.
+def _added(matrix: sp.csr_array) -> tuple[Integers, Numbers, Any]:
+    """Return where rows begin, columns in rising order, and values, equal places added exactly."""
+    matrix = matrix.copy()
+    matrix.sort_indices()
+    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    fresh = np.ones(len(row), dtype=bool)
+    fresh[1:] = (np.diff(row) != 0) | (np.diff(matrix.indices) != 0)
+    values: Any = matrix.data
+    if not fresh.all():
+        first = np.flatnonzero(fresh)
+        parts = [_number(value) for value in matrix.data]
+        values = np.empty(len(first), dtype=object)
+        ends = [*first[1:].tolist(), len(parts)]
+        values[:] = [
+            reduce(_sum, parts[begin:end]) for begin, end in zip(first.tolist(), ends, strict=True)
+        ]
+        row = row[first]
+    kept = np.asarray(values != 0, dtype=bool)
+    counts = np.bincount(row[kept], minlength=matrix.shape[0])
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return offsets, matrix.indices[fresh][kept], values[kept]
 
-    With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
-    unless a float probability is only nearly 1; such outcomes are told as two exact halves.
-    """
-    exact_rows = table.weight.dtype != np.float64 or (table.weight == 1).all()
-    if len(table.next) != table.pairs or exact_rows:
-        return table
-    return replace(
-        table,
-        offsets=2 * table.offsets,
-        next=np.repeat(table.next, 2),
-        weight=np.repeat(table.weight / 2, 2),
-        gain=np.repeat(table.gain, 2),
-    )
+
+def _picked(rewards: Any, row: Integers, column: Numbers) -> Any:
+    """Return the entries of a dense or sparse (L, S) array of rewards at some places."""
+    if not sp.issparse(rewards):
+        return np.asarray(rewards[row, column])
+    offsets, following, values = _added(rewards)
+    places = np.arange(1, len(following) + 1)
+    lookup = sp.csr_array((places, following, offsets), shape=rewards.shape)
+    return np.append(values, values.dtype.type(0) if values.dtype != object else 0)[
+        np.asarray(lookup[row, column]) - 1
+    ]
+
+
+def _dense(values: Any) -> Any:
+    """Return a sparse array as a dense one; others as they are."""
+    if not sp.issparse(values):
+        return values
+    offsets, following, found = _added(values)
+    array = np.zeros(values.shape, dtype=found.dtype)
+    array[np.repeat(np.arange(values.shape[0]), np.diff(offsets)), following] = found
+    return array
 
 
 def _assemble(
@@ -262,59 +379,139 @@ def _is_sparse_list(values: Any) -> bool:
     return isinstance(values, Sequence) and any(sp.issparse(matrix) for matrix in values)
 
 
-def _stacked(P: Any) -> tuple[Any, int, int]:
-    """Return P as (L, S) rows in pair order, with the numbers of actions and states."""
-    if _is_sparse_list(P):
-        if not all(sp.issparse(matrix) for matrix in P):
-            raise ModelError("P mixes sparse and dense matrices", where="P", fix="use one kind")
-        actions, shapes = len(P), {matrix.shape for matrix in P}
-        states = P[0].shape[0]
+def _stacked(values: Any, where: str, what: str) -> tuple[Any, int, int]:
+    """Return P, or R by transition, as (L, S) rows in pair order, and how many A and S are."""
+    if _is_sparse_list(values):
+        if not all(sp.issparse(matrix) for matrix in values):
+            raise ModelError(
+                f"{where} mixes sparse and dense matrices", where=where, fix="use one kind"
+            )
+        actions, shapes = len(values), {matrix.shape for matrix in values}
+        states = values[0].shape[0]
         if shapes != {(states, states)}:
             raise ModelError(
-                f"transition matrices have shapes {sorted(shapes)}",
-                where="P",
+                f"matrices of {what} have shapes {sorted(shapes)}",
+                where=where,
                 fix="give A square matrices of the same size",
             )
-        rows = sp.vstack([sp.csr_array(matrix) for matrix in P], format="csr")
+        listed = [_numbers(matrix, where) for matrix in values]
+        rows = sp.vstack(listed, format="csr")
         order = np.arange(actions * states).reshape(actions, states).T.reshape(-1)
-        return _sparse_or_array(rows[order]), actions, states
-    array = _sparse_or_array(P)
-    if array.ndim != 3 or array.shape[1] != array.shape[2] or not array.size:
+        return sp.csr_array(rows[order]), actions, states
+    array = values if sp.issparse(values) else _numbers(values, where)
+    if array.ndim != 3 or array.shape[1] != array.shape[2] or sp.issparse(array) or not array.size:
         raise ModelError(
-            f"transitions have shape {array.shape}",
-            where="P",
+            f"{'sparse ' if sp.issparse(array) else ''}{what} have shape {array.shape}",
+            where=where,
             fix="give (A, S, S), or a list of A sparse (S, S) matrices",
         )
     actions, states = array.shape[:2]
     return array.transpose(1, 0, 2).reshape(actions * states, states), actions, states
 
 
-def _sparse_or_array(values: object) -> Any:
-    """Return a sparse matrix as a CSR array, anything else as floats, or as exact objects."""
-    if isinstance(values, sp.sparray | sp.spmatrix):
-        if values.dtype.kind not in "fiub":
-            raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
-        return sp.csr_array(values)
+def _numbers(values: object, where: str) -> Any:
+    """Return a sparse matrix as a CSR array, others as an array of one kind or of objects.
+
+    Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s.
+    """
     try:
-        array = np.asarray(values)
+        return _sparse(values) if sp.issparse(values) else _array(values)
+    except ModelError as error:
+        raise ModelError(error.what, where=error.where or where, fix=error.fix) from error
+
+
+def _sparse(values: Any) -> sp.csr_array:
+    """Return a sparse matrix as a CSR array; places that come twice still do."""
+    if values.dtype.kind not in "fiub":
+        raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
+    if values.ndim != 2:
+        raise ModelError(
+            f"a sparse array of {values.ndim} dimensions", fix="give a sparse matrix, or np.array"
+        )
+    if values.format in ("csr", "csc", "coo"):
+        _check_places(values)
+    found = sp.csr_array(values)
+    if values.format == "coo" and found.nnz != values.nnz:
+        # SciPy added up what comes twice, in floats: here it stays.
+        order = np.lexsort((values.col, values.row))
+        counts = np.bincount(values.row, minlength=values.shape[0])
+        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(values.col.dtype)
+        parts = (values.data[order], values.col[order], indptr)
+        found = sp.csr_array(parts, shape=values.shape)
+    whole = found.dtype.kind in "iub" and found.dtype != np.uint64
+    return found.astype(np.int64) if whole else found
+
+
+def _check_places(matrix: Any) -> None:
+    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
+    sizes = dict(zip(("row", "column"), matrix.shape, strict=True))
+    if matrix.format == "coo":
+        named = {"row": matrix.row, "column": matrix.col}
+    else:
+        named = {"column" if matrix.format == "csr" else "row": matrix.indices}
+        ends = matrix.indptr
+        if ends[0] != 0 or ends[-1] != len(matrix.indices) or (np.diff(ends) < 0).any():
+            raise ModelError(
+                "a sparse matrix whose indptr does not run from 0 to its number of entries",
+                fix="build it anew, from coordinates for example",
+            )
+    for what, numbers in named.items():
+        if len(numbers) and not 0 <= numbers.min() <= numbers.max() < sizes[what]:
+            worst = numbers.min() if numbers.min() < 0 else numbers.max()
+            raise ModelError(
+                f"a sparse matrix of shape {matrix.shape} has an entry in {what} {worst}",
+                fix=f"number its {what}s from 0 to {sizes[what] - 1}",
+            )
+
+
+def _array(values: Any) -> Any:
+    kinds = _kinds(values)
+    try:
+        if len(kinds) == 1 or kinds <= {float, np.float64} or kinds <= {int, bool}:
+            array = np.asarray(values)
+        else:
+            array = np.array(_leaves(values), dtype=object)
+            if any(isinstance(value, list) for value in array.flat):
+                raise ValueError
     except ValueError as error:
         raise ModelError("rows of different lengths", fix="make the array rectangular") from error
-    if array.dtype.kind in "iub":
-        return array.astype(object) if array.dtype == np.uint64 else array.astype(np.int64)
-    if array.dtype.kind in "OUS":
-        flat = np.empty(array.size, dtype=object)
-        flat[:] = [_number(value) for value in array.flat]
-        return flat.reshape(array.shape)
-    if array.dtype.kind == "f":
-        return float_array(array)
-    raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
+    if array.dtype.kind in "iub" and array.dtype != np.uint64:
+        return array.astype(np.int64)
+    if array.dtype.kind == "f" and int not in kinds:
+        return array
+    if array.dtype.kind not in "OUSuf":
+        raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
+    if array.dtype != object:
+        array = np.array(_leaves(values), dtype=object)
+    flat = np.empty(array.size, dtype=object)
+    flat[:] = [_number(value) for value in array.flat]
+    return flat.reshape(array.shape)
+
+
+def _kinds(values: Any) -> set[Any]:
+    """Return the types of the numbers in an array, or in lists of lists."""
+    if isinstance(values, np.ndarray):
+        return {values.dtype.type}
+    if not isinstance(values, list | tuple):
+        return {type(values)}
+    kinds = set(map(type, values))
+    if any(issubclass(kind, list | tuple | np.ndarray) for kind in kinds):
+        return set().union(*map(_kinds, values))
+    return kinds
+
+
+def _leaves(values: Any) -> Any:
+    """Return lists of lists of the numbers as they were given, each of its own type."""
+    if isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim):
+        return [_leaves(value) for value in values]
+    return values
 
 
 def _number(value: object) -> Fraction | float:
-    """Return an exact number, or the float itself where a float was given."""
-    if isinstance(value, np.floating):
-        value = float(value)
-    return value if isinstance(value, float) else exact(value)
+    """Return an exact number, or the double itself where one was given."""
+    if type(value) is float:
+        return value
+    return float(value) if isinstance(value, float) else given(value)
 
 
 def _indices(values: ArrayLike, what: str) -> Integers:
@@ -326,19 +523,55 @@ def _indices(values: ArrayLike, what: str) -> Integers:
     return array.astype(np.int64)
 
 
-def _grouped(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
+class _Grouped(NamedTuple):
+    """Numbers as the arrays of a table: top over one bottom for each group, and their roundings."""
+
+    top: Numbers
+    bottom: Numbers
+    doubt: Floats | None = None
+
+
+def _grouped(values: Any, offsets: Integers) -> _Grouped:
     """Return numbers as an array with one denominator for each group of them."""
-    array = np.asarray(values) if not isinstance(values, list) else None
     groups = len(offsets) - 1
-    if array is not None and array.dtype != object:
-        return np.ascontiguousarray(array), ones(groups)
+    if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
+        return _Grouped(np.ascontiguousarray(values), ones(groups))
+    if isinstance(values, np.ndarray) and values.dtype != object:
+        with np.errstate(over="ignore"):
+            doubles = values.astype(np.float64)
+        if values.dtype.kind == "f" and not (doubles != values).any():
+            off = np.where(values == 0, 0, np.spacing(np.abs(values)).astype(np.float64) / 2)
+            return _Grouped(doubles, ones(groups), _doubt(doubles, off))
+        values = [_number(value) for value in values]
     flat = list(values)
-    if any(isinstance(value, float) for value in flat):
-        return np.array([as_float(value) for value in flat], dtype=np.float64), ones(groups)
+    if set(map(type, flat)) == {float}:
+        return _Grouped(np.array(flat), ones(groups))
+    off = np.array([rounding_of(value) for value in flat])
+    if off.any() or any(isinstance(value, float) for value in flat):
+        if any(isinstance(value, float) and not isfinite(value) for value in flat):
+            # The model is refused, by the place of the number.
+            return _Grouped(np.array([as_float(value) for value in flat]), ones(groups))
+        if all(isinstance(value, float) or _is_double(value) for value in flat):
+            doubles = np.array([float(value) for value in flat])
+            return _Grouped(doubles, ones(groups), _doubt(doubles, off))
     tops: list[int] = []
     bottoms: list[int] = []
     for first, last in pairwise(offsets.tolist()):
         top, bottom = common([exact(value) for value in flat[first:last]])
         tops += top
         bottoms.append(bottom)
-    return integers(tops), integers(bottoms)
+    return _Grouped(integers(tops), integers(bottoms), off if off.any() else None)
+
+
+def _doubt(doubles: Floats, off: Floats) -> Floats | None:
+    """Return the roundings of doubles, None where they are those of any doubles."""
+    usual = np.where(doubles == 0, 0.0, np.spacing(np.abs(doubles)) / 2)
+    return None if np.array_equal(usual, off) else np.asarray(off, dtype=np.float64)
+
+
+def _is_double(value: Fraction) -> bool:
+    """Return whether a double has exactly this value."""
+    try:
+        return float(value) == value
+    except OverflowError:
+        return False

@@ -135,6 +135,7 @@ def _repeated(scenario: Scenario, template: Template, small: MDP, order: Integer
     shape = (len(indptr) - 1, end + 1)
     parts["transition"] = sp.csr_array((lay(matrix.data, entries), indices, indptr), shape)
     parts["transition"].has_canonical_format = True
+    vars(parts["table"])["sums_to_one"] = table.sums_to_one
     mdp = object.__new__(MDP)
     mdp.__setstate__(parts)
     return mdp

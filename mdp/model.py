@@ -112,8 +112,9 @@ class MDP:
         yield from (self.pair_state, self.pair_action, self.pair_offsets)
         yield from (table.offsets, table.next, table.weight, table.denominator)
         yield from (table.gain, table.gain_denominator)
-        if table.event is not None:
-            yield table.event
+        yield from (
+            part for part in (table.event, table.weight_doubt, table.gain_doubt) if part is not None
+        )
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -265,8 +266,9 @@ class MDP:
         Parameters
         ----------
         P : (A, S, S) array, or A sparse (S, S) matrices
-            Transition probabilities: floats, or Fractions, ints and "p/q" for an exact model.
-        R : (S,), (S, A) or (A, S, S) array
+            Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
+            keeps its exact value, a float that of the binary fraction that it is.
+        R : (S,), (S, A) or (A, S, S) array, a sparse (S, A) matrix, or A sparse (S, S) ones
             Rewards of states, of pairs, or of transitions.
         discount : number or "p/q"
         start : state, or {state: probability}

@@ -5,6 +5,12 @@ weight[i] / denominator[l], leads to state next[i] and earns gain[i] / gain_deno
 Weights are 64-bit integers where they fit, Python integers (dtype object) where they do not, or
 floats, each taken as the exact dyadic rational that it is. The float model is derived from this
 table, every number rounded once; there is no second source.
+
+What a row of floats means: its probabilities are the numbers given, nothing is scaled. So they may
+sum to a little more or less than 1, by up to `ROW_TOLERANCE`; only what is binary may: a row with a
+float in it, or one whose numbers all have a power of two below the line, as floats do. Every other
+row sums to 1 exactly. The expected reward of a pair is Σ p r where rewards are of outcomes; where
+they are of pairs (an array of shape (L,)) it is r, whatever the probabilities sum to.
 """
 
 from __future__ import annotations
@@ -14,8 +20,8 @@ from dataclasses import dataclass
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import lcm
-from typing import Any
+from math import lcm, ulp
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,6 +39,66 @@ FLOAT_ROW_TOLERANCE = 1e-9
 FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float
 MOST_DIGITS = 4000  # of a number that is given as text: Python itself stops at 4,300
+ROW_TOLERANCE = Fraction(1, 10**9)
+
+
+class Given(Fraction):
+    """The exact value of a number of a model, and what else is known of it.
+
+    It calculates as any `Fraction` does; the results are plain ones, but for a change of sign.
+
+    Parameters
+    ----------
+    value, denominator : as for `Fraction`
+    rounding : float
+        How far the value may lie from the number that it was rounded from: more than 0 where it
+        was given as a float.
+    certain : bool
+        Of a reward: it is the pair's own, earned in full whatever the probabilities sum to.
+
+    Examples
+    --------
+    >>> number = Given(Fraction(1, 4), rounding=2.0**-55)
+    >>> number, number + 1, (-number).rounding == number.rounding
+    (Fraction(1, 4), Fraction(5, 4), True)
+    """
+
+    __slots__ = ("certain", "rounding")
+    rounding: float
+    certain: bool
+
+    def __new__(
+        cls,
+        value: Any = 0,
+        denominator: int | None = None,
+        *,
+        rounding: float = 0.0,
+        certain: bool = False,
+    ) -> Self:
+        """Return a number, given in any way that `Fraction` takes, with what is known of it."""
+        found = super().__new__(cls, value, denominator)
+        found.rounding, found.certain = rounding, certain
+        return found
+
+    def __neg__(self) -> Given:
+        return Given(super().__neg__(), rounding=self.rounding, certain=self.certain)
+
+    def __repr__(self) -> str:
+        return f"Fraction({self.numerator}, {self.denominator})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        value = Fraction(self.numerator, self.denominator)
+        return _again, (value, self.rounding, self.certain)
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        return self
+
+
+def _again(value: Fraction, rounding: float, certain: bool) -> Given:
+    return Given(value, rounding=rounding, certain=certain)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +117,9 @@ class OutcomeTable:
         Reward of an outcome; of shape (L,) where the pair alone decides it.
     event : (N,) uint8, optional
         Bit b is set on outcomes where the model's event number b happens.
+    weight_doubt, gain_doubt : (N,), (N,) or (L,) float64, optional
+        How far each number may lie from what it was rounded from, where that does not follow from
+        the arrays: of floats among exact numbers, of sums, of floats shorter than 64 bits.
     """
 
     offsets: Integers
@@ -60,6 +129,8 @@ class OutcomeTable:
     gain: Numbers
     gain_denominator: Numbers
     event: NDArray[np.uint8] | None = None
+    weight_doubt: Floats | None = None
+    gain_doubt: Floats | None = None
 
     @property
     def pairs(self) -> int:
@@ -85,6 +156,41 @@ class OutcomeTable:
         # A matrix of any numbers with these rows: what is asked does not depend on the numbers.
         shape = (self.pairs, int(self.next.max(initial=0)) + 1)
         return bool(sp.csr_array((self.next, self.next, offsets), shape).has_canonical_format)
+
+    @cached_property
+    def sums_to_one(self) -> bool:
+        """True where all rows sum to 1 exactly; rows of floats are taken not to."""
+        if self.weight.dtype == np.float64:
+            return False
+        return bool((self.row_sums() == self.denominator).all())
+
+    def row_sums(self) -> Numbers:
+        """Return (L,) sums of the weights of each pair, exact where these are integers."""
+        weight = self.weight
+        if weight.dtype == np.int64:
+            longest = int(np.diff(self.offsets).max(initial=1))
+            if magnitude(weight) * longest >= EXACT_IN_INT64:
+                weight = weight.astype(object)
+        with np.errstate(over="ignore"):  # infinity is not 1 either
+            return np.asarray(np.add.reduceat(weight, self.offsets[:-1]))
+
+    def of_pairs(self, pairs: Integers) -> OutcomeTable:
+        """Return the table of some pairs (K,), in the order given."""
+        counts = np.diff(self.offsets)[pairs]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        chosen = np.arange(offsets[-1]) + np.repeat(self.offsets[pairs] - offsets[:-1], counts)
+        earned = pairs if len(self.gain) == self.pairs else chosen
+        return OutcomeTable(
+            offsets=offsets,
+            next=self.next[chosen],
+            weight=self.weight[chosen],
+            denominator=self.denominator[pairs],
+            gain=self.gain[earned],
+            gain_denominator=self.gain_denominator[pairs],
+            event=None if self.event is None else self.event[chosen],
+            weight_doubt=None if self.weight_doubt is None else self.weight_doubt[chosen],
+            gain_doubt=None if self.gain_doubt is None else self.gain_doubt[earned],
+        )
 
     def probabilities(self) -> Floats:
         """Return the (N,) outcome probabilities, each rounded once."""
@@ -151,24 +257,45 @@ class OutcomeTable:
         >>> table.weight_rounding().tolist() == [2.0**-54] * 2, table.gain_rounding().tolist()
         (True, [0.0])
         """
-        return _half_ulp(self.weight)
+        return _half_ulp(self.weight) if self.weight_doubt is None else self.weight_doubt
 
     def gain_rounding(self) -> Floats:
         """Return (N,) or (L,) the same of each reward."""
-        return _half_ulp(self.gain)
+        return _half_ulp(self.gain) if self.gain_doubt is None else self.gain_doubt
 
     def row(self, pair: int) -> list[tuple[Fraction, int, Fraction]]:
-        """Return the exact outcomes of one pair: probability, next state, reward."""
-        span = range(int(self.offsets[pair]), int(self.offsets[pair + 1]))
-        per_pair = len(self.gain) == self.pairs
-        return [
-            (
-                exact(self.weight[i]) / exact(self.denominator[pair]),
-                int(self.next[i]),
-                exact(self.gain[pair if per_pair else i]) / exact(self.gain_denominator[pair]),
-            )
-            for i in span
-        ]
+        """Return the exact outcomes of one pair: probability, next state, reward.
+
+        Numbers that were given as floats know that (`Given`), and so do rewards of a pair whose
+        probabilities do not sum to 1: a model built of such rows is the same in all.
+
+        Examples
+        --------
+        >>> from mdp import MDP
+        >>> mdp = MDP.from_arrays([np.full((10, 10), 0.1)], np.arange(10.0), discount=0.9)
+        >>> rows = [(state, 0, mdp.table.row(state)) for state in range(10)]
+        >>> sum(p for p, _, _ in rows[0][2]) - 1  # not 0: a float is taken as it is
+        Fraction(1, 18014398509481984)
+        >>> MDP.from_outcomes(rows, 0.9).table.row(0) == mdp.table.row(0)
+        True
+        """
+        begin, end = int(self.offsets[pair]), int(self.offsets[pair + 1])
+        earned = slice(pair, pair + 1) if len(self.gain) == self.pairs else slice(begin, end)
+        chances = _rationals(
+            self.weight[begin:end],
+            self.denominator[pair],
+            None if self.weight_doubt is None else self.weight_doubt[begin:end],
+        )
+        gains = _rationals(
+            self.gain[earned],
+            self.gain_denominator[pair],
+            None if self.gain_doubt is None else self.gain_doubt[earned],
+        )
+        if len(self.gain) == self.pairs:
+            if gains[0] and sum(chances) != 1:
+                gains = [Given(gains[0], rounding=rounding_of(gains[0]), certain=True)]
+            gains *= len(chances)
+        return list(zip(chances, self.next[begin:end].tolist(), gains, strict=True))
 
     def _rounded(self, top: Numbers, bottom: Numbers, *, per_outcome: bool) -> Floats:
         if top.dtype == np.float64:
@@ -186,6 +313,8 @@ def exact(number: object) -> Fraction:
     """
     if isinstance(number, Fraction):
         return number
+    if isinstance(number, np.longdouble) and np.isfinite(number):
+        return Fraction(*number.as_integer_ratio())  # wider than Python's floats
     if isinstance(number, np.generic):
         number = number.item()
     if isinstance(number, bool) or not isinstance(number, int | float | str):
@@ -206,6 +335,34 @@ def exact(number: object) -> Fraction:
         raise ModelError(
             f"{number!r} is not a finite rational number", fix='write 0.1 or "1/10"'
         ) from error
+
+
+def given(number: object) -> Fraction:
+    """Return the exact value of a number, and of a float with its rounding: half an ulp of it.
+
+    Examples
+    --------
+    >>> given("1/3"), given(0.5), given(0.5).rounding == 2.0**-54
+    (Fraction(1, 3), Fraction(1, 2), True)
+    """
+    value = exact(number)
+    if isinstance(number, float | np.floating) and value != 0:
+        return Given(value, rounding=half_ulp(number))
+    return value
+
+
+def half_ulp(number: float | np.floating[Any]) -> float:
+    """Return half a unit in the last place of a float, of its own precision."""
+    if isinstance(number, np.floating):
+        return float(np.spacing(np.abs(number))) / 2
+    return ulp(number) / 2
+
+
+def rounding_of(number: object) -> float:
+    """Return how far a number, as it was given, may lie from what it was rounded from."""
+    if isinstance(number, Given):
+        return number.rounding
+    return half_ulp(number) if isinstance(number, float) and number != 0 else 0.0
 
 
 def shown(number: Fraction, digits: int = 6) -> str:
@@ -306,6 +463,20 @@ def float_array(values: ArrayLike) -> Floats:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ModelError("an array holds something that is not a number") from error
+
+
+def _rationals(top: Numbers, bottom: Any, doubt: Floats | None) -> list[Fraction]:
+    """Return the numbers of a row, those that are floats as `Given` ones."""
+    if top.dtype == np.float64 and doubt is None:
+        return [given(value) for value in top.tolist()]
+    below = int(bottom)
+    found = [exact(value) / below for value in top.tolist()]
+    if doubt is None:
+        return found
+    return [
+        Given(value, rounding=off) if off else value
+        for value, off in zip(found, doubt.tolist(), strict=True)
+    ]
 
 
 def _half_ulp(values: Numbers) -> Floats:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mdp.errors import ModelError
 from mdp.names import check_names
 from mdp.table import (
-    EXACT_IN_INT64,
     FLOAT_ROW_TOLERANCE,
+    ROW_TOLERANCE,
     Integers,
     OutcomeTable,
     beside,
     exact,
-    magnitude,
     shown,
 )
 from mdp.threads import IN_CACHE, block_ends, run_blocks
@@ -108,6 +106,10 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
     }
     if table.event is not None:
         wanted["event"] = (table.event, {outcomes})
+    if table.weight_doubt is not None:
+        wanted["weight_doubt"] = (table.weight_doubt, {outcomes})
+    if table.gain_doubt is not None:
+        wanted["gain_doubt"] = (table.gain_doubt, {len(table.gain)})
     for name, (array, lengths) in wanted.items():
         if array.ndim != 1 or len(array) not in lengths:
             raise ModelError(
@@ -169,11 +171,27 @@ def _check_numbers(mdp: MDP, *, sound: bool) -> None:
                     where=mdp.where(_pair_of(table, index, len(array))),
                     fix="give a finite number",
                 )
-        elif array.dtype not in (np.int64, object):
+        elif array.dtype == object:
+            other = next((type(x).__name__ for x in array.tolist() if type(x) is not int), None)
+            if other is not None:  # others may overflow
+                raise ModelError(
+                    f"{name} holds a number of type {other}",
+                    where="outcome table",
+                    fix="use Python integers",
+                )
+        elif array.dtype != np.int64:
             raise ModelError(
                 f"{name} has type {array.dtype}",
                 where="outcome table",
                 fix="use 64-bit or Python integers, or floats",
+            )
+    for name, doubt in (("weight", table.weight_doubt), ("gain", table.gain_doubt)):
+        kept = doubt is None or (doubt.dtype == np.float64 and np.isfinite(doubt).all())
+        if not kept or (doubt is not None and doubt.min(initial=0) < 0):
+            raise ModelError(
+                f"{name}_doubt is not finite, or negative",
+                where="outcome table",
+                fix="say of each number how far it may lie from what it was rounded from",
             )
     for name in ("denominator", "gain_denominator"):
         if not getattr(table, name).min(initial=1) > 0:
@@ -197,11 +215,14 @@ def _check_rows(mdp: MDP) -> None:
             where=mdp.where(pair),
             fix="probabilities are positive; leave out those that are 0",
         )
-    sums = _row_sums(table)
+    sums = table.row_sums()
     if table.weight.dtype == np.float64:
         wrong = ~(np.abs(sums - table.denominator) <= FLOAT_ROW_TOLERANCE * table.denominator)
     else:
-        wrong = sums != table.denominator
+        wrong = np.asarray(sums != table.denominator, dtype=bool)
+        vars(table)["sums_to_one"] = not wrong.any()
+        for pair in np.flatnonzero(wrong).tolist():
+            wrong[pair] = not _nearly(table, pair, int(sums[pair]))
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
         total = exact(sums[pair]) / exact(table.denominator[pair])
@@ -228,14 +249,13 @@ def _check_order(table: OutcomeTable) -> None:
         )
 
 
-def _row_sums(table: OutcomeTable) -> NDArray[Any]:
-    weight = table.weight
-    if weight.dtype == np.int64:
-        longest = int(np.diff(table.offsets).max())
-        if magnitude(weight) * longest >= EXACT_IN_INT64:
-            weight = weight.astype(object)
-    with np.errstate(over="ignore"):  # infinity is not 1 either
-        return np.asarray(np.add.reduceat(weight, table.offsets[:-1]))
+def _nearly(table: OutcomeTable, pair: int, total: int) -> bool:
+    """Return whether a row of integers may sum to a little more or less than 1: it is binary."""
+    bottom = int(table.denominator[pair])
+    here = slice(int(table.offsets[pair]), int(table.offsets[pair + 1]))
+    binary = bottom & (bottom - 1) == 0
+    rounded = table.weight_doubt is not None and bool(table.weight_doubt[here].any())
+    return (binary or rounded) and abs(Fraction(total, bottom) - 1) <= ROW_TOLERANCE
 
 
 def _check_start(mdp: MDP) -> None:

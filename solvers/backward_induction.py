@@ -139,7 +139,7 @@ class Pass:
 
     def errors(self, mdp: MDP) -> tuple[Floats, Floats]:
         """Return by level (D+1,) how far V* may lie above the values, and V^π below."""
-        rows = mdp.table.weight.dtype == np.float64
+        rows = not mdp.table.sums_to_one
         rate = mdp.discount * (1 + (ROW_EXCESS if rows else 0.0) + 8 * UNIT)
         size = float(np.abs(self.value).max())
         longest = int(np.diff(mdp.table.offsets).max())
@@ -209,7 +209,7 @@ def _compiled_pass(mdp: MDP, level: Integers | None) -> Pass:
         mdp.reward,
         mdp.discount,
         mdp.terminal,
-        mdp.table.weight.dtype != np.float64,
+        mdp.table.sums_to_one,
         _extra(mdp),
         value,
         pairs,
@@ -235,7 +235,7 @@ def _array_pass(mdp: MDP, level: Integers | None) -> Pass:
         matrix, reward = matrix[rows], reward[rows]
         first = np.concatenate([[0], np.cumsum(np.diff(first)[order])])
     own, rate, extra = mdp.pair_offsets[:-1], mdp.discount, _extra(mdp)
-    centred = mdp.table.weight.dtype != np.float64
+    centred = mdp.table.sums_to_one
     value, pairs = np.zeros(states), own.copy()
     height = np.zeros(states, dtype=np.int32)
     above, below = np.zeros(states + 1), np.zeros(states + 1)

@@ -29,6 +29,14 @@ def bounded_violations(found: BoundedCertificate, mdp: MDP) -> list[str]:
     """Return what does not hold of a bounded certificate, in words; nothing where it is sound."""
     vectors = {"lower": found.lower, "upper": found.upper, "weight": found.weight}
     wrong = not_of(mdp, found.model, *vectors.values())
+    wrong += [
+        f"{name} is of type {array.dtype} and shape {array.shape}"
+        for name, array, kind in (
+            *((name, vector, "f8") for name, vector in vectors.items()),
+            ("policy", found.policy, f"i{found.policy.dtype.itemsize}"),
+        )
+        if array.dtype.str[1:] != kind or array.ndim != 1
+    ]
     pairs = None if wrong else policy_pairs(mdp, found.policy)
     if pairs is None:
         return wrong or ["the policy takes an action that is not available"]
@@ -79,7 +87,7 @@ def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Flo
             reward_error = (terms + 4) * UNIT * size
         error = (2 * terms + 8) * UNIT * rate * flow + reward_error
         error += 4 * UNIT * (np.abs(reward) + np.abs(leak * own))
-        if table.weight.dtype == np.float64:
+        if not table.sums_to_one:
             error += rate * (np.abs(total - 1) + 2 * terms * UNIT) * np.abs(own)
         error = error * SLACK + TINY * (terms + 1) * (1 + np.abs(value).max())
         return np.asarray(reward + rate * steps - leak * own), np.asarray(error)

@@ -5,7 +5,7 @@
 
 A certificate claims; `violations` checks every claim against the model, in code that shares nothing
 with the solvers (`solvers.certificate_checker`, `solvers.bounded_checker`). Floats of a model count
-as the dyadic rationals that they are, and rows of floats need not sum to 1 exactly.
+as the dyadic rationals that they are; `mdp.table` says what rows mean that do not sum to 1 exactly.
 """
 
 from __future__ import annotations

@@ -30,12 +30,15 @@ if TYPE_CHECKING:
 def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
     """Return what does not hold of an exact certificate, in words; nothing where it is sound."""
     wrong = not_of(mdp, found.model, found.numerator, found.group, found.gap, found.gap_scale)
+    wrong += _no_integers(found)
     if not wrong and found.optimal_pairs.shape != (mdp.n_pairs,):
         wrong.append(f"it marks {found.optimal_pairs.shape} pairs, the model has {mdp.n_pairs}")
     wrong += [f"its {name} are of type {array.dtype}" for name, array, kind in (
         ("marks", found.optimal_pairs, "b"), ("groups", found.group, "i"),
         ("actions", found.policy, "i"),
     ) if array.dtype.kind != kind]  # fmt: skip
+    if found.rank is not None and found.rank.dtype.kind != "i":
+        wrong.append(f"its ranks are of type {found.rank.dtype}")
     if not wrong and not set(found.group.tolist()) <= set(range(len(found.denominator))):
         wrong.append("a state's denominator is missing")
     if wrong or min(found.denominator) <= 0:
@@ -61,6 +64,33 @@ def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
         weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start
     ):
         wrong.append("the start value is not that of the start states")
+    return wrong
+
+
+def _no_integers(found: Certificate) -> list[str]:
+    """Return which numbers are not Python's own integers; others may overflow, or lie."""
+    single: dict[str, tuple[object, type]] = {
+        "start value": (found.start_value, Fraction),
+        "mark of a unique policy": (found.unique, bool),
+    }
+    wrong = [
+        f"its {name} is of type {type(value).__name__}"
+        for name, (value, kind) in single.items()
+        if type(value) is not kind
+    ]
+    start = [] if wrong else [found.start_value.numerator, found.start_value.denominator]
+    numbers: dict[str, Sequence[object]] = {
+        "numerators": found.numerator,
+        "denominators": found.denominator,
+        "gaps": [gap for gap in found.gap if gap is not None],
+        "gap scales": found.gap_scale,
+        "weights": [] if found.weight is None else found.weight,
+        "halves of the start value": start,
+    }
+    for name, values in numbers.items():
+        other = next((type(value) for value in values if type(value) is not int), None)
+        if other is not None:
+            wrong.append(f"its {name} are not all Python integers: one is of type {other.__name__}")
     return wrong
 
 

@@ -174,6 +174,19 @@ def check_settings(solver: Hashable, tol: float | None = None, **counts: int) ->
     name = type(solver).__name__
     if tol is not None and not 0 < tol < np.inf:
         raise ModelError(f"tol is {tol}", where=name, fix="choose a positive number, or None")
+    check_counts(name, **counts)
+
+
+def check_counts(where: str, **counts: int) -> None:
+    """Raise ModelError for what is not a whole number from 1 up; True is none.
+
+    Examples
+    --------
+    >>> check_counts("ValueIteration", max_iterations=1)
+    """
     for key, count in counts.items():
-        if not isinstance(count, int) or count < 1:
-            raise ModelError(f"{key} is {count}", where=name, fix="choose a whole number from 1 up")
+        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+        if not whole or count < 1:
+            raise ModelError(
+                f"{key} is {count!r}", where=where, fix="choose a whole number from 1 up"
+            )

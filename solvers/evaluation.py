@@ -149,8 +149,8 @@ class Evaluation:
         doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
         rounding = gamma(chain.outcomes + chain.roundings + 5)
         doubt += rounding * constant + TINY
-        if chain.table.weight.dtype == np.float64:
-            # Floats that do not quite sum to 1 make E[G²] - V² differ by this much of V².
+        if not chain.table.sums_to_one:
+            # Probabilities that do not quite sum to 1 make E[G²] - V² differ by this much of V².
             doubt += (np.abs(1 - chain.total(chain.probability)) + rounding) * value**2
         system = chain.discounted
         if self.mdp.discount_exact != 1:

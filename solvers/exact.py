@@ -79,6 +79,8 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
     ([1, 0], 2)
     """
     solver = _Solver(rows)
+    if positive:
+        solver.require_leaving()
     for stage in stages(rows):
         if stage.cyclic:
             solver.cycle(stage.states, positive)
@@ -119,6 +121,14 @@ class _Solver:
         self.optimal = [True] * len(rows.constant)
         self.gap: list[fmpz | None] = [None] * len(rows.scale)
         self.gap_scale: list[Any] = rows.scale.tolist()
+
+    def require_leaving(self) -> None:
+        """Raise an error where a pair stays in its state with probability 1 or more, discounted."""
+        pivot, live = np.array(self.sides.pivot, dtype=object), ~self.sides.rows.terminal
+        state = self.sides.rows.pair_state
+        stuck = np.flatnonzero(np.asarray(pivot <= 0, dtype=bool) & live[state])
+        if len(stuck):
+            raise endless(f"state {int(state[stuck[0]])}, which an action does not leave")
 
     # ---- states whose successors are all known -----------------------------------------------
 

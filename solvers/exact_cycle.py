@@ -82,7 +82,10 @@ class Cycle:
         largest = max(1, *(abs(int(number)) for number in self.fixed))
         pivot = self.pivot
         earned = np.array([int(a) / (largest * b) for a, b in zip(self.fixed, pivot, strict=True)])
-        share = [int(w) / pivot[l] for w, l in zip(self.weight, self.row.tolist(), strict=True)]
+        try:
+            share = [int(w) / pivot[l] for w, l in zip(self.weight, self.row.tolist(), strict=True)]
+        except OverflowError:  # beyond the floats, which only suggest a policy to begin with
+            return policy
         chain = sp.csr_array((share, (self.row, self.column)), shape=(len(pivot), size))
         identity = sp.eye_array(size, format="csc")
         with np.errstate(all="ignore"):
@@ -160,10 +163,10 @@ class Cycle:
         ]
 
 
-def endless() -> ModelError:
+def endless(where: str = "rows of floats on a cycle") -> ModelError:
     """Return the error to raise where a policy is found not to end."""
     return ModelError(
         "a policy need not end, because probabilities of its rows add up to more than 1",
-        where="rows of floats on a cycle",
+        where=where,
         fix='give the probabilities as exact numbers such as "1/10", or a discount below 1',
     )

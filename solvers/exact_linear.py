@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from mdp.errors import ModelError
-from mdp.table import Integers, Numbers
+from mdp.table import Integers, Numbers, magnitude
 
 if TYPE_CHECKING:
     from flint import fmpz
@@ -141,7 +141,10 @@ class _Inverse:
 
         pivot, row, size = equations.pivot, equations.row, len(equations.pivot)
         shares = zip(equations.weight.tolist(), row.tolist(), strict=True)
-        share = [weight / pivot[i] for weight, i in shares]
+        try:
+            share = [weight / pivot[i] for weight, i in shares]
+        except OverflowError:
+            return None
         moving = sp.csc_array((share, (row, equations.column)), shape=(size, size))
         if max(pivot).bit_length() > LONGEST:
             return None
@@ -160,7 +163,8 @@ class _Inverse:
     def digits(self, right: Sequence[fmpz], places: int) -> tuple[list[int], int] | None:
         """Return x times 2^places for the next places that are whole digits, and these."""
         pivot, weight = self.equations.pivot, self.equations.weight
-        kind: Any = np.uint64 if max(pivot) < WRAPPING else object
+        wraps = max(pivot) < WRAPPING and magnitude(weight) < WRAPPING
+        kind: Any = np.uint64 if wraps else object
         width = 32 if self.stretch < 2**14 else 16
         known = _digits(right, width)
         digits = np.zeros((len(known) - (-places // width), len(pivot)), dtype=np.int64)

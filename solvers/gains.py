@@ -12,6 +12,7 @@ Numerical Algorithms, SIAM 2002, section 3.1).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -181,11 +182,18 @@ def rounding_facts(mdp: MDP) -> RoundingFacts:
 
 
 def _leak(mdp: MDP) -> tuple[Floats, float]:
-    """Return 1 - γ Σ p by pair: rational rows sum to 1, rows of floats nearly so."""
+    """Return 1 - γ Σ p by pair: exact rows sum to 1, those with floats nearly so."""
     leak = float(1 - mdp.discount_exact)
     weight, offsets = mdp.table.weight, mdp.table.offsets
-    if weight.dtype != np.float64:
+    if mdp.table.sums_to_one:
         return np.full(mdp.n_pairs, leak), leak * UNIT
+    if weight.dtype != np.float64:
+        rate, below = mdp.discount_exact, mdp.table.denominator.tolist()
+        totals = mdp.table.row_sums().tolist()
+        found = np.array(
+            [float(1 - rate * Fraction(a, b)) for a, b in zip(totals, below, strict=True)]
+        )
+        return found, float(np.abs(found).max()) * UNIT
     if len(weight) >= COMPILED:
         from solvers.kernels import bellman
 

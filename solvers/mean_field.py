@@ -32,6 +32,7 @@ import scipy.sparse.linalg as spl
 from mdp.errors import ModelError
 from mdp.model import MDP, as_discount
 from mdp.table import Floats, Integers, Numbers
+from solvers.conclusion import check_counts
 from solvers.linear import LinearSystem
 from solvers.policy_chain import PolicyChain
 from solvers.rounding import SLACK, UNIT, gamma
@@ -277,6 +278,7 @@ def settle(
     The options are those of `mean_field`. Where the steps run in a circle the result is not
     `consistent`: no fixed point was found. The rows `held` keep their actions, however poor.
     """
+    check_counts("mean field", rounds=rounds)
     current = np.array(policy, dtype=np.int64)
     kept = list(held)
     for _ in range(rounds):

@@ -20,7 +20,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from mdp.chain import spans
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.policy import Policy, taken
@@ -88,19 +87,7 @@ class PolicyChain:
     @cached_property
     def table(self) -> OutcomeTable:
         """The exact outcomes of the pairs that the policy takes, N in all."""
-        table, used = self.mdp.table, self.pairs
-        chosen = spans(table.offsets[used], table.offsets[used + 1])
-        lengths = np.diff(table.offsets)[used]
-        per_pair = len(table.gain) == table.pairs
-        return OutcomeTable(
-            offsets=np.concatenate([[0], np.cumsum(lengths)]),
-            next=table.next[chosen],
-            weight=table.weight[chosen],
-            denominator=table.denominator[used],
-            gain=table.gain[used if per_pair else chosen],
-            gain_denominator=table.gain_denominator[used],
-            event=None if table.event is None else table.event[chosen],
-        )
+        return self.mdp.table.of_pairs(self.pairs)
 
     @cached_property
     def source(self) -> Integers:
@@ -266,6 +253,13 @@ def closure(matrix: sp.csr_array, first: Mask) -> Mask:
 
 def _checked(mdp: MDP, weights: Floats) -> Floats:
     """Return (L,) pair weights, or raise ModelError where they are not a policy."""
+    if weights.shape == (mdp.n_states,) != (mdp.n_pairs,):
+        raise ModelError(
+            "action numbers are whole numbers, not floats",
+            where="policy",
+            fix=f"give them as integers: policy.astype(int); or give {mdp.n_pairs} probabilities, "
+            "one for each pair",
+        )
     if weights.shape != (mdp.n_pairs,):
         raise ModelError(
             f"pair weights have shape {weights.shape}, not ({mdp.n_pairs},)",

@@ -23,6 +23,7 @@ from time import perf_counter
 
 from mdp.errors import ModelError
 from mdp.perception_process import Process
+from solvers.conclusion import check_counts
 from solvers.pomdp_search import Search, Vectors
 from solvers.solution import Claim
 
@@ -108,6 +109,7 @@ def solve_beliefs(
     for name, limit in (("tolerance", tolerance), ("seconds", seconds), ("max_trials", max_trials)):
         if not limit > 0:
             raise ModelError(f"{name} is {limit}", where="solve_beliefs", fix="give more than 0")
+    check_counts("solve_beliefs", max_trials=max_trials)
     from tqdm import tqdm
 
     started = perf_counter()

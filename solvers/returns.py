@@ -25,6 +25,7 @@ import numpy as np
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.table import Floats, Numbers, exact, integers, multiply
+from solvers.conclusion import check_counts
 from solvers.policy_chain import PolicyChain
 from solvers.returns_dense import carry_dense
 from solvers.returns_flow import Flow
@@ -162,6 +163,7 @@ def return_distribution(
     >>> print(*found.values, found.probabilities.tolist())
     1/2 2 [0.5, 0.5]
     """
+    check_counts("return_distribution", max_sweeps=max_sweeps)
     if mdp.discount_exact != 1:
         raise ModelError(
             f"discount {mdp.discount_exact} gives returns that are not on a lattice, so that their "

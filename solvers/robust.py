@@ -25,7 +25,7 @@ from mdp.chain import spans
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.table import Floats, Integers
-from solvers.conclusion import RELATIVE_TOLERANCE
+from solvers.conclusion import RELATIVE_TOLERANCE, check_counts
 from solvers.linear import DIRECT_STATES, LinearSystem
 from solvers.policy_chain import PolicyChain
 from solvers.robust_bounds import Game, Margins, RobustBounds, margins, robust_bounds
@@ -148,6 +148,7 @@ def solve_robust(
     game = game_of(mdp, ambiguity, nature=nature, objective=objective, policy=policy)
     if tol is not None and not 0 < tol < np.inf:
         raise ModelError(f"tol is {tol}", where="robust", fix="choose a positive number, or None")
+    check_counts("robust", max_iterations=max_iterations)
     found = margins(game)
     if game.order is None:
         status, end, iterations = _iterate(game, found, tol, max_iterations)

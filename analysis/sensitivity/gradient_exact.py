@@ -12,6 +12,7 @@ least, of the model that is left with optimal actions and earns c (see
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -20,11 +21,10 @@ import numpy as np
 from analysis.proven_optimum import proven
 from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
 from analysis.sensitivity.rational_rows import worth
-from mdp.chain import spans
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.row_change import RowChange
-from mdp.table import OutcomeTable, common, integers
+from mdp.table import common, integers
 from solvers.solution import Certified
 
 if TYPE_CHECKING:
@@ -109,20 +109,14 @@ def refuse_endless(mdp: MDP, rows: Sequence[int], name: str) -> None:
 
 def rewarded(mdp: MDP, pairs: np.ndarray, gains: Sequence[Fraction]) -> MDP:
     """Return the model that offers some of the pairs (K,) only and earns `gains` (L,) on them."""
-    table = mdp.table
-    chosen = spans(table.offsets[pairs], table.offsets[pairs + 1])
     top, bottom = common([gains[pair] for pair in pairs.tolist()])
-    lengths = np.diff(table.offsets)[pairs]
-    gain = integers(top)
-    below = integers([bottom] * len(pairs))
     return mdp.with_(
-        table=OutcomeTable(
-            offsets=np.concatenate([[0], np.cumsum(lengths)]),
-            next=table.next[chosen],
-            weight=table.weight[chosen],
-            denominator=table.denominator[pairs],
-            gain=gain,
-            gain_denominator=below,
+        table=replace(
+            mdp.table.of_pairs(pairs),
+            gain=integers(top),
+            gain_denominator=integers([bottom] * len(pairs)),
+            event=None,
+            gain_doubt=None,
         ),
         pair_state=mdp.pair_state[pairs],
         pair_action=mdp.pair_action[pairs],

@@ -14,9 +14,9 @@ from itertools import count
 import numpy as np
 
 from analysis.sensitivity.multi_model_problem import Problem, weighted
-from mdp.chain import reachable, spans
+from mdp.chain import reachable
 from mdp.model import MDP
-from mdp.table import Integers, OutcomeTable
+from mdp.table import Integers
 from solvers import solve
 from solvers.policy_chain import PolicyChain
 from solvers.solution import Bounded, Solution
@@ -119,18 +119,7 @@ def restricted(mdp: MDP, pairs: Integers) -> MDP:
     """
     if len(pairs) == mdp.n_pairs:
         return mdp
-    table = mdp.table
-    chosen = spans(table.offsets[pairs], table.offsets[pairs + 1])
-    per_pair = len(table.gain) == table.pairs
-    part = OutcomeTable(
-        offsets=np.concatenate([[0], np.cumsum(np.diff(table.offsets)[pairs])]),
-        next=table.next[chosen],
-        weight=table.weight[chosen],
-        denominator=table.denominator[pairs],
-        gain=table.gain[pairs if per_pair else chosen],
-        gain_denominator=table.gain_denominator[pairs],
-        event=None if table.event is None else table.event[chosen],
-    )
+    part = mdp.table.of_pairs(pairs)
     return mdp.with_(
         table=part, pair_state=mdp.pair_state[pairs], pair_action=mdp.pair_action[pairs]
     )

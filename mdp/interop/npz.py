@@ -13,6 +13,8 @@ The arrays of an archive, nothing in it being a pickle:
     gain_denominator (L,) integers                   gain[i] / gain_denominator[l]
     event         (N,) uint8     optional: bit b is set where event number b happens
     components    (L, C) float64 expected reward of each pair by component
+    weight_doubt  (N,) float64   optional: how far each probability, and each reward, may lie from
+    gain_doubt    (N,) or (L,) float64     what it was rounded from, where the arrays do not tell
 
 and any other array of floats that a table of outcomes may have, under its name.
 
