@@ -31,11 +31,13 @@ from mdp.table import (
     integers,
     ones,
 )
+from mdp.symbolic import arrays_degrees, followed, outcomes_degrees, pairs_degrees
 from mdp.threads import IN_CACHE, block_ends, run_blocks
 
 MOST_UNNAMED_ACTIONS = 100_000
 
 
+@followed(arrays_degrees)
 def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **names: Any) -> MDP:
     """See `MDP.from_arrays`."""
     stacked, actions, states = _stacked(P)
@@ -60,6 +62,7 @@ def from_arrays(P: object, R: object, discount: object, *, start: object = 0, **
     return _from_rows(state, action, stacked, reward, discount, start, names)
 
 
+@followed(pairs_degrees)
 def from_pairs(
     pair_state: ArrayLike,
     pair_action: ArrayLike,
@@ -93,6 +96,7 @@ def from_pairs(
     return _from_rows(state, action, rows, rewards, discount, start, names)
 
 
+@followed(outcomes_degrees)
 def from_outcomes(
     rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
     discount: object,

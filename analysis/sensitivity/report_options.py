@@ -6,7 +6,15 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from analysis.cli_common import policy_of, whole_of
-from analysis.sensitivity.ranges import Range, around, checked, load_ranges, whole
+from analysis.sensitivity.ranges import (
+    RELATIVE,
+    Range,
+    admitted,
+    around,
+    checked,
+    load_ranges,
+    whole,
+)
 from mdp.errors import ModelError
 from mdp.parametric import Parametric, parameter_of, parametric
 from mdp.table import exact
@@ -48,11 +56,10 @@ def ranges_from(model: Parametric, options: Mapping[str, Any]) -> dict[str, Rang
         if name in stated:
             found[name] = stated[name]
         elif options["whole"]:
-            found[name] = whole(parameter)
-        elif options["relative"] is not None:
-            found[name] = around(parameter, exact(options["relative"]))
+            found[name] = admitted(model, parameter, whole(parameter))
         else:
-            found[name] = around(parameter)
+            share = RELATIVE if options["relative"] is None else exact(options["relative"])
+            found[name] = admitted(model, parameter, around(parameter, share))
     return found
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from analysis.sensitivity.box_results import BoxExtreme, BoxOptimum, Side
 from analysis.sensitivity.box_search import BoxSearch, exact_value
-from analysis.sensitivity.ranges import Range, around, checked
+from analysis.sensitivity.ranges import Range, admitted, around, checked
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
@@ -69,7 +69,7 @@ def box_ranges(
     if ranges is None:
         share = exact(relative)
         spans = {
-            p.name: around(p, share) if share else Range(low=p.value, high=p.value)
+            p.name: admitted(family, p, around(p, share)) if share else Range(low=p.value, high=p.value)
             for p in family.parameters
             if (p.low, p.high) == (0, 1) and p.value and p.name != DISCOUNT
         }
