@@ -10,7 +10,7 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TextIO
 
 import click
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _warn
+            warnings.showwarning = _warner()
             with cli.make_context(PROGRAM, list(words), obj=words) as context:
                 status = cli.invoke(context)
         sys.stdout.flush()
@@ -115,12 +115,13 @@ def _tell(kind: str, what: str, where: str, fix: str) -> int:
     return REFUSED
 
 
-def _warn(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    print(f"warning: {message}", file=sys.stderr)
+def _warner() -> Callable[..., None]:
+    """Return what tells a warning as one line on standard error, each text once in a command."""
+    told: set[str] = set()
+
+    def warn(message: Warning | str, *rest: object, **more: object) -> None:
+        if str(message) not in told:
+            told.add(str(message))
+            print(f"warning: {message}", file=sys.stderr)
+
+    return warn

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from mdp.errors import ModelError
 from mdp.model import MDP, as_discount, as_start
 from mdp.space import StateSpace
+from mdp.symbolic import arrays_degrees, followed, outcomes_degrees, pairs_degrees
 from mdp.table import (
     Integers,
     Numbers,
@@ -31,7 +32,6 @@ from mdp.table import (
     integers,
     ones,
 )
-from mdp.symbolic import arrays_degrees, followed, outcomes_degrees, pairs_degrees
 from mdp.threads import IN_CACHE, block_ends, run_blocks
 
 MOST_UNNAMED_ACTIONS = 100_000

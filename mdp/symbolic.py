@@ -208,7 +208,7 @@ class Symbolic(Fraction):
             raise Unknown(self.run)
         return _sum(self, -other)._sign()
 
-    def __eq__(self, number: object) -> bool:
+    def __eq__(self, number: object) -> bool:  # and so there is no hash
         return self._compared(number) == 0
 
     def __lt__(self, number: object) -> bool:
@@ -225,9 +225,6 @@ class Symbolic(Fraction):
 
     def __bool__(self) -> bool:
         return self._sign() != 0
-
-    def __hash__(self) -> int:
-        raise Unknown(self.run)
 
     def __str__(self) -> str:
         raise Unknown(self.run)
@@ -246,9 +243,7 @@ class Symbolic(Fraction):
 class _Run:
     """One call of a builder: the piece, and the models that constructors make meanwhile."""
 
-    def __init__(
-        self, *, piece: tuple[Fraction | None, Fraction | None], point: Fraction
-    ) -> None:
+    def __init__(self, *, piece: tuple[Fraction | None, Fraction | None], point: Fraction) -> None:
         self.piece, self.point, self.broken = piece, point, False
         self.made: list[object] = []
         self.found: list[Degrees] = []
@@ -387,8 +382,10 @@ def _listed(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _listed(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_listed(part) for part in value] if isinstance(value, list) else tuple(
-            _listed(part) for part in value
+        return (
+            [_listed(part) for part in value]
+            if isinstance(value, list)
+            else tuple(_listed(part) for part in value)
         )
     return [_listed(part) for part in value] if isinstance(value, Iterator) else value
 
@@ -478,9 +475,7 @@ def _at(poly: Poly, point: Fraction) -> Fraction:
     return total
 
 
-def _sign(
-    poly: Poly, low: Fraction | None, high: Fraction | None, halvings: int = HALVINGS
-) -> int:
+def _sign(poly: Poly, low: Fraction | None, high: Fraction | None, halvings: int = HALVINGS) -> int:
     """Return the sign of a polynomial on an open interval; raise Unknown where it may change."""
     if len(poly) < 2:
         return 0 if not poly else 1 if poly[0] > 0 else -1

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
+from mdp.chain import termination
 from mdp.errors import ModelError
 from mdp.files import read_text
-from mdp.chain import termination
-from mdp.model import MDP
 from mdp.parameters import Parameter
 from mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
 from mdp.scenario_family import ScenarioFamily

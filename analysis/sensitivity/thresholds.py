@@ -124,9 +124,7 @@ def _switch(mdp: MDP, state: int, before: np.ndarray, after: np.ndarray, reached
     )
 
 
-def _ties(
-    mdp: MDP, there: MDP, left: Stretch, right: Stretch, value: Fraction
-) -> list[Threshold]:
+def _ties(mdp: MDP, there: MDP, left: Stretch, right: Stretch, value: Fraction) -> list[Threshold]:
     """Return the touch at a breakpoint: what is as good there and on neither side of it."""
     tied = proven(there).optimal_pairs & ~left.optimal & ~right.optimal
     tied &= ~mdp.terminal[mdp.pair_state]
