@@ -11,7 +11,6 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TextIO
 
 import click
 
@@ -85,6 +84,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         return _tell(
             "MemoryError", str(error) or "not enough memory", PROGRAM, "use a smaller model"
+        )
+    except Warning as error:  # an error where Python is told so: -W error, PYTHONWARNINGS
+        return _tell(
+            type(error).__name__, str(error), PROGRAM, "correct it, or let warnings be warnings"
         )
     except (ValueError, RuntimeError) as error:
         return _refuse(error, words)

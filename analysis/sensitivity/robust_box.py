@@ -144,7 +144,7 @@ def box_extreme(
     mdp = family.at({})
     held = solve(mdp) if isinstance(policy, str) and policy == "optimal" else policy
     weights = PolicyChain.of(mdp, held).chosen
-    return BoxSearch(source, weights, spans, side).run(gap, parts, progress=progress)
+    return BoxSearch(family, weights, spans, side).run(gap, parts, progress=progress)
 
 
 def box_optimum(
@@ -186,7 +186,7 @@ def box_optimum(
     while waiting:
         name, policy = waiting.pop(0)
         weights[name] = PolicyChain.of(mdp, policy).chosen
-        search = BoxSearch(source, weights[name], spans, "worst")
+        search = BoxSearch(family, weights[name], spans, "worst")
         worst[name] = found = search.run(gap, parts, progress=progress)
         key = tuple(found.point.values())
         if key in seen:

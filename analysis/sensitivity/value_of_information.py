@@ -28,7 +28,13 @@ parameter shows there, which splines round off. Where nothing is doubted, such a
 of the estimates, and twice what the fit promises too much or too little count as errors of their
 own in the standard error, root-sum-square: it is that of the draws and of what the fit may miss.
 
-STUDY
+How often the 95 % interval held the truth where nothing was doubted was counted with 250 samples
+each of 200, 500 and 2,000 draws of 42 problems in closed form: linear, quadratic, without effect, a
+step in the middle or 10, 5 and 2 % from an edge, a corner of two parameters, one parameter of five,
+three candidates, a normal tail, each with noise of sd 0, 0.3 and 1. It did in 97 % of 2,749 samples
+of 200 draws and of 3,330 of 500; in each problem of which 20 samples or more were not doubted in 91
+to 100 %. Not doubted were nearly all of the linear ones without much noise, a third to none of
+those in which noise hides the effect, and none of the steps that noise does not hide.
 """
 
 from __future__ import annotations

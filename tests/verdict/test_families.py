@@ -163,7 +163,7 @@ def test_what_else_moves_with_a_parameter_is_refused(what: str) -> None:
         return MDP.from_outcomes(rows, p**2 if what == "discount" else F(1, 2), start=start)
 
     family = Family(parameters=(unit("p", F(1, 2)),), build=build)
-    with pytest.raises(ModelError, match="start change|pairs change|discount is no polynomial"):
+    with pytest.raises(ModelError, match=r"start change|pairs change|discount is no polynomial"):
         gradient(family)
 
 
@@ -277,7 +277,9 @@ def test_a_parameter_at_the_end_of_its_room_has_one_side() -> None:
     family = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]})
     family = Family(
         parameters=tuple(
-            Parameter(name=p.name, value=F(3, 4) if p.name == "a" else p.value, low=p.low, high=p.high)
+            Parameter(
+                name=p.name, value=F(3, 4) if p.name == "a" else p.value, low=p.low, high=p.high
+            )
             for p in family.parameters
         ),
         build=family.build,
@@ -350,10 +352,10 @@ def test_derivatives_at_a_clip_are_those_of_each_side() -> None:
     )
     family = parametric(own)
     assert F(4, 5) in family.breakpoints("base.anger")
-    with pytest.warns(UserWarning, match="cut off at 1"):
-        found = gradient(own, names=["base.anger"])["base.anger"]
-        step = F(1, 10**6)
-        values = {k: start_value(family.at({"base.anger": F(4, 5) + k * step})) for k in (-1, 0, 1)}
+    found = gradient(own, names=["base.anger"])["base.anger"]
+    step = F(1, 10**6)
+    points = {k: F(4, 5) + k * step for k in (-1, 0, 1)}
+    values = {k: start_value(family.at({"base.anger": at})) for k, at in points.items()}
     for sign, side in ((-1, found.left), (1, found.right)):
         assert side is not None
         slope = (values[sign] - values[0]) / (sign * step)
@@ -371,7 +373,12 @@ def test_scenario_degrees_hold_at_further_points() -> None:
             degrees={p.name: family.degree(p.name) for p in family.parameters},
             breaks={p.name: family.breakpoints(p.name) for p in family.parameters},
         )
-        for name in ("base.confusion", "persistence.anger", "influence.anger.confusion", "discount"):
+        for name in (
+            "base.confusion",
+            "persistence.anger",
+            "influence.anger.confusion",
+            "discount",
+        ):
             value = own.discount if name == "discount" else own[name]
             below, above = pieces(free, name, value)
             piece = above if above is not None else below
@@ -382,9 +389,7 @@ def test_scenario_degrees_hold_at_further_points() -> None:
 
 # ---- default ranges ------------------------------------------------------------------------------
 
-CONTINUING = MDP.from_arrays(
-    [[["1/2", "1/2"], ["1/5", "4/5"]], [[1, 0], [0, 1]]], [1, 2], F(9, 10)
-)
+CONTINUING = MDP.from_arrays([[["1/2", "1/2"], ["1/5", "4/5"]], [[1, 0], [0, 1]]], [1, 2], F(9, 10))
 
 
 def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on() -> None:
@@ -401,7 +406,7 @@ def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on()
 @pytest.mark.parametrize("discount", ["1/2", "99/100", "999999/1000000"])
 def test_samples_of_a_discount_stay_below_1(discount: str) -> None:
     mdp = CONTINUING.with_(discount=discount)
-    assert sobol(mdp, samples=8, seed=0, resamples=10).parameters
+    assert sobol(mdp, samples=8, seed=0).parameters
     assert morris(mdp, trajectories=4, seed=0).parameters
 
 
