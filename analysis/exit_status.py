@@ -96,7 +96,7 @@ def run(
     output = _Output(sys.stdout)
     try:
         with redirect_stdout(output), _signals(), warnings.catch_warnings():
-            warnings.showwarning = _warn
+            warnings.showwarning = _warner()
             with command.make_context(program, list(words), obj=list(words)) as context:
                 status = command.invoke(context)
             output.flush()
@@ -167,6 +167,9 @@ def _outcome(
         where = _option(command, name, error.where, words) or usage
         fix = error.fix or f"see {usage} --help"
         return REFUSED, _message("ModelError", error.what, where, fix)
+    if isinstance(error, UserWarning):  # an error where Python is told so: -W error, PYTHONWARNINGS
+        fix = "correct it, or let warnings be warnings"
+        return REFUSED, _message(type(error).__name__, str(error), usage, fix)
     return BROKEN, _broken(error, usage)
 
 
@@ -329,14 +332,16 @@ def _silence(stream: TextIO) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def _warn(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    from mdp.errors import shown_text
+def _warner() -> Callable[..., None]:
+    """Return what tells a warning as one line on standard error, each text once in a command."""
+    told: set[str] = set()
 
-    say(f"warning: {shown_text(str(message), lines=True)}")
+    def warn(message: Warning | str, *rest: object, **more: object) -> None:
+        from mdp.errors import shown_text
+
+        text = shown_text(str(message), lines=True)
+        if text not in told:
+            told.add(text)
+            say(f"warning: {text}")
+
+    return warn

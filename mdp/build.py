@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from mdp.errors import ModelError
 from mdp.model import MDP, as_discount, as_start
 from mdp.space import StateSpace
+from mdp.symbolic import arrays_degrees, followed, outcomes_degrees, pairs_degrees
 from mdp.table import (
     Floats,
     Given,
@@ -47,6 +48,7 @@ Outcomes = dict[tuple[int, Any, bool], Any]
 """Probabilities by next state, reward, and whether that may be a rounded one."""
 
 
+@followed(arrays_degrees)
 def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names: Any) -> MDP:
     """See `MDP.from_arrays`."""
     stacked, actions, states = _stacked(P, "P", "transitions")
@@ -72,6 +74,7 @@ def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names:
     return _from_rows(state, action, stacked, reward, discount, start, names)
 
 
+@followed(pairs_degrees)
 def from_pairs(
     pair_state: ArrayLike,
     pair_action: ArrayLike,
@@ -107,6 +110,7 @@ def from_pairs(
     return _from_rows(state, action, rows, rewards, discount, start, names)
 
 
+@followed(outcomes_degrees)
 def from_outcomes(
     rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
     discount: object,

@@ -5,22 +5,29 @@ Every chance of the care model is a sum of numbers of its tables, cut off at 1:
     p_i(s, a) = min(1, Σ of the parameters named by step[s, a, i])        under action a,
     z_i(s)    = min(1, Σ of the parameters named by skip[s, i])           when a subtask is skipped.
 
+A sum above 1 is no probability: `warn_of_excess` names it wherever a model is made of it.
 So one array of positions says how the model follows from its parameters: exact laws, batches of
 drawn parameters and matrix-free operators all read it. Source: Yuan et al. (2025), Section 2.1.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mdp.table import Floats, Integers
+from mdp.errors import ScenarioWarning
+from mdp.table import Floats, Integers, shown
 
 if TYPE_CHECKING:
     from mdp.scenario import Scenario
+
+ZERO = Fraction(0)
+NEAR = 1e-9  # sums of floats this much below 1 are looked at exactly, far more than rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,6 +105,64 @@ def chances(scenario: Scenario) -> Chances:
         if rule == "base":
             skip[~here, i] = free[~here]
     return Chances(names=names, bits=bits, step=step, skip=skip)
+
+
+def excess(scenario: Scenario, found: Chances | None = None) -> str | None:
+    """Return in one line which chances pass 1 and are cut off there, or None where none does.
+
+    Sums are compared exactly. No chance can be negative: every term lies in [0, 1].
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> scenario = Scenario.load("yuan2025")
+    >>> excess(scenario) is None
+    True
+    >>> print(excess(scenario.with_(parameters={"base.anger": "9/10"})))
+    a chance of 1.24 is cut off at 1: anger in status 1101 under none is base.anger 0.9 + ...
+    """
+    found = chances(scenario) if found is None else found
+    values = [parameter.value for parameter in scenario.parameters]
+    rough = np.array([*map(float, values), 0.0])
+    greatest: tuple[Fraction, str, list[int]] | None = None
+    count = 0
+    for table, when in ((found.step, "under"), (found.skip[:, None], "on a skip")):
+        near = rough[table].sum(axis=-1) > 1 - NEAR
+        rows, which = np.unique(table[near], axis=0, return_inverse=True)
+        sums = [sum((values[k] for k in row if k < len(values)), ZERO) for row in rows.tolist()]
+        over = np.array([total > 1 for total in sums], dtype=bool)[which.reshape(-1)]
+        count += int(over.sum())
+        for (vector, action, status), number in zip(
+            np.argwhere(near)[over].tolist(), which.reshape(-1)[over].tolist(), strict=True
+        ):
+            if greatest is None or sums[number] > greatest[0]:
+                word = f"under {scenario.actions[action]}" if when == "under" else when
+                label = "".join(map(str, found.bits[vector].tolist()))
+                place = f"{scenario.statuses[status]} in status {label} {word}"
+                greatest = sums[number], place, rows[number].tolist()
+    if greatest is None:
+        return None
+    total, place, terms = greatest
+    added = " + ".join(f"{found.names[k]} {shown(values[k])}" for k in terms if k < len(values))
+    others = f"; so are {count - 1} others" if count > 1 else ""
+    return f"a chance of {shown(total)} is cut off at 1: {place} is {added}{others}"
+
+
+def warn_of_excess(scenario: Scenario, *, where: str = "", stacklevel: int = 2) -> bool:
+    """Warn where a chance is cut off at 1, and say whether one is.
+
+    Parameters
+    ----------
+    where : str, optional
+        In which part of an analysis.
+    stacklevel : int
+        Whose line the warning names: 2 for the caller's own.
+    """
+    message = excess(scenario)
+    if message is not None:
+        text = f"scenario {scenario.name}{where}: {message}"
+        warnings.warn(text, ScenarioWarning, stacklevel=stacklevel + 1)
+    return message is not None
 
 
 def _influence(scenario: Scenario, origin: str, target: str) -> str:

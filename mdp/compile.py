@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from mdp.blocks import Template, joined
+from mdp.explicit_size import check_explicit
 from mdp.laws import status_kernels
 from mdp.model import MDP
 from mdp.rules import kinds
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 
 def compile_scenario(scenario: Scenario) -> MDP:
-    """Return the explicit model of a scenario; see `Scenario.compile`."""
+    """Return the explicit model of a scenario, without a warning; see `Scenario.compile`."""
+    check_explicit(scenario)
     template = Template(scenario, status_kernels(scenario))
     places = kinds(scenario)
     # One block of each kind is itself a model.

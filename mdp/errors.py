@@ -86,6 +86,10 @@ class ModelError(ValueError):
         return _rebuild, (type(self), self.what, self.where, self.fix)
 
 
+class ScenarioWarning(UserWarning):
+    """The tables of a scenario, as they are read, state what is no probability: more than 1."""
+
+
 def _rebuild(kind: type[ModelError], what: str, where: str, fix: str) -> ModelError:
     return kind(what, where=where, fix=fix)
 

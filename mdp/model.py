@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mdp.errors import ModelError, suggest
 from mdp.space import StateSpace
+from mdp.symbolic import changed_degrees, followed
 from mdp.table import Floats, Integers, OutcomeTable, beside, exact
 from mdp.validate import check_model
 
@@ -235,6 +236,7 @@ class MDP:
 
     # ---- change ------------------------------------------------------------------------------
 
+    @followed(changed_degrees)
     def with_(
         self, *, discount: object | None = None, start: object | None = None, **parts: Any
     ) -> Self:

@@ -13,6 +13,7 @@ in any other row, outcomes that are not named keep their proportions,
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -62,17 +63,26 @@ class Parametric(Protocol):
 class Family:
     """A parametric model made of a function.
 
+    Derivatives and thresholds rest on the degrees. They are certified where a run of `build` on
+    polynomials proves the degree (`mdp.symbolic`), which it does where `build` adds, multiplies and
+    compares the fractions that it is given and hands them to one of MDP's constructors. Otherwise
+    the degree is checked at further points: a wrong one is refused, and a right one is called what
+    it is, checked.
+
     Attributes
     ----------
     parameters : tuple of Parameter
     build : function
         From {parameter name: Fraction}, all of them, to the model.
     degrees : {name: degree}
-        1 where left out.
+        Of transition probabilities, expected rewards and the discount; 1 where left out.
     breaks : {name: breakpoints}
         None where left out.
     rows : {label: parameter names}
         Parameters that are probabilities of one row, which are drawn together.
+    room : {name: (low, high)}
+        Between which values there is a model while the other parameters keep theirs; the
+        parameter's own range where left out.
 
     Examples
     --------
@@ -82,6 +92,9 @@ class Family:
     ... )
     >>> family.at({"p": "1/3"}).table.row(0)[0]
     (Fraction(1, 3), 0, Fraction(1, 1))
+    >>> from analysis.sensitivity import gradient  # V = 1 / (1 - p)
+    >>> print(gradient(family)["p"].value)
+    4 (certified)
     """
 
     parameters: tuple[Parameter, ...]
@@ -90,6 +103,7 @@ class Family:
     degrees: Mapping[str, int] = field(default_factory=dict)
     breaks: Mapping[str, Sequence[Fraction]] = field(default_factory=dict)
     rows: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    room: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_names((self.name,), "model")
@@ -176,7 +190,7 @@ def moving(mdp: MDP, entries: Mapping[str, Sequence[tuple[int, int]]]) -> Family
     rate = Parameter(name=DISCOUNT, value=mdp.discount_exact, low=Fraction(0), high=Fraction(1))
 
     def build(values: Mapping[str, Fraction]) -> MDP:
-        if all(values[p.name] == p.value for p in found):
+        if all(values[p.name] is p.value for p in found):  # nothing moved: no question of values
             return mdp.with_(discount=values[DISCOUNT])
         rows = []
         for pair in range(mdp.n_pairs):
@@ -193,7 +207,26 @@ def moving(mdp: MDP, entries: Mapping[str, Sequence[tuple[int, int]]]) -> Family
             name=mdp.name,
         )
 
-    return Family(parameters=(*found, rate), build=build, name=mdp.name or "model")
+    return Family(
+        parameters=(*found, rate),
+        build=build,
+        name=mdp.name or "model",
+        room=_rooms(mdp, found, named),
+    )
+
+
+def _rooms(
+    mdp: MDP, found: Sequence[Parameter], named: Mapping[int, Mapping[int, str]]
+) -> dict[str, tuple[Fraction, Fraction]]:
+    """Return how far each parameter may move until the named entries of a row sum to 1."""
+    value = {parameter.name: parameter.value for parameter in found}
+    highest = {parameter.name: Fraction(1) for parameter in found}
+    for names in named.values():
+        counts = Counter(names.values())
+        for name, count in counts.items():
+            others = sum((n * value[o] for o, n in counts.items() if o != name), Fraction(0))
+            highest[name] = min(highest[name], (1 - others) / count)
+    return {name: (Fraction(0), high) for name, high in highest.items()}
 
 
 def parameter_of(model: Parametric, name: str) -> Parameter:
@@ -205,6 +238,21 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
     raise ModelError(
         f"unknown parameter {name!r}", where=f"model {model.name}", fix=suggest(name, known)
     )
+
+
+def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | None]:
+    """Return between which values a parameter may move while the others keep theirs.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
+    >>> family = moving(mdp, {"stay": [(0, 0)], "leave": [(0, 1)]})
+    >>> [str(end) for end in room_of(family, "stay")]
+    ['0', '3/4']
+    """
+    parameter = parameter_of(model, name)
+    own = (parameter.low, parameter.high)
+    return model.room.get(name, own) if isinstance(model, Family) else own
 
 
 def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:

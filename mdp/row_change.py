@@ -3,7 +3,10 @@
     P(l, s'; θ) = P(l, s') + Σ_k P_k(l, s') (θ - θ0)^k,     r(l; θ) = r(l) + Σ_k r_k(l) (θ - θ0)^k
 
 on a piece between two breakpoints. A polynomial of degree d is fixed by d + 1 compiled models
-(Newton's divided differences); in rational arithmetic that is no approximation.
+(Newton's divided differences); in rational arithmetic that is no approximation. That the degree is
+d follows from the rules of a care scenario, is proven by a run of a family's builder on polynomials
+(`mdp.symbolic`), or is checked at further points: one that does not fit refutes it, and where no
+proof is found those that do fit are all that is known.
 """
 
 from __future__ import annotations
@@ -15,9 +18,12 @@ from fractions import Fraction
 import numpy as np
 
 from mdp.bellman import distinct, merged
+from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.parametric import Parametric, parameter_of
-from mdp.table import Integers, Numbers
+from mdp.parametric import Family, Parametric, parameter_of, room_of
+from mdp.scenario_family import ScenarioFamily
+from mdp.symbolic import Degrees, degrees_of
+from mdp.table import Integers, Numbers, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -30,13 +36,21 @@ class Piece:
     low: Fraction | None
     high: Fraction | None
 
-    def points(self, origin: Fraction, count: int) -> list[Fraction]:
-        """Return `count` other points of the piece, all on one side of `origin` within it."""
+    def points(self, origin: Fraction, count: int, shrunk: int = 0) -> list[Fraction]:
+        """Return `count` other points inside the piece, all on one side of `origin` within it.
+
+        They lie on the right of it where there is room, the nearer the more often `shrunk`.
+        """
         if self.high is None or origin < self.high:
             width = Fraction(1) if self.high is None else self.high - origin
         else:
             width = Fraction(-1) if self.low is None else self.low - origin
-        return [origin + width * k / count for k in range(1, count + 1)]
+        parts = 2 ** (count.bit_length() + shrunk)  # a power of 2 keeps denominators small
+        return [origin + width * k / parts for k in range(1, count + 1)]
+
+    def turned(self, origin: Fraction) -> Piece:
+        """Return the part of the piece on the left of `origin`."""
+        return Piece(low=self.low, high=origin)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,8 +85,10 @@ class RowChange:
     piece : Piece
     transition, reward : Change
         Keys are pair · S + next state, and the pair.
-    discount : Fraction
-        Derivative of the discount.
+    rate : tuple of Fraction
+        Coefficients of (θ - θ0)^k, k from 1, of the discount.
+    checked : int or None
+        Points at which rows fit the polynomials; None where a proof says that they do everywhere.
     """
 
     name: str
@@ -80,7 +96,65 @@ class RowChange:
     piece: Piece
     transition: Change
     reward: Change
-    discount: Fraction
+    rate: tuple[Fraction, ...]
+    checked: int | None
+
+    @property
+    def discount(self) -> Fraction:
+        """The derivative of the discount at θ0."""
+        return self.rate[0]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """Models at and around a value of a parameter, which fix polynomials of a degree, and more.
+
+    Attributes
+    ----------
+    name : str
+    degree : int
+    models : list of MDP
+        The first one at θ0; more than `degree` + 1 of them where the degree is to be checked.
+    steps : list of Fraction
+        Where the others are, less θ0.
+    proof : Degrees or None
+        What a symbolic run has proven; None without proof.
+    by_rule : bool
+        Whether the degree follows from a scenario's rules.
+    """
+
+    name: str
+    degree: int
+    models: list[MDP]
+    steps: list[Fraction]
+    proof: Degrees | None
+    by_rule: bool
+
+    def fitted(self, entries: Callable[[MDP], Entries]) -> Change:
+        """Return the polynomials through entries; raises ModelError where these are none."""
+        found = changes(self.models, self.steps, entries)
+        extra = found.coefficients[self.degree :]
+        for power in extra:
+            self._refuse(self.models[0], entries, found.key[np.asarray(power != 0, dtype=bool)])
+        return Change(key=found.key, coefficients=found.coefficients[: self.degree])
+
+    def checked(self, proven: float | None) -> int | None:
+        """Return how many points were checked; None where `proven`, a degree, is proof enough."""
+        known = self.by_rule or (proven is not None and proven <= self.degree)
+        return None if known else len(self.models)
+
+    def _refuse(self, mdp: MDP, entries: Callable[[MDP], Entries], keys: Integers) -> None:
+        if not len(keys):
+            return
+        by_state = entries in (transition_entries, joint_entries)
+        pair = int(keys[0]) // mdp.n_states if by_state else int(keys[0])
+        raise ModelError(
+            f"rows are no polynomials of degree {self.degree} in {self.name}",
+            where=f"parameter {self.name}, {mdp.where(pair)}",
+            fix=f'state the degree, Family(degrees={{"{self.name}": 2}}), and the values at which '
+            "rows pass to another polynomial, breaks=…; and let build compute with the fractions "
+            "that it is given: floats are rounded, and other functions are no polynomials",
+        )
 
 
 def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None, Piece | None]:
@@ -88,8 +162,7 @@ def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None
 
     They are one and the same where the value is not a breakpoint.
     """
-    parameter = parameter_of(model, name)
-    low, high = parameter.low, parameter.high
+    low, high = room_of(model, name)
     cuts = model.breakpoints(name)
     below = max((cut for cut in cuts if cut < origin), default=low)
     above = min((cut for cut in cuts if cut > origin), default=high)
@@ -118,6 +191,12 @@ def row_change(
     base : MDP, optional
         The model there, where it is at hand.
 
+    Raises
+    ------
+    ModelError
+        Where rows are no polynomials of the degree that the model states, or where states, pairs or
+        the start change with the parameter.
+
     Examples
     --------
     >>> from mdp.parametric import moving
@@ -128,19 +207,122 @@ def row_change(
     ([0, 1], ['1', '-1'])
     """
     place = parameter_of(model, name).value if origin is None else origin
-    points = piece.points(place, model.degree(name))
-    samples = [model.at({name: place}) if base is None else base]
-    samples += [model.at({name: point}) for point in points]
-    steps = [point - place for point in points]
-    rate = (samples[1].discount_exact - samples[0].discount_exact) / steps[0]
+    found = sampled(model, name, piece, model.degree(name), origin=place, base=base)
     return RowChange(
         name=name,
         origin=place,
         piece=piece,
-        transition=changes(samples, steps, transition_entries),
-        reward=changes(samples, steps, reward_entries),
-        discount=rate,
+        transition=found.fitted(transition_entries),
+        reward=found.fitted(reward_entries),
+        rate=_rate(found),
+        checked=found.checked(None if found.proof is None else found.proof.rows),
     )
+
+
+EXTRA = 4  # points at which a degree is checked where there is no proof
+SHRINKS = 64  # how often points are moved closer to θ0 where there is no model
+
+
+def sampled(
+    model: Parametric,
+    name: str,
+    piece: Piece,
+    degree: int,
+    *,
+    origin: Fraction,
+    base: MDP | None = None,
+) -> Samples:
+    """Return as many models on a piece as fix polynomials of a degree, and check or prove it.
+
+    Points lie inside the piece: at its ends another polynomial may begin. Where a family has no
+    model at some of them, as where a probability would pass 1, they are moved closer to `origin`.
+
+    Raises
+    ------
+    ModelError
+        Where the model's states, pairs or start change with the parameter.
+    """
+    degree, by_rule = max(degree, 1), isinstance(model, ScenarioFamily)
+    first = model.at({name: origin}) if base is None else base
+    if by_rule:
+        points = piece.points(origin, degree)
+        models = [model.at({name: point}) for point in points]
+        return Samples(
+            name=name,
+            degree=degree,
+            models=[first, *models],
+            steps=[point - origin for point in points],
+            proof=None,
+            by_rule=True,
+        )
+    points, models = _found(model, name, piece, origin, degree + 1)
+    proof = None
+    if isinstance(model, Family):
+        values = {parameter.name: parameter.value for parameter in model.parameters}
+        inside = (piece.low, piece.high)
+        proof = degrees_of(model.build, values, name, inside, points[0])
+    if proof is None:
+        points, models = _found(model, name, piece, origin, degree + EXTRA)
+    for point, other in zip(points, models, strict=True):
+        _check_alike(first, other, name, point)
+    return Samples(
+        name=name,
+        degree=degree,
+        models=[first, *models],
+        steps=[point - origin for point in points],
+        proof=proof,
+        by_rule=False,
+    )
+
+
+def _found(
+    model: Parametric, name: str, piece: Piece, origin: Fraction, count: int
+) -> tuple[list[Fraction], list[MDP]]:
+    sides = [piece]
+    if (piece.high is None or origin < piece.high) and (piece.low is None or piece.low < origin):
+        sides.append(piece.turned(origin))
+    refused: ModelError | None = None
+    for side in sides:
+        for shrunk in range(0, SHRINKS, 4):
+            points = side.points(origin, count, shrunk)
+            try:
+                return points, [model.at({name: point}) for point in points]
+            except ModelError as error:
+                refused = refused or error
+    assert refused is not None
+    raise refused
+
+
+def _check_alike(first: MDP, other: MDP, name: str, point: Fraction) -> None:
+    """Raise ModelError unless two models differ in their numbers alone."""
+    for what, one, two in (
+        ("states", first.n_states, other.n_states),
+        ("states and actions of pairs", _pairs(first), _pairs(other)),
+        ("the start", first.start, other.start),
+    ):
+        if one != two:
+            raise ModelError(
+                f"{what} change with {name}",
+                where=f"parameter {name} = {shown(point)}",
+                fix="let a parameter move probabilities, rewards and the discount alone",
+            )
+
+
+def _pairs(mdp: MDP) -> tuple[bytes, bytes]:
+    return mdp.pair_state.tobytes(), mdp.pair_action.tobytes()
+
+
+def _rate(found: Samples) -> tuple[Fraction, ...]:
+    """Return the coefficients of the discount's polynomial."""
+    rates = [np.array([mdp.discount_exact], dtype=object) for mdp in found.models]
+    powers = [power[0] for power in _newton(rates, [Fraction(0), *found.steps])]
+    if any(powers[found.degree :]):
+        raise ModelError(
+            f"the discount is no polynomial of degree {found.degree} in {found.name}",
+            where=f"parameter {found.name}",
+            fix=f'state the degree, Family(degrees={{"{found.name}": 2}}), or its breaks',
+        )
+    return tuple(powers[: found.degree])
 
 
 def changes(

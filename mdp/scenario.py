@@ -220,18 +220,34 @@ class Scenario:
         return self.with_(parameters={key.strip(): value.strip()})
 
     def compile(self) -> MDP:
-        """Return the explicit model: one exact row for every state and action."""
-        from mdp.compile import compile_scenario
-        from mdp.explicit_size import check_explicit
+        """Return the explicit model: one exact row for every state and action.
 
-        check_explicit(self)
-        return compile_scenario(self)
+        Warns
+        -----
+        ScenarioWarning
+            Where numbers that add up to a chance pass 1, which is then cut off at 1.
+        """
+        from mdp.chances import warn_of_excess
+        from mdp.compile import compile_scenario
+
+        mdp = compile_scenario(self)
+        warn_of_excess(self)
+        return mdp
 
     def operator(self) -> CareOperator:
-        """Return the same model without its matrix, for scenarios of up to 14 statuses."""
+        """Return the same model without its matrix, for scenarios of up to 14 statuses.
+
+        Warns
+        -----
+        ScenarioWarning
+            As `compile`.
+        """
+        from mdp.chances import warn_of_excess
         from mdp.operator import care_operator
 
-        return care_operator(self)
+        operator = care_operator(self)
+        warn_of_excess(self)
+        return operator
 
 
 def as_tasks(value: object) -> tuple[int, ...]:

@@ -13,10 +13,12 @@ for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import combinations
 
+from mdp.chances import excess, warn_of_excess
+from mdp.compile import compile_scenario
 from mdp.model import MDP
 from mdp.parameters import Parameter
 from mdp.parametric import DISCOUNT, Parametric, parameter_of, placed
@@ -35,6 +37,7 @@ class ScenarioFamily:
     """
 
     scenario: Scenario
+    told: list[str] = field(default_factory=list, compare=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -51,8 +54,35 @@ class ScenarioFamily:
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
-        everything = placed(self, values)
-        return self.scenario.with_(parameters=everything).compile()
+        there = self.scenario.with_(parameters=placed(self, values))
+        mdp = compile_scenario(there)
+        self._tell(there)
+        return mdp
+
+    def tell(self, values: Mapping[str, object], *, where: str = "") -> None:
+        """Warn of chances that are cut off at 1 at other values of some parameters.
+
+        A family warns once, of the first such model; a copy of it in another process does not.
+
+        Parameters
+        ----------
+        values : {parameter name: value}
+        where : str, optional
+            In which part of an analysis.
+        """
+        self._tell(self.scenario.with_(parameters=placed(self, values)), where)
+
+    def _tell(self, there: Scenario, where: str = "") -> None:
+        if self.told or excess(there) is None:
+            return
+        self.told.append(there.name)
+        # Today's values where they are enough, so that the words are those of `compile`.
+        if excess(self.scenario) is not None:
+            there, where = self.scenario, ""
+        warn_of_excess(there, where=where, stacklevel=4)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"scenario": self.scenario, "told": [self.scenario.name]}
 
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""
@@ -75,8 +105,10 @@ class ScenarioFamily:
         """The scenarios with one trial less and one trial more."""
         trials, below = self.scenario.max_trial, None
         if trials > 1:
-            below = ScenarioFamily(scenario=self.scenario.with_(max_trial=trials - 1))
-        above = ScenarioFamily(scenario=self.scenario.with_(max_trial=trials + 1))
+            below = ScenarioFamily(
+                scenario=self.scenario.with_(max_trial=trials - 1), told=self.told
+            )
+        above = ScenarioFamily(scenario=self.scenario.with_(max_trial=trials + 1), told=self.told)
         return {"max_trial": (below, above)}
 
     def _cuts(self, name: str) -> Iterator[Fraction]:

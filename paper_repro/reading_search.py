@@ -238,7 +238,11 @@ def _code(chosen: Integers) -> Integers:
 def _evaluate(
     base: Scenario, space: ReadingSpace, chosen: Integers, numbers: Sequence[int]
 ) -> dict[str, Numbers]:
-    """Return the figures of some scenarios, at every evaluation discount."""
+    """Return the figures of some scenarios, at every evaluation discount.
+
+    Where chances pass 1 under a reading nothing is told here, for thousands of them; whoever
+    compiles one is told.
+    """
     from solvers.care_batch import optimal, policy_values_of_last
 
     draws = np.array([[float(as_discount(rate))] for rate in space.options["evaluation_discount"]])
@@ -249,12 +253,20 @@ def _evaluate(
         lengths = list(others.values())
         given, random = (
             policy_values_of_last(
-                scenario, ["discount"], draws, each, lengths, second_moment=True, threads=1
+                scenario,
+                ["discount"],
+                draws,
+                each,
+                lengths,
+                second_moment=True,
+                threads=1,
+                warn=False,
             )
             for each in (chosen, anything)
         )
         for number, of_given, of_random in zip(others, given, random, strict=True):
-            best = optimal(space.apply(base, number), ["discount"], draws, gaps=True, threads=1)
+            there = space.apply(base, number)
+            best = optimal(there, ["discount"], draws, gaps=True, threads=1, warn=False)
             assert best.gaps is not None
             assert of_given.variance is not None
             assert of_given.variance_error is not None

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mdp.errors import ModelError
 from mdp.table import Floats
-from solvers.care_layout import MOST_ACTIONS, as_policies, bounds, finite, prepared
+from solvers.care_layout import MOST_ACTIONS, as_policies, bounds, finite, prepared, warn_of_draws
 
 if TYPE_CHECKING:
     from mdp.scenario import Scenario
@@ -84,6 +84,7 @@ def optimal(
     gaps: bool = False,
     actions: bool = False,
     threads: int | None = None,
+    warn: bool = True,
 ) -> CareValues:
     """Return the optimum of a scenario at every draw of some of its parameters.
 
@@ -96,6 +97,8 @@ def optimal(
         Whether to keep them.
     threads : int, optional
         All cores that this process may use, unless given. Results are the same bits.
+    warn : bool
+        Whether a `mdp.ScenarioWarning` says in how many draws a chance is cut off at 1.
 
     Raises
     ------
@@ -113,7 +116,9 @@ def optimal(
     """
     from solvers.kernels.care import optimal_values
 
-    care, base, positions, table = prepared(scenario, names, draws)
+    care, base, positions, table = layout = prepared(scenario, names, draws)
+    if warn:
+        warn_of_draws(scenario, names, layout)
     error, _ = finite(bounds(care, base, positions, table), scenario)
     if actions and len(care.assist) > MOST_ACTIONS:
         raise ModelError(
@@ -146,12 +151,13 @@ def policy_values(
     *,
     second_moment: bool = False,
     threads: int | None = None,
+    warn: bool = True,
 ) -> PolicyMoments:
     """Return mean, and variance, of the return of every policy in every draw.
 
     Parameters
     ----------
-    names, draws, threads
+    names, draws, threads, warn
         As in `optimal`.
     policies : (N, V) or (N, K, trials, flags, V) ints, or the same with a last axis A of floats
         Actions by status vector, or by state; with the axis A, probabilities of actions.
@@ -173,7 +179,14 @@ def policy_values(
     ([[-57.695564, 18.697715, 68.335496, 64.363644]], 92.4196)
     """
     (found,) = policy_values_of_last(
-        scenario, names, draws, policies, (None,), second_moment=second_moment, threads=threads
+        scenario,
+        names,
+        draws,
+        policies,
+        (None,),
+        second_moment=second_moment,
+        threads=threads,
+        warn=warn,
     )
     return found
 
@@ -187,6 +200,7 @@ def policy_values_of_last(
     *,
     second_moment: bool = False,
     threads: int | None = None,
+    warn: bool = True,
 ) -> list[PolicyMoments]:
     """Return what `policy_values` does, of the last so many subtasks alone, for every length.
 
@@ -207,7 +221,9 @@ def policy_values_of_last(
     """
     from solvers.kernels.care import policy_moments
 
-    care, base, positions, table = prepared(scenario, names, draws)
+    care, base, positions, table = layout = prepared(scenario, names, draws)
+    if warn:
+        warn_of_draws(scenario, names, layout)
     chosen, shares = as_policies(care, policies)
     subtasks = len(care.last)
     ends = [subtasks if length is None else int(length) for length in lengths]

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mdp.chances import chances
+from mdp.chances import chances, warn_of_excess
 from mdp.errors import ModelError, suggest
 from mdp.parametric import DISCOUNT
 from mdp.scenario import SHARED_WEIGHTS
@@ -265,7 +265,27 @@ def cut_off(scenario: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArr
     >>> cut_off(Scenario.load("yuan2025"), ["base.anger"], [[0.05], [0.9]]).tolist()
     [False, True]
     """
-    care, base, positions, table = prepared(scenario, names, draws)
+    return _cut_off(*prepared(scenario, names, draws))
+
+
+def warn_of_draws(
+    scenario: Scenario, names: Sequence[str], layout: tuple[Care, Floats, Integers, Floats]
+) -> None:
+    """Warn once, of the first draw in which a chance is cut off at 1, with the number of them.
+
+    Parameters
+    ----------
+    layout : as `prepared` returns it
+    """
+    cut, draws = _cut_off(*layout), layout[3]
+    if cut.any():
+        first = int(cut.argmax())
+        there = scenario.with_(parameters=dict(zip(names, draws[first].tolist(), strict=True)))
+        where = f", {int(cut.sum())} of {len(draws)} draws, the first of them draw {first}"
+        warn_of_excess(there, where=where if names else "", stacklevel=4)
+
+
+def _cut_off(care: Care, base: Floats, positions: Integers, table: Floats) -> NDArray[np.bool_]:
     found = np.zeros(len(table), dtype=bool)
     numbers = np.repeat(base[:, None], len(table), axis=1)
     numbers[positions] = table.T

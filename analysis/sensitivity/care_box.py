@@ -23,6 +23,7 @@ from analysis.sensitivity.affine_expectation import Span, expected, wider
 from analysis.sensitivity.affine_forms import Forms, chained, stacked
 from analysis.sensitivity.care_forms import CareForms
 from mdp.chances import chances
+from mdp.compile import compile_scenario
 from mdp.scenario import Scenario
 from solvers.policy_chain import PolicyChain
 
@@ -62,7 +63,7 @@ class CareBox:
         self.own = readings["skip_timestep"] == "own"
         self.flags = 2 if readings["task_bonus"] == "no-subtask-skipped" else 1
         self.following = readings["status_cost"] == "next"
-        mdp = scenario.compile()
+        mdp = compile_scenario(scenario)
         weights = PolicyChain.of(mdp, policy).weights[:-1].reshape(sum(scenario.tasks), -1)
         trying = scenario.trials * self.flags * vectors * actions
         shape = (len(weights), scenario.trials, self.flags, vectors, actions)

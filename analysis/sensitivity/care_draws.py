@@ -39,7 +39,7 @@ class CareSolver:
 
     def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
         """See `analysis.sensitivity.draw_solver.DrawSolver.solved`."""
-        found = optimal(self.scenario, names, draws, gaps=True, actions=True, threads=1)
+        found = optimal(self.scenario, names, draws, gaps=True, actions=True, threads=1, warn=False)
         assert found.gaps is not None
         assert found.actions is not None
         best = (found.gaps <= 2 * found.error[:, None, None]).sum(axis=0)
@@ -68,7 +68,7 @@ class CareSolver:
             chosen = np.stack([tables[number] for number in numbers])
             chosen = chosen[:, 0, 0, 0] if same else chosen
             chosen = chosen.argmax(axis=-1) if pure else chosen
-            found = policy_values(self.scenario, names, draws, chosen, threads=1)
+            found = policy_values(self.scenario, names, draws, chosen, threads=1, warn=False)
             value[:, numbers], error[:, numbers] = found.mean, found.error[:, None]
         return {"value": value, "error": error}
 

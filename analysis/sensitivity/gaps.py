@@ -38,11 +38,16 @@ class Rows:
         from flint import fmpq_poly
 
         self.mdp, self.change = mdp, change
-        self.terminal: list[bool] = mdp.terminal.tolist()
         self.state: list[int] = mdp.pair_state.tolist()
-        rate = fmpq_poly([rational(mdp.discount_exact), rational(change.discount)])
+        rate = fmpq_poly([rational(mdp.discount_exact), *map(rational, change.rate)])
         _, top, bottom = reward_entries(mdp)
-        refuse_endless(mdp, change.reward.key.tolist(), change.name)
+        if rate == fmpq_poly([1]):
+            refuse_endless(mdp, change.reward.key.tolist(), change.name)
+        # A state that is left, or earns, next to θ0 is terminal at that very value alone.
+        terminal = mdp.terminal.copy()
+        terminal[mdp.pair_state[change.reward.key]] = False
+        terminal[mdp.pair_state[change.transition.key // mdp.n_states]] = False
+        self.terminal: list[bool] = terminal.tolist()
         self.reward = [fmpq_poly([_ratio(a, b)]) for a, b in zip(top, bottom, strict=True)]
         for pair, poly in zip(change.reward.key.tolist(), _polys(change.reward), strict=True):
             self.reward[pair] += poly

@@ -13,11 +13,12 @@ a parameter sits on a breakpoint of the rows, each side has its own ∂P. The el
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from analysis.proven_optimum import proven
 from analysis.sensitivity.gradient_exact import ExactPass
-from analysis.sensitivity.gradient_result import Derivative, Gradient, Number
+from analysis.sensitivity.gradient_result import Derivative, Gradient, Number, floating
 from mdp.chain import is_acyclic
 from mdp.model import MDP
 from mdp.parametric import Parametric, parameter_of, parametric
@@ -52,10 +53,18 @@ def gradient(
         Rationals, or floats with error bounds; unless given, rationals for models of up to 100,000
         transitions that are acyclic or have at most 64 states.
 
+    Returns
+    -------
+    Gradient
+        Its derivatives are certified with rationals, and bounded with floats, where the degree of
+        the rows is proven; where that of a `mdp.parametric.Family` is only checked at some points
+        they say so.
+
     Raises
     ------
     ModelError
-        For unknown names; with floats, where ties cannot be told from small gaps.
+        For unknown names; where rows are no polynomials of the degree that a family states; with
+        floats, where ties cannot be told from small gaps.
 
     Examples
     --------
@@ -105,9 +114,9 @@ def _gradient(
         left = None if below is None else passed.side(known[below], -1)
         right = None if above is None else passed.side(known[above], 1)
         each = Derivative(parameter=parameter, left=left, right=right, elasticity=None)
-        slope, worth = each.value, float(start.value)
+        slope, worth = each.value, Fraction(start.value)
         if slope is not None and worth:
-            ratio = float(slope.value) * float(parameter.value) / worth
+            ratio = floating(Fraction(slope.value) * parameter.value / worth)
             each = Derivative(parameter=parameter, left=left, right=right, elasticity=ratio)
         found[name] = each
     return Gradient(

@@ -11,9 +11,12 @@ and are refused.
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 
 from analysis.sensitivity.gradient_exact import refuse_endless
+from analysis.sensitivity.gradient_result import Checked
 from mdp.chain import reachable
 from mdp.errors import ModelError
 from mdp.model import MDP
@@ -58,8 +61,14 @@ class BoundedPass:
         """The policy's value at the start."""
         return self.found.numbers["mean"]
 
-    def side(self, change: RowChange, sign: int) -> Bounded:
+    def side(self, change: RowChange, sign: int) -> Bounded | Checked:
         """Return the derivative; both sides are alike where one policy is optimal."""
+        found = self._slope(change)
+        if change.checked is None:
+            return found
+        return Checked(value=Fraction(found.value), points=change.checked)
+
+    def _slope(self, change: RowChange) -> Bounded:
         mdp, rate = self.mdp, self.mdp.discount
         earned, size, off = np.zeros((3, mdp.n_pairs))
         pair, state = np.divmod(change.transition.key, mdp.n_states)

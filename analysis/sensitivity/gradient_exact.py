@@ -20,6 +20,7 @@ import numpy as np
 
 from analysis.proven_optimum import proven
 from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
+from analysis.sensitivity.gradient_result import Checked, claimed
 from analysis.sensitivity.rational_rows import worth
 from mdp.errors import ModelError
 from mdp.model import MDP
@@ -53,16 +54,19 @@ class ExactPass:
         pairs = zip(self.chain.start, self.value, strict=True)
         return Certified(value=fraction(sum((m * v for m, v in pairs), rational(0))))
 
-    def side(self, change: RowChange, sign: int) -> Certified:
+    def side(self, change: RowChange, sign: int) -> Certified | Checked:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
+        return claimed(self._slope(change, sign), change.checked)
+
+    def _slope(self, change: RowChange, sign: int) -> Fraction:
         if self.certificate is None or self.certificate.unique:
             earned = earnings(self.chain, change, self.value, self.used)
-            return Certified(value=fraction(worth(self.uses, earned)))
+            return fraction(worth(self.uses, earned))
         mdp, optimal = self.mdp, self.certificate.optimal_pairs
         everything = earnings(self.chain, change, self.value)
         gains = [sign * fraction(everything.get(pair, rational(0))) for pair in range(mdp.n_pairs)]
         tied = rewarded(mdp, np.flatnonzero(optimal), gains)
-        return Certified(value=sign * proven(tied).start_value)
+        return sign * proven(tied).start_value
 
 
 def earnings(

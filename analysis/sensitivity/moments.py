@@ -14,12 +14,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import inf, isqrt, ldexp
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
 from analysis.sensitivity.gradient_exact import earnings
+from analysis.sensitivity.gradient_result import Checked, claimed, floating
 from analysis.sensitivity.rational_rows import by_pair, by_pair_slopes, dot, worth
 from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
@@ -29,15 +31,17 @@ from mdp.parametric import Parametric, parameter_of, parametric
 from mdp.row_change import (
     Entries,
     Piece,
+    Samples,
     changes,
     joint_entries,
     pieces,
     row_change,
+    sampled,
     square_entries,
 )
 from mdp.scenario import Scenario
 from mdp.table import Numbers
-from solvers.rounding import UNIT
+from solvers.rounding import TINY, UNIT
 from solvers.solution import Bounded, Certified
 
 if TYPE_CHECKING:
@@ -49,12 +53,13 @@ if TYPE_CHECKING:
 class Movement:
     """Derivatives of a fixed policy's value, variance and components by one parameter.
 
-    The side is the right one, but the left one at the upper end of the parameter's range.
+    The side is the right one, but the left one at the upper end of the parameter's range. `sd` is
+    None where the return does not vary: its spread then has no derivative.
     """
 
     parameter: Parameter
-    mean: Certified
-    variance: Certified
+    mean: Certified | Checked
+    variance: Certified | Checked
     sd: Bounded | None
     components: dict[str, Bounded]
 
@@ -101,8 +106,9 @@ def movement_frame(found: dict[str, Movement]) -> DataFrame:
                 "parameter": name,
                 "value": float(each.parameter.value),
                 "unit": unit_of(each.parameter),
-                "mean (reward per unit)": float(each.mean.value),
-                "variance (reward² per unit)": float(each.variance.value),
+                "mean (reward per unit)": floating(each.mean.value),
+                "variance (reward² per unit)": floating(each.variance.value),
+                "claim": str(each.variance.claim),
                 "sd (reward per unit)": np.nan if each.sd is None else each.sd.value,
                 **{f"{part} (reward per unit)": b.value for part, b in each.components.items()},
                 "policy": "fixed",
@@ -153,7 +159,12 @@ class _Moments:
         earned = earnings(chain, change, self.value)
         mean = worth(self.uses, earned)
         second = worth(self.crossed_uses, earned)
-        second += worth(self.squared_uses, self._second_earnings(model, name, piece))
+        found = sampled(
+            model, name, piece, model.moment_degree(name), origin=parameter.value, base=self.mdp
+        )
+        second += worth(self.squared_uses, self._second_earnings(found))
+        checked = found.checked(None if found.proof is None else found.proof.moments)
+        checked = change.checked if checked is None else checked
         transition = by_pair_slopes(change.transition.key, change.transition.slope, self.mdp)
         rate = rational(change.discount)
         if rate:
@@ -166,31 +177,30 @@ class _Moments:
         variance = second - 2 * self.mean * mean
         return Movement(
             parameter=parameter,
-            mean=Certified(value=fraction(mean)),
-            variance=Certified(value=fraction(variance)),
-            sd=self._sd(float(fraction(variance))),
+            mean=claimed(fraction(mean), change.checked),
+            variance=claimed(fraction(variance), checked),
+            sd=self._sd(fraction(variance)),
             components=self._components(model, name, piece, transition, rate),
         )
 
-    def _second_earnings(self, model: Parametric, name: str, piece: Piece) -> dict[int, fmpq]:
+    def _second_earnings(self, found: Samples) -> dict[int, fmpq]:
         """Return ∂E[r²] + 2 γ Σ ∂E[r; s'] V(s') of the pairs where it is not 0."""
-        mdp, rate = self.mdp, self.chain.rate
-        samples, steps = _samples(model, name, piece, model.moment_degree(name), mdp)
-        found: dict[int, fmpq] = {}
-        square = changes(samples, steps, square_entries)
+        rate = self.chain.rate
+        earned: dict[int, fmpq] = {}
+        square = found.fitted(square_entries)
         for pair, slope in zip(square.key.tolist(), square.slope, strict=True):
-            found[pair] = rational(slope)
-        joint = changes(samples, steps, joint_entries)
-        for pair, row in by_pair_slopes(joint.key, joint.slope, mdp).items():
-            found[pair] = found.get(pair, rational(0)) + 2 * rate * dot(row, self.value)
-        return found
+            earned[pair] = rational(slope)
+        joint = found.fitted(joint_entries)
+        for pair, row in by_pair_slopes(joint.key, joint.slope, self.mdp).items():
+            earned[pair] = earned.get(pair, rational(0)) + 2 * rate * dot(row, self.value)
+        return earned
 
-    def _sd(self, slope: float) -> Bounded | None:
-        """Return Var' / (2 sd); None where the return does not vary."""
+    def _sd(self, slope: Fraction) -> Bounded | None:
+        """Return Var' / (2 sd) = ± √(Var'² / (4 Var)); None where the return does not vary."""
         if not self.variance:
             return None
-        value = slope / (2 * float(fraction(self.variance)) ** 0.5)
-        return Bounded(value=value, error=8 * UNIT * abs(value))
+        value = root(slope**2 / (4 * fraction(self.variance)))
+        return Bounded(value=-value if slope < 0 else value, error=8 * UNIT * value + TINY)
 
     def _components(
         self,
@@ -201,7 +211,10 @@ class _Moments:
         rate: fmpq,
     ) -> dict[str, Bounded]:
         """Return ∂ of each component's total; its rows are floats, each rounded once."""
-        samples, steps = _samples(model, name, piece, model.degree(name), self.mdp)
+        origin, degree = parameter_of(model, name).value, max(model.degree(name), 1)
+        drawn = sampled(model, name, piece, degree, origin=origin, base=self.mdp)
+        # Rounded numbers are no polynomials: the bound says how far a slope may be off.
+        samples, steps = drawn.models[: degree + 1], drawn.steps[:degree]
         unit = rational(Fraction(UNIT)) * sum((abs(w) for w in _weights(steps)), rational(0))
         found = {}
         for number, part in enumerate(self.mdp.component_names):
@@ -233,12 +246,24 @@ class _Moments:
         return found
 
 
-def _samples(
-    model: Parametric, name: str, piece: Piece, degree: int, base: MDP
-) -> tuple[list[MDP], list[Fraction]]:
-    origin = parameter_of(model, name).value
-    points = piece.points(origin, degree)
-    return [base, *(model.at({name: point}) for point in points)], [p - origin for p in points]
+def root(number: Fraction) -> float:
+    """Return the square root as a float, also of what is too small or too large for one.
+
+    Examples
+    --------
+    >>> root(Fraction(1, 10**400)), root(Fraction(10**400)), root(Fraction(0))
+    (1e-200, 1e+200, 0.0)
+    """
+    if not number:
+        return 0.0
+    size = number.numerator.bit_length() - number.denominator.bit_length()
+    shift = (160 - size) // 2  # the root of number · 4^shift has about 80 bits
+    scaled = number * Fraction(4) ** shift
+    found = isqrt(scaled.numerator // scaled.denominator)
+    try:
+        return ldexp(found, -shift)
+    except OverflowError:
+        return inf
 
 
 def _weights(steps: Sequence[Fraction]) -> list[fmpq]:

@@ -18,7 +18,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from analysis.sensitivity.base_case import BaseCase
-from analysis.sensitivity.ranges import Range, around, checked
+from analysis.sensitivity.ranges import Range, admitted, around, checked
 from analysis.sensitivity.units import unit_of
 from mdp.errors import ModelError
 from mdp.model import MDP
@@ -149,7 +149,8 @@ def one_way(
     Parameters
     ----------
     bounds : (low, high), optional
-        Within today's value ± 20 % unless given.
+        Within today's value ± 20 % unless given, and within what the model admits
+        (`analysis.sensitivity.ranges.admitted`).
     policy : "optimal" at today's values, or anything that `solvers.evaluate` takes
     points : int
         Evenly spaced, the ends included.
@@ -170,7 +171,10 @@ def one_way(
         raise ModelError(f"{points} points", where="one-way", fix="ask for at least 2")
     model = parametric(source)
     parameter = parameter_of(model, name)
-    span = around(parameter) if bounds is None else checked(model, {name: bounds})[name]
+    if bounds is None:
+        span = admitted(model, parameter, around(parameter))
+    else:
+        span = checked(model, {name: bounds})[name]
     weights = BaseCase(mdp=model.at({})).held(policy)
     step = (span.high - span.low) / (points - 1)
     values = [span.low + k * step for k in range(points)]
@@ -197,6 +201,7 @@ def tornado(
         See `analysis.sensitivity.ranges.load_ranges` for a file of them.
     relative : Fraction, optional
         Half the width of the other ranges, as a share of today's value; 1/5 unless given.
+        Such a range ends where the model does (`analysis.sensitivity.ranges.admitted`).
 
     Raises
     ------
@@ -222,7 +227,7 @@ def tornado(
     bars = []
     for name in chosen:
         parameter = parameter_of(model, name)
-        span = stated.get(name) or around(parameter, **share)
+        span = stated.get(name) or admitted(model, parameter, around(parameter, **share))
         low = _point(model, name, span.low, weights)
         high = low if span.high == span.low else _point(model, name, span.high, weights)
         bars.append(Bar(parameter=parameter, low=low, high=high))

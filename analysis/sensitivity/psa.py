@@ -27,6 +27,7 @@ from mdp.fingerprint import fingerprint
 from mdp.model import MDP
 from mdp.parametric import Parametric, parameter_of, parametric
 from mdp.scenario import Scenario
+from mdp.scenario_family import ScenarioFamily
 from mdp.table import Floats
 from solvers.pieces import Arrays
 
@@ -104,6 +105,10 @@ def psa(
     blocks = in_blocks(solver, "solved", work, pieces, key, rest, how)
     drawn = [block["draws"] for block in blocks]
     solved = joined(blocks, ("draws", "start", "error", "lost", "cut"))
+    if solver.compiled and isinstance(model, ScenarioFamily) and solved["cut"].any():
+        first = solved["draws"][int(solved["cut"].argmax())].tolist()
+        where = f", {int(solved['cut'].sum())} of {samples} draws, in the first of them"
+        model.tell(dict(zip(chosen.names, first, strict=True)), where=where)
 
     def valued(policies: Sequence[Floats]) -> Arrays:
         """Return value and error (D, N) of policies in every draw."""

@@ -10,14 +10,17 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
+from mdp.chain import termination
 from mdp.errors import ModelError
 from mdp.files import SMALL, read_text
 from mdp.parameters import Parameter
-from mdp.parametric import DISCOUNT, Parametric, parameter_of
+from mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
+from mdp.scenario_family import ScenarioFamily
 from mdp.structured import toml_of
 from mdp.table import beside, exact, shown
 
 RELATIVE = Fraction(1, 5)
+HALVINGS = 40  # of the distance from today's value to an end without a model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +75,60 @@ def whole(parameter: Parameter) -> Range:
         low=near.low if parameter.low is None else parameter.low,
         high=near.high if parameter.high is None else parameter.high,
     )
+
+
+def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
+    """Return a default range without what the model does not admit, the other parameters held.
+
+    The range ends where named probabilities of a row sum to 1. Where the model at an end cannot be
+    built or has no finite values, as at discount 1 where an episode may go on for ever, the end is
+    moved half way to today's value until it has. A model that has none today keeps its range, and
+    whoever analyses it is told.
+
+    Parameters
+    ----------
+    model : Parametric
+    parameter : Parameter
+    span : Range
+
+    Returns
+    -------
+    Range
+
+    Examples
+    --------
+    >>> from mdp.parametric import parametric
+    >>> model = parametric(MDP.from_arrays([[[1]]], [1], "9/10"))
+    >>> rate = parameter_of(model, "discount")
+    >>> admitted(model, rate, around(rate))
+    Range(low=Fraction(18, 25), high=Fraction(19, 20))
+    """
+    if isinstance(model, ScenarioFamily):  # all its models can be built, and end
+        return span
+    low, high = room_of(model, parameter.name)
+    low = span.low if low is None else max(low, span.low)
+    high = span.high if high is None else min(high, span.high)
+    today = parameter.value
+    if not (low < high and _has_values(model, parameter.name, today)):
+        return Range(low=low, high=high)
+    ends = [_moved(model, parameter.name, end, today) for end in (low, high)]
+    return Range(low=ends[0], high=ends[1])
+
+
+def _moved(model: Parametric, name: str, end: Fraction, today: Fraction) -> Fraction:
+    for _ in range(HALVINGS):
+        if end == today or _has_values(model, name, end):
+            return end
+        end = (end + today) / 2
+    return today
+
+
+def _has_values(model: Parametric, name: str, value: Fraction) -> bool:
+    try:
+        mdp = model.at({name: value})
+    except ModelError:
+        return False
+    return mdp.discount_exact < 1 or termination(mdp).proven
 
 
 def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]:
@@ -158,7 +215,7 @@ def spans_of(
     found = {}
     for name in dict.fromkeys(chosen):
         parameter = parameter_of(model, name)
-        span = stated.get(name) or around(parameter, **share)
+        span = stated.get(name) or admitted(model, parameter, around(parameter, **share))
         if span.low < span.high:
             found[parameter] = span
     if not found:

@@ -7,7 +7,15 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from analysis.cli_common import policy_of, whole_of
-from analysis.sensitivity.ranges import Range, around, checked, load_ranges, whole
+from analysis.sensitivity.ranges import (
+    RELATIVE,
+    Range,
+    admitted,
+    around,
+    checked,
+    load_ranges,
+    whole,
+)
 from mdp.errors import ModelError
 from mdp.parametric import Parametric, parameter_of, parametric
 from mdp.table import FLOAT_RANGE, exact, shown
@@ -49,11 +57,10 @@ def ranges_from(model: Parametric, options: Mapping[str, Any]) -> dict[str, Rang
         if name in stated:
             found[name] = stated[name]
         elif options["whole"]:
-            found[name] = whole(parameter)
-        elif options["relative"] is not None:
-            found[name] = around(parameter, share_of(options["relative"]))
+            found[name] = admitted(model, parameter, whole(parameter))
         else:
-            found[name] = around(parameter)
+            share = RELATIVE if options["relative"] is None else share_of(options["relative"])
+            found[name] = admitted(model, parameter, around(parameter, share))
     return found
 
 

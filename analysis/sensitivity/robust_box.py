@@ -26,11 +26,12 @@ import numpy as np
 
 from analysis.sensitivity.box_results import BoxExtreme, BoxOptimum, Side
 from analysis.sensitivity.box_search import BoxSearch, exact_value
-from analysis.sensitivity.ranges import Range, around, checked
+from analysis.sensitivity.ranges import Range, admitted, around, checked
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from mdp.scenario import Scenario
+from mdp.scenario_family import ScenarioFamily
 from mdp.table import Floats, exact
 from solvers import solve
 from solvers.policy_chain import PolicyChain
@@ -69,7 +70,9 @@ def box_ranges(
     if ranges is None:
         share = exact(relative)
         spans = {
-            p.name: around(p, share) if share else Range(low=p.value, high=p.value)
+            p.name: admitted(family, p, around(p, share))
+            if share
+            else Range(low=p.value, high=p.value)
             for p in family.parameters
             if (p.low, p.high) == (0, 1) and p.value and p.name != DISCOUNT
         }
@@ -90,6 +93,13 @@ def box_ranges(
     if not spans:
         raise ModelError("nothing moves", where="robust box", fix="give a range")
     return spans
+
+
+def tell_of_box(family: Parametric, spans: Mapping[str, Range]) -> None:
+    """Warn where a chance of a care scenario is cut off at 1 within a box."""
+    if isinstance(family, ScenarioFamily):
+        highest = {name: span.high for name, span in spans.items()}
+        family.tell(highest, where=" at the upper ends of the ranges")
 
 
 def box_extreme(
@@ -129,11 +139,12 @@ def box_extreme(
     >>> found.proven, found.signs, str(found.point["base.anger"])
     (True, {'base.anger': 'falling'}, '3/50')
     """
-    spans = box_ranges(source, ranges)
-    mdp = parametric(source).at({})
+    spans, family = box_ranges(source, ranges), parametric(source)
+    tell_of_box(family, spans)
+    mdp = family.at({})
     held = solve(mdp) if isinstance(policy, str) and policy == "optimal" else policy
     weights = PolicyChain.of(mdp, held).chosen
-    return BoxSearch(source, weights, spans, side).run(gap, parts, progress=progress)
+    return BoxSearch(family, weights, spans, side).run(gap, parts, progress=progress)
 
 
 def box_optimum(
@@ -165,6 +176,7 @@ def box_optimum(
     (True, True)
     """
     spans, family = box_ranges(source, ranges), parametric(source)
+    tell_of_box(family, spans)
     mdp = family.at({})
     waiting: list[tuple[str, object]] = [("optimal today", solve(mdp)), *(candidates or {}).items()]
     worst: dict[str, BoxExtreme] = {}
@@ -174,7 +186,7 @@ def box_optimum(
     while waiting:
         name, policy = waiting.pop(0)
         weights[name] = PolicyChain.of(mdp, policy).chosen
-        search = BoxSearch(source, weights[name], spans, "worst")
+        search = BoxSearch(family, weights[name], spans, "worst")
         worst[name] = found = search.run(gap, parts, progress=progress)
         key = tuple(found.point.values())
         if key in seen:

@@ -26,7 +26,7 @@ from mdp.parametric import Parametric, parameter_of
 from mdp.scenario_family import ScenarioFamily
 from mdp.table import Floats
 from solvers import evaluate, solve
-from solvers.care_layout import MOST_STATUSES
+from solvers.care_layout import MOST_STATUSES, cut_off
 from solvers.many import many
 
 BLOCK = 32  # draws in a piece of work where each model is built: a fraction of a second
@@ -128,6 +128,8 @@ def sampled(
         tables = np.array([by_state(base.mdp, model.scenario, weight) for weight in weights])
         work = partial(_solve_batch, model, names, tables, threads)
         n_jobs = 1 if scheduler is None else n_jobs
+    if isinstance(model, ScenarioFamily):
+        _tell(model, names, draws, batch=batch)
     done = many(
         work,
         blocks,
@@ -162,6 +164,18 @@ def values(
     if policy is None:
         return sampled(model, names, draws, **how).optimal
     return sampled(model, names, draws, [policy], **how).fixed[:, 0]
+
+
+def _tell(model: ScenarioFamily, names: Sequence[str], draws: Floats, *, batch: bool) -> None:
+    """Warn once where a chance is cut off at 1 in some draw; workers keep silent."""
+    if not batch:
+        model.tell(dict(zip(names, draws.max(axis=0).tolist(), strict=True)), where=", in draws")
+        return
+    cut = cut_off(model.scenario, names, draws)
+    if cut.any():
+        first = int(cut.argmax())
+        where = f", {int(cut.sum())} of {len(draws)} draws, the first of them draw {first}"
+        model.tell(dict(zip(names, draws[first].tolist(), strict=True)), where=where)
 
 
 def _draws(model: Parametric, names: Sequence[str], draws: Floats) -> Floats:
@@ -229,10 +243,10 @@ def _solve_batch(
     from solvers.care_batch import optimal, policy_values
 
     _, draws = piece
-    best = optimal(model.scenario, names, draws, threads=threads)
+    best = optimal(model.scenario, names, draws, threads=threads, warn=False)
     value, error = [best.start[:, None]], [best.error[:, None]]
     if len(tables):
-        found = policy_values(model.scenario, names, draws, tables, threads=threads)
+        found = policy_values(model.scenario, names, draws, tables, threads=threads, warn=False)
         value.append(found.mean)
         error.append(np.broadcast_to(found.error[:, None], found.mean.shape))
     values = np.concatenate(value, axis=1)

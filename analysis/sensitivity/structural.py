@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.sensitivity.carried import Today
-from analysis.sensitivity.structural_outputs import PRESENT, hashed, outputs
+from analysis.sensitivity.structural_outputs import PRESENT, hashed, quiet_outputs
 from analysis.sensitivity.structural_readings import one_at_a_time, variant
 from analysis.sensitivity.structural_result import Reading, Structural
+from mdp.chances import excess, warn_of_excess
+from mdp.compile import compile_scenario
 from mdp.errors import ModelError
 from mdp.fingerprint import fingerprint
 from mdp.scenario import Scenario
@@ -90,7 +92,7 @@ def structural(
         raise ModelError(
             f"a reading called {PRESENT!r}", where="structural", fix="call it something else"
         )
-    mdp = scenario.compile()
+    mdp = compile_scenario(scenario)
     status = mdp.space.column("status")
     names = [*(policies or {})]
     if CARRIED in names:
@@ -101,6 +103,7 @@ def structural(
     optimum = solve(mdp)
     today = Today.of(scenario, mdp, optimum)
     variants = [scenario, *(variant(scenario, label, each) for label, each in chosen.items())]
+    _warn_of_excess([PRESENT, *chosen], variants)
     pieces = list(zip([PRESENT, *chosen], variants, strict=True))
     confusion = None if perception is None else np.asarray(perception, dtype=np.float64)
     held = [(CARRIED, optimum.policy), *zip(names, forms, strict=True)]
@@ -108,13 +111,13 @@ def structural(
     key: dict[str, object] = {}
     if folder is not None:
         key = {
-            "readings": [fingerprint(each.compile()) for each in variants],
+            "readings": [fingerprint(compile_scenario(each)) for each in variants],
             "labels": [PRESENT, *chosen],
             "policies": hashes,
             "elasticities": elasticities,
             "stability": stability,
         }
-    work = partial(outputs, today, names, forms, confusion, elasticities, stability)
+    work = partial(quiet_outputs, today, names, forms, confusion, elasticities, stability)
     found = many(
         work,
         pieces,
@@ -135,6 +138,15 @@ def structural(
             for (label, _), settings, each in zip(pieces, everything, found, strict=True)
         ),
     )
+
+
+def _warn_of_excess(labels: Sequence[str], variants: Sequence[Scenario]) -> None:
+    """Warn once of the readings under which a chance is cut off at 1."""
+    over = [place for place, each in enumerate(variants) if excess(each) is not None]
+    if over:
+        more = f" and {len(over) - 1} other readings" if len(over) > 1 else ""
+        where = f", under the reading {labels[over[0]]!r}{more}"
+        warn_of_excess(variants[over[0]], where=where, stacklevel=3)
 
 
 def _reading(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ from analysis.sensitivity.carried import Today, best_pairs
 from analysis.sensitivity.gradient import gradient
 from analysis.sensitivity.joint import joint_radius
 from analysis.sensitivity.sampled import values
-from mdp.errors import ModelError
+from mdp.errors import ModelError, ScenarioWarning
 from mdp.model import MDP
 from mdp.perception import perceived
 from mdp.policy import Policy
@@ -29,6 +30,13 @@ if TYPE_CHECKING:
 STEP = Fraction(1, 10_000)  # of a difference, as a share of the parameter
 MOST_TRIED = 5
 PRESENT = "as it is"
+
+
+def quiet_outputs(*given: Any) -> dict[str, Any]:
+    """Return `outputs` without warnings of chances that are cut off, which the caller gives."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        return outputs(*given)
 
 
 def outputs(

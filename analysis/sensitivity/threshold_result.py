@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.sensitivity.ranges import Range
 from analysis.sensitivity.units import unit_of
 from mdp.parameters import Parameter
+from solvers.solution import Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -77,16 +78,26 @@ class Thresholds:
     parameter : Parameter
     range : Range
     found : tuple of Threshold
+    checked : int or None
+        Points at which the degree of a family's rows was checked, where it is not proven: there may
+        be more thresholds. None where a proof says that there are no others.
     """
 
     parameter: Parameter
     range: Range
     found: tuple[Threshold, ...]
+    checked: int | None = None
+
+    @property
+    def claim(self) -> Claim:
+        """Certified, or estimated where the degree of the rows is checked and not proven."""
+        return Claim.CERTIFIED if self.checked is None else Claim.ESTIMATED
 
     def stable(self, *, reached: bool = False) -> tuple[Fraction, Fraction]:
         """Return the interval around today's value in which no optimal action changes.
 
-        Certified: its ends are the near ends of brackets, or the ends of the range.
+        As sure as the thresholds (`claim`): its ends are the near ends of brackets, or the ends of
+        the range.
 
         Parameters
         ----------
@@ -138,7 +149,7 @@ def threshold_frame(found: Mapping[str, Thresholds]) -> DataFrame:
             "after": " or ".join(switch.after),
             "reached": switch.reached,
             "touch": threshold.touch,
-            "claim": "certified",
+            "claim": str(each.claim),
         }
         for name, each in found.items()
         for threshold in each.found
@@ -169,7 +180,7 @@ def stability_frame(found: Mapping[str, Thresholds]) -> DataFrame:
                 "searched to": float(each.range.high),
                 "thresholds": len(each.found),
                 "policy": "re-optimised",
-                "claim": "certified",
+                "claim": str(each.claim),
             }
         )
     return DataFrame(rows)

@@ -13,8 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from analysis.proven_optimum import proven
 from analysis.sensitivity.gaps import Rows
-from analysis.sensitivity.ranges import Range, around, checked
+from analysis.sensitivity.ranges import Range, admitted, around, checked
 from analysis.sensitivity.sweep import Stretch, Sweep
 from analysis.sensitivity.threshold_result import Switch, Threshold, Thresholds
 from mdp.chain import reachable
@@ -36,12 +37,21 @@ def thresholds(
     source : Scenario, MDP or Parametric
     name : str
     bounds : (low, high), optional
-        Within today's value ± 20 % unless given.
+        Within today's value ± 20 % unless given, and within what the model admits
+        (`analysis.sensitivity.ranges.admitted`).
+
+    Returns
+    -------
+    Thresholds
+        Those inside the range, touches included; its own ends are not looked at. They are certified
+        where the degree of the rows is proven; where that of a `mdp.parametric.Family` is only
+        checked at some points they say so.
 
     Raises
     ------
     ModelError
-        For an unknown name, an empty range, or a model with cycles that is too large.
+        For an unknown name, an empty range, a model with cycles that is too large, or rows that are
+        no polynomials of the degree that a family states.
 
     Examples
     --------
@@ -52,25 +62,33 @@ def thresholds(
     """
     model = parametric(source)
     parameter = parameter_of(model, name)
-    span = around(parameter) if bounds is None else checked(model, {name: bounds})[name]
+    if bounds is None:
+        span = admitted(model, parameter, around(parameter))
+    else:
+        span = checked(model, {name: bounds})[name]
     found: list[Threshold] = []
     stretches: list[Stretch] = []
     mdp = model.at({})
+    checked_at: int | None = None
     for low, high in _parts(model, name, span):
         middle = (low + high) / 2
         base = model.at({name: middle})
         change = row_change(model, name, Piece(low=low, high=high), origin=middle, base=base)
+        if change.checked is not None:
+            checked_at = change.checked
         sweep = Sweep(Rows(base, change), lambda value: model.at({name: value}), low, high)
         stretches += list(sweep)
     for left, right in pairwise(stretches):
         switches = _switches(mdp, left, right)
+        low, high = left.after[0], max(left.after[1], right.before[1])
         if switches:
-            low, high = left.after[0], max(left.after[1], right.before[1])
             found.append(Threshold(low=low, high=high, switches=switches))
+        if low == high:  # a breakpoint: rows have a kink there, and so may a gap that is 0 there
+            found += _ties(mdp, model.at({name: low}), left, right, low)
     for each in stretches:
         found += [_touch(mdp, each, *touch) for touch in each.touches]
     found.sort(key=lambda threshold: threshold.low)
-    return Thresholds(parameter=parameter, range=span, found=tuple(found))
+    return Thresholds(parameter=parameter, range=span, found=tuple(found), checked=checked_at)
 
 
 def _parts(model: Parametric, name: str, span: Range) -> list[tuple[Fraction, Fraction]]:
@@ -104,6 +122,21 @@ def _switch(mdp: MDP, state: int, before: np.ndarray, after: np.ndarray, reached
         after=actions(after),
         reached=reached,
     )
+
+
+def _ties(mdp: MDP, there: MDP, left: Stretch, right: Stretch, value: Fraction) -> list[Threshold]:
+    """Return the touch at a breakpoint: what is as good there and on neither side of it."""
+    tied = proven(there).optimal_pairs & ~left.optimal & ~right.optimal
+    tied &= ~mdp.terminal[mdp.pair_state]
+    if not tied.any():
+        return []
+    more = left.optimal | tied
+    seen = reachable(mdp, pairs=left.optimal) | reachable(mdp, pairs=right.optimal)
+    switches = tuple(
+        _switch(mdp, state, left.optimal, more, bool(seen[state]))
+        for state in np.unique(mdp.pair_state[tied]).tolist()
+    )
+    return [Threshold(low=value, high=value, switches=switches, touch=True)]
 
 
 def _touch(mdp: MDP, stretch: Stretch, low: Fraction, high: Fraction, pair: int) -> Threshold:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.sensitivity.base_case import BaseCase
-from analysis.sensitivity.ranges import Range, around, checked
+from analysis.sensitivity.ranges import Range, admitted, around, checked
 from mdp.chain import reachable
 from mdp.errors import ModelError
 from mdp.model import MDP
@@ -134,7 +134,7 @@ def two_way(
         raise ModelError(
             f"a range of {odd[0]}", where="two-way", fix=f"give ranges of {x} and {y} alone"
         )
-    spans = [stated.get(axis.name) or around(axis) for axis in axes]
+    spans = [stated.get(axis.name) or admitted(model, axis, around(axis)) for axis in axes]
     grids = [[s.low + (s.high - s.low) * k / (points - 1) for k in range(points)] for s in spans]
     base = model.at({})
     weights = BaseCase(mdp=base).held(policy)

@@ -19,7 +19,22 @@ over all draws. For candidates that are chosen beforehand its expectation is at 
 that has not seen the draw it is judged by is worth at most E_φ[max_c E[V^c | φ]], and the largest
 of some sample means is on average at least the largest mean. It may be negative.
 
-Where both are far apart, or few draws carry the value, the estimate says so (`doubts`).
+Where the fit cannot be relied on, the estimate says so (`doubts`): both estimates are more than a
+standard error apart, or the lower one is less than half of the other; the fit promises half a
+standard error more or less than its own choices earn; few draws carry the value; or the residuals
+of neighbours along a parameter add up. For the last, the largest sum over 8, 16, 32 … neighbouring
+draws is compared with what the greatest of so many normal sums may be: a step at the edge of a
+parameter shows there, which splines round off. Where nothing is doubted, such a sum, the distance
+of the estimates, and twice what the fit promises too much or too little count as errors of their
+own in the standard error, root-sum-square: it is that of the draws and of what the fit may miss.
+
+How often the 95 % interval held the truth where nothing was doubted was counted with 250 samples
+each of 200, 500 and 2,000 draws of 42 problems in closed form: linear, quadratic, without effect, a
+step in the middle or 10, 5 and 2 % from an edge, a corner of two parameters, one parameter of five,
+three candidates, a normal tail, each with noise of sd 0, 0.3 and 1. It did in 97 % of 2,749 samples
+of 200 draws and of 3,330 of 500; in each problem of which 20 samples or more were not doubted in 91
+to 100 %. Not doubted were nearly all of the linear ones without much noise, a third to none of
+those in which noise hides the effect, and none of the steps that noise does not hide.
 """
 
 from __future__ import annotations
@@ -38,6 +53,10 @@ from solvers.solution import Estimated
 FOLDS = 5
 MOST_TERMS = 400  # columns of a regression
 FEWEST = 20  # draws
+MOST_APART = 1.0  # standard errors between the estimates that are not doubted
+MOST_ASTRAY = 0.5  # standard errors between what a fit promises and what its choices earn
+LEAST_MISS = 0.1  # standard errors that a pattern in the residuals must move the estimate by
+ROUNDED = 1e-9  # relative, for what rounding alone makes differ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +67,8 @@ class PartialInformation:
     ----------
     names : tuple of str
     regression : Estimated
-        The maximum of the fitted values, at most EVPI of the same candidates.
+        The maximum of the fitted values, at most EVPI of the same candidates. The standard error
+        covers what the fit may miss, too.
     lower : Estimated
         What choosing by the fit is worth in other draws; in expectation at most EVPPI.
     terms : int
@@ -131,36 +151,92 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     chosen = fitted.argmax(axis=1)
     gain = fitted[rows, chosen] - fitted[:, int(fitted.mean(axis=0).argmax())]
     most = evpi(values).value
-    earned = np.empty(count)
+    earned, promised = np.empty(count), float(gain.mean())
     for k, fold in enumerate(folds):
         rule = basis[fold] @ _solved(gram - grams[k], side - sides[k])
         some = ahead[fold]
         earned[fold] = some[np.arange(len(some)), rule.argmax(axis=1)]
-    regression = Estimated(
-        value=min(float(gain.mean()), most),
-        standard_error=mean_of(ahead[rows, chosen]).standard_error,
+    taken = np.unique(chosen)
+    run = _longest(draws[:, varies], (ahead - fitted)[:, taken[taken != best]])
+    own, lower = mean_of(ahead[rows, chosen]), mean_of(earned)
+    value, missed = min(promised, most), run.total / count
+    apart, astray = value - lower.value, promised - own.value
+    doubts = _doubts(
+        value,
+        apart=abs(apart) / own.standard_error if own.standard_error else 0.0,
+        astray=abs(astray) / own.standard_error if own.standard_error else 0.0,
+        lost=lower.value < value / 2,
+        gain=mean_loss(gain),
+        patterned=run.surprising and missed > max(LEAST_MISS * own.standard_error, ROUNDED * value),
+        cut=promised > most * (1 + ROUNDED),
     )
-    lower = mean_of(earned)
+    error = float(np.sqrt(own.standard_error**2 + apart**2 + missed**2 + (2 * astray) ** 2))
     return PartialInformation(
         names=names,
-        regression=regression,
+        regression=Estimated(value=value, standard_error=error),
         lower=lower,
         terms=basis.shape[1],
-        doubts=tuple(_doubts(regression, lower, mean_loss(gain), float(gain.mean()) > most)),
+        doubts=tuple(doubts),
     )
 
 
-def _doubts(regression: Estimated, lower: Estimated, gain: MeanLoss, cut: bool) -> Iterator[str]:
-    if regression.value == 0:
+def _doubts(
+    value: float,
+    *,
+    apart: float,
+    astray: float,
+    lost: bool,
+    gain: MeanLoss,
+    patterned: bool,
+    cut: bool,
+) -> Iterator[str]:
+    if value == 0:
         yield "the fit changes the choice in no draw"
         return
-    gap = regression.value - lower.value
-    if gap > 2 * lower.standard_error or lower.value < regression.value / 2:
-        yield "the fit's choices earn less in draws that it has not seen"
+    if apart > MOST_APART or lost:
+        yield "the fit's choices earn less or more in draws that it has not seen"
+    if astray > MOST_ASTRAY:
+        yield "the fit promises less or more than its choices earn"
+    if patterned:
+        yield "the fit misses a pattern along a parameter"
     if gain.few:
         yield f"{gain.carried:.0f} draws carry it"
     if cut:
         yield "cut at EVPI of the candidates"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stretch:
+    """Neighbouring draws whose residuals add up to more than those of any others, for their number.
+
+    `total` is that sum's size, `surprising` whether normal residuals would hardly reach it.
+    """
+
+    total: float
+    surprising: bool
+
+
+def _longest(draws: Floats, residuals: Floats) -> _Stretch:
+    """Return the stretch along one of the parameters (D, q) where residuals (D, N) add up most.
+
+    Of n standard normal sums the greatest is hardly above √(2 ln n); there are about D of each
+    length, and lengths double.
+    """
+    count = len(draws)
+    spread = np.sqrt((residuals**2).mean(axis=0))
+    varying = spread > 0
+    lengths = [8 << k for k in range(count.bit_length()) if 8 << k <= count // 2]
+    size, total = 0.0, 0.0
+    for x in draws.T:
+        sums = residuals[np.argsort(x, kind="stable")][:, varying].cumsum(axis=0)
+        sums = np.vstack([np.zeros((1, sums.shape[1])), sums])
+        for length in lengths:
+            added = np.abs(sums[length:] - sums[:-length]).max(axis=0)
+            scaled = added / (spread[varying] * np.sqrt(length))
+            if scaled.size and scaled.max() > size:
+                size, total = float(scaled.max()), float(added[scaled.argmax()])
+    windows = max(count * len(lengths) * draws.shape[1] * int(varying.sum()), 2)
+    return _Stretch(total=total, surprising=size > float(np.sqrt(2 * np.log(windows))))
 
 
 def _basis(draws: Floats) -> Floats:

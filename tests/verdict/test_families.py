@@ -1,0 +1,476 @@
+"""Derivatives and thresholds of families: certified where the degree is proven, and only there."""
+
+from fractions import Fraction as F
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from analysis.sensitivity import (
+    gradient,
+    moments_gradient,
+    morris,
+    movement_frame,
+    one_way,
+    sobol,
+    stability_frame,
+    threshold_frame,
+    thresholds,
+    tornado,
+    two_way,
+)
+from analysis.sensitivity.gradient_result import Checked
+from mdp import MDP, ModelError, Parameter, Scenario
+from mdp.parametric import Family, moving, parametric, room_of
+from mdp.row_change import pieces, row_change
+from mdp.symbolic import degrees_of
+from solvers import certify
+from solvers.solution import Claim
+
+
+def unit(name: str, value: F) -> Parameter:
+    return Parameter(name=name, value=value, low=F(0), high=F(1))
+
+
+def waiting(power: int) -> Family:
+    """V = 1 / (1 - p^power / 2), at discount 1/2."""
+
+    def build(at):
+        stay = at["p"] ** power
+        return MDP.from_arrays([[[stay, 1 - stay], [0, 1]]], [1, 0], F(1, 2))
+
+    return Family(parameters=(unit("p", F(1, 2)),), build=build, degrees={})
+
+
+def start_value(mdp: MDP) -> F:
+    value = certify(mdp).value
+    return sum((weight * F(value[state]) for state, weight in mdp.start), F(0))
+
+
+# ---- the degree ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("analysis", [gradient, thresholds, moments_gradient])
+def test_a_wrong_degree_is_refused(analysis) -> None:
+    """A gradient or threshold is not certified on a degree that nobody checked."""
+    rest = {gradient: (), thresholds: ("p",), moments_gradient: ([0, 0],)}[analysis]
+    with pytest.raises(ModelError, match="no polynomials of degree 1 in p") as error:
+        analysis(waiting(2), *rest)
+    assert "degrees=" in error.value.fix
+
+
+def test_a_right_degree_that_is_stated_is_proven() -> None:
+    """A builder that computes with fractions is run on polynomials, which proves its degree."""
+    squared = waiting(2)
+    family = Family(parameters=squared.parameters, build=squared.build, degrees={"p": 2})
+    found = gradient(family)["p"]
+    value = F(1, 2) / (1 - F(1, 8)) ** 2  # p / (1 - p²/2)²
+    assert found.value is not None
+    assert (found.value.value, found.claim) == (value, Claim.CERTIFIED)
+
+
+def test_what_is_checked_at_points_alone_is_not_certified() -> None:
+    """A builder that asks for a float cannot be followed: its number is called checked."""
+
+    def build(at):
+        assert float(at["p"]) >= 0
+        return MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0])
+
+    family = Family(parameters=(unit("p", F(1, 2)),), build=build)
+    found = gradient(family)
+    value = found["p"].value
+    assert isinstance(value, Checked)
+    assert (value.value, value.claim) == (4, Claim.ESTIMATED)
+    assert value.points >= 3  # at least degree + 2
+    assert "not proven" in str(value)
+    assert found.frame()["claim"].tolist() == ["estimated"]
+    told = thresholds(family, "p", (F(1, 4), F(3, 4)))
+    assert told.claim == Claim.ESTIMATED
+    assert stability_frame({"p": told})["claim"].tolist() == ["estimated"]
+    assert movement_frame(moments_gradient(family, [0, 0]))["claim"].tolist() == ["estimated"]
+    assert gradient(family, exact=False)["p"].claim == Claim.ESTIMATED
+
+
+@pytest.mark.parametrize(
+    "reward",
+    [
+        lambda p: 1 / (1 + p),
+        lambda p: F(2) ** int(8 * p),
+        lambda p: abs(p - F(3, 7)),
+        lambda p: min(p, F(3, 7)),
+        lambda p: F(np.exp(float(p))),
+    ],
+)
+def test_what_is_no_polynomial_is_never_certified(reward) -> None:
+    def build(at):
+        return MDP.from_outcomes([(0, 0, [(1, 1, reward(at["p"]))]), (1, 0, [(1, 1, 0)])])
+
+    family = Family(parameters=(unit("p", F(1, 4)),), build=build)
+    with pytest.raises(ModelError, match="no polynomials"):
+        gradient(family)
+
+
+def test_a_builder_with_another_way_beyond_the_points_is_not_certified() -> None:
+    """A branch that no sample meets is still found: the comparison has no single answer."""
+
+    def build(at):
+        gain = F(5) if F(9001, 10**4) < at["p"] < F(9002, 10**4) else at["p"]
+        return MDP.from_outcomes([(0, 0, [(1, 1, gain)]), (1, 0, [(1, 1, 0)])])
+
+    family = Family(parameters=(unit("p", F(1, 4)),), build=build)
+    assert gradient(family)["p"].claim == Claim.ESTIMATED
+    broken = Family(
+        parameters=family.parameters,
+        build=build,
+        breaks={"p": [F(9001, 10**4), F(9002, 10**4)]},
+    )
+    assert gradient(broken)["p"].claim == Claim.CERTIFIED
+
+
+def test_a_proof_needs_the_model_that_was_followed() -> None:
+    """A model made of another one's floats is not the one whose degree is known."""
+
+    def build(at):
+        first = MDP.from_outcomes([(0, 0, [(1, 1, at["p"])]), (1, 0, [(1, 1, 0)])])
+        return MDP.from_outcomes([(0, 0, [(1, 1, F(first.reward[0]) ** 2)]), (1, 0, [(1, 1, 0)])])
+
+    assert degrees_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
+
+
+def test_a_builder_that_catches_everything_proves_nothing() -> None:
+    def build(at):
+        try:
+            gain = F(float(at["p"]) ** 2)
+        except Exception:
+            gain = F(1)
+        return MDP.from_outcomes([(0, 0, [(1, 1, gain)]), (1, 0, [(1, 1, 0)])])
+
+    assert degrees_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
+
+
+@pytest.mark.parametrize("what", ["start", "pairs", "discount"])
+def test_what_else_moves_with_a_parameter_is_refused(what: str) -> None:
+    """Rows and discount follow; a start or pairs that change would be left out silently."""
+
+    def build(at):
+        p = at["p"]
+        rows = [(0, 0, [(p, 0, 1), (1 - p, 1, 0)]), (1, 0, [(1, 1, 0)])]
+        if what == "pairs" and p > F(9, 16):
+            rows.append((0, 1, [(1, 1, 0)]))
+        start = {0: p, 1: 1 - p} if what == "start" else 0
+        return MDP.from_outcomes(rows, p**2 if what == "discount" else F(1, 2), start=start)
+
+    family = Family(parameters=(unit("p", F(1, 2)),), build=build)
+    with pytest.raises(ModelError, match=r"start change|pairs change|discount is no polynomial"):
+        gradient(family)
+
+
+polynomials = st.lists(st.fractions(-3, 3, max_denominator=6), min_size=1, max_size=3)
+
+
+def evaluated(numbers, x):
+    total = F(0) * x
+    for number in reversed(numbers):
+        total = total * x + number
+    return total
+
+
+@st.composite
+def families(draw) -> tuple[Family, int]:
+    """Two actions in a state that repeats, one in another; polynomials of degree 2 at most."""
+    gains = [draw(polynomials) for _ in range(3)]
+    power = draw(st.integers(0, 2))
+    discount = draw(st.sampled_from([F(1, 2), F(9, 10)]))
+
+    def build(at):
+        p = at["p"]
+        stay = p**power / 2
+        rows = [
+            (0, 0, [(stay, 0, evaluated(gains[0], p)), (1 - stay, 1, F(0))]),
+            (0, 1, [(F(1, 3), 0, evaluated(gains[1], p)), (F(2, 3), 1, F(1))]),
+            (1, 0, [(F(1, 2), 0, evaluated(gains[2], p)), (F(1, 2), 2, F(0))]),
+            (2, 0, [(F(1), 2, F(0))]),
+        ]
+        return MDP.from_outcomes(rows, discount)
+
+    value = draw(st.sampled_from([F(1, 3), F(1, 2), F(4, 7)]))
+    degree = power + 2
+    return Family(parameters=(unit("p", value),), build=build, degrees={"p": degree}), degree
+
+
+@given(families())
+@settings(max_examples=25, deadline=None)
+def test_certified_derivatives_are_the_slopes_of_exact_values(drawn) -> None:
+    """Values in fractions on either side, three steps each, close in on the derivative."""
+    family, _ = drawn
+    found = gradient(family)["p"]
+    assert found.claim == Claim.CERTIFIED
+    today = found.parameter.value
+    at = {step: start_value(family.at({"p": today + step})) for step in (F(0),)}
+    for sign, side in ((1, found.right), (-1, found.left)):
+        assert side is not None
+        errors = []
+        for step in (F(1, 10**4), F(1, 2 * 10**4)):
+            there = start_value(family.at({"p": today + sign * step}))
+            errors.append(abs((there - at[F(0)]) / (sign * step) - side.value))
+        # The error of a difference is of the order of its step.
+        assert errors[1] <= errors[0] * F(51, 100) + F(1, 10**7)
+
+
+@given(families())
+@settings(max_examples=15, deadline=None)
+def test_certified_thresholds_are_where_optimal_actions_change(drawn) -> None:
+    """Optimal pairs in fractions at both sides of each threshold, and between them."""
+    family, _ = drawn
+    found = thresholds(family, "p", (F(1, 100), F(99, 100)))
+    assert found.claim == Claim.CERTIFIED
+    cuts = [each for each in found.found if not each.touch]
+
+    def best(value: F) -> np.ndarray:
+        return certify(family.at({"p": value})).optimal_pairs
+
+    for each in cuts:
+        assert (best(each.low) != best(each.high)).any() or each.low == each.high
+    ends = [F(1, 100), *(end for each in cuts for end in (each.low, each.high)), F(99, 100)]
+    for low, high in list(pairwise(ends))[::2]:
+        inside = [best(low + (high - low) * F(k, 7)) for k in (1, 2, 4, 6)]
+        touched = [each for each in found.found if each.touch and low < each.low < high]
+        assert touched or all((one == inside[0]).all() for one in inside)
+
+
+# ---- what was refused, or not told ---------------------------------------------------------------
+
+
+def test_two_named_entries_of_one_row_have_a_gradient() -> None:
+    """Each has room until both sum to 1; V = (1 + 2 b γ / (1 - γ)) / (1 - γ a) by hand."""
+    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
+    family = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]})
+    found = gradient(family)
+
+    def value(a: F, b: F) -> F:
+        return (1 + 2 * b) / (1 - a / 2)
+
+    a, b = F(1, 2), F(1, 4)
+    slopes = {"a": (1 + 2 * b) / 2 / (1 - a / 2) ** 2, "b": 2 / (1 - a / 2)}
+    assert start_value(family.at({"a": F(1, 8)})) == value(F(1, 8), b)
+    for name, slope in slopes.items():
+        each = found[name]
+        assert each.value is not None
+        assert (each.value.value, each.claim) == (slope, Claim.CERTIFIED)
+    assert (room_of(family, "a"), room_of(family, "b")) == ((0, F(3, 4)), (0, F(1, 2)))
+
+
+def test_one_name_on_two_entries_of_a_row_has_a_gradient() -> None:
+    mdp = MDP.from_arrays([[["1/4", "1/4", "1/2"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
+    family = moving(mdp, {"a": [(0, 0), (0, 1)]})
+    each = gradient(family, names=["a"])["a"].value
+    assert each is not None
+    step = F(1, 10**6)
+    above, below = (start_value(family.at({"a": F(1, 4) + s * step})) for s in (1, -1))
+    assert float(each.value) == pytest.approx(float((above - below) / (2 * step)), rel=1e-9)
+
+
+def test_a_parameter_at_the_end_of_its_room_has_one_side() -> None:
+    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
+    family = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]})
+    family = Family(
+        parameters=tuple(
+            Parameter(
+                name=p.name, value=F(3, 4) if p.name == "a" else p.value, low=p.low, high=p.high
+            )
+            for p in family.parameters
+        ),
+        build=family.build,
+        room=family.room,
+    )
+    below, above = pieces(family, "a", F(3, 4))
+    assert below is not None
+    assert above is None
+
+
+def test_the_docstring_example_of_a_family_has_a_gradient() -> None:
+    """No range is stated there, and half a step from today there is no model any more."""
+    family = Family(
+        parameters=(Parameter(name="p", value=F(1, 2)),),
+        build=lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
+    )
+    each = gradient(family)["p"].value
+    assert each is not None
+    assert (each.value, each.claim) == (4, Claim.CERTIFIED)
+
+
+@pytest.mark.parametrize("bounds", [(-1, 1), (-1, 2), (F(-1, 2), F(1, 4))])
+def test_thresholds_where_an_absorbing_reward_spans_both_signs(bounds) -> None:
+    """Staying for ever is worth r / (1 - γ), leaving 1/10: they part where r = 1/10."""
+
+    def build(at):
+        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, F(1, 10))])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, at["r"])]), (2, 0, [(1, 2, 0)])], F(1, 2))
+
+    family = Family(parameters=(Parameter(name="r", value=F(0)),), build=build)
+    found = thresholds(family, "r", bounds)
+    (one,) = found.found
+    assert one.low <= F(1, 10) <= one.high
+    assert (one.switches[0].before, one.switches[0].after) == (("1",), ("0",))
+    assert found.claim == Claim.CERTIFIED
+
+
+def test_an_endless_reward_at_discount_1_is_still_refused() -> None:
+    def build(at):
+        return MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, at["r"])])], 1)
+
+    family = Family(parameters=(Parameter(name="r", value=F(0)),), build=build)
+    with pytest.raises(ModelError, match="earn for ever"):
+        thresholds(family, "r", (-1, 1))
+
+
+def test_a_tie_at_a_kink_is_a_touch() -> None:
+    """|x - 1/2| is worth as much as nothing at 1/2 alone."""
+
+    def build(at):
+        rows = [(0, 0, [(1, 1, abs(at["x"] - F(1, 2)))]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows)
+
+    family = Family(parameters=(unit("x", F(1, 4)),), build=build, breaks={"x": [F(1, 2)]})
+    found = thresholds(family, "x", (0, 1))
+    (one,) = found.found
+    assert (one.low, one.high, one.touch) == (F(1, 2), F(1, 2), True)
+    assert (one.switches[0].before, one.switches[0].after) == (("0",), ("0", "1"))
+    assert found.claim == Claim.CERTIFIED
+    assert threshold_frame({"x": found})["touch"].tolist() == [True]
+    assert found.stable() == (0, 1)
+
+
+def test_derivatives_at_a_clip_are_those_of_each_side() -> None:
+    """One-sided slopes where base and influence sum to 1, against values in fractions."""
+    own = Scenario.load("yuan2025").with_(
+        tasks=[1],
+        max_trial=2,
+        parameters={"base.anger": "4/5", "influence.disengagement.anger": "1/5"},
+    )
+    family = parametric(own)
+    assert F(4, 5) in family.breakpoints("base.anger")
+    found = gradient(own, names=["base.anger"])["base.anger"]
+    step = F(1, 10**6)
+    points = {k: F(4, 5) + k * step for k in (-1, 0, 1)}
+    values = {k: start_value(family.at({"base.anger": at})) for k, at in points.items()}
+    for sign, side in ((-1, found.left), (1, found.right)):
+        assert side is not None
+        slope = (values[sign] - values[0]) / (sign * step)
+        assert float(side.value) == pytest.approx(float(slope), abs=1e-3)
+
+
+def test_scenario_degrees_hold_at_further_points() -> None:
+    """What follows from the rules is checked here: no entry leaves its polynomial in a piece."""
+    for readings in ({}, {"skip_onset": "base"}, {"skip_timestep": "own", "skip_onset": "base"}):
+        own = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2, readings=readings)
+        family = parametric(own)
+        free = Family(
+            parameters=family.parameters,
+            build=lambda at, family=family: family.at(at),
+            degrees={p.name: family.degree(p.name) for p in family.parameters},
+            breaks={p.name: family.breakpoints(p.name) for p in family.parameters},
+        )
+        for name in (
+            "base.confusion",
+            "persistence.anger",
+            "influence.anger.confusion",
+            "discount",
+        ):
+            value = own.discount if name == "discount" else own[name]
+            below, above = pieces(free, name, value)
+            piece = above if above is not None else below
+            assert piece is not None
+            change = row_change(free, name, piece)  # refuses what does not fit at six points
+            assert change.checked is not None
+
+
+# ---- default ranges ------------------------------------------------------------------------------
+
+CONTINUING = MDP.from_arrays([[["1/2", "1/2"], ["1/5", "4/5"]], [[1, 0], [0, 1]]], [1, 2], F(9, 10))
+
+
+def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on() -> None:
+    """Half way to 1 in a model that never ends; 1 itself where every policy ends."""
+    (bar,) = tornado(CONTINUING).bars
+    assert (bar.low.at, bar.high.at) == (F(18, 25), F(19, 20))
+    assert one_way(CONTINUING, "discount", points=3).points[-1].at == F(19, 20)
+    assert thresholds(CONTINUING, "discount").range.high == F(19, 20)
+    ending = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], F(9, 10))
+    (bar,) = tornado(ending).bars
+    assert bar.high.at == 1
+
+
+@pytest.mark.parametrize("discount", ["1/2", "99/100", "999999/1000000"])
+def test_samples_of_a_discount_stay_below_1(discount: str) -> None:
+    mdp = CONTINUING.with_(discount=discount)
+    assert sobol(mdp, samples=8, seed=0).parameters
+    assert morris(mdp, trajectories=4, seed=0).parameters
+
+
+def test_default_ranges_stay_where_there_is_a_model() -> None:
+    """A probability of staying of 9/10 ± 20 % would be 1, and the model would never end."""
+    mdp = MDP.from_arrays([[["9/10", "1/10"], [0, 1]]], [1, 0])
+    bars = {bar.parameter.name: bar for bar in tornado(moving(mdp, {"stay": [(0, 0)]})).bars}
+    assert bars["stay"].high.at == F(19, 20)
+    rows = [["1/2", "9/20", "1/20"], [0, 1, 0], [0, 0, 1]]
+    family = moving(MDP.from_arrays([rows], [1, 2, 0], "1/2"), {"a": [(0, 0)], "b": [(0, 1)]})
+    bars = {bar.parameter.name: bar for bar in tornado(family).bars}
+    assert (bars["a"].high.at, bars["b"].high.at) == (F(11, 20), F(1, 2))
+    open_ended = Family(
+        parameters=(Parameter(name="p", value=F(9, 10)),),
+        build=lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
+    )
+    (bar,) = tornado(open_ended).bars
+    assert F(9, 10) < bar.high.at < 1
+    assert two_way(family, "a", "discount", points=2).value.shape == (2, 2)
+
+
+# ---- degenerate models ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gain", [0, F(1, 10**200), F(-1, 10**200), 1])
+@pytest.mark.parametrize("discount", [0, "1/2", 1])
+def test_moments_of_degenerate_models(gain, discount) -> None:
+    """A return that does not vary has no spread to move; one that varies by 1e-200 has."""
+    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [gain, 0], discount)
+    family = moving(mdp, {"a": [(0, 0)]})
+    found = moments_gradient(family, [0, 0])
+    step = F(1, 10**6)
+    for name, each in found.items():
+        assert (each.sd is None) == (gain == 0 or mdp.discount_exact == 0)
+        if name == "a" and each.sd is not None:
+            # Var = v(p) gain²: the spread is |gain| √v.
+            near = [spread(F(1, 2) + sign * step, mdp.discount_exact) for sign in (1, -1)]
+            slope = abs(float(gain)) * (near[0] - near[1]) / float(2 * step)
+            assert each.sd.value == pytest.approx(slope, rel=1e-4)
+    assert len(movement_frame(found)) == 2
+
+
+def spread(p: F, g: F) -> float:
+    """Sd of Σ g^t over a geometric number of steps: E = 1/(1 - gp), E² = (1 + 2gpE)/(1 - g²p)."""
+    mean = 1 / (1 - g * p)
+    return float((1 + 2 * g * p * mean) / (1 - g * g * p) - mean**2) ** 0.5
+
+
+def test_models_without_a_step_have_moments_and_gradients() -> None:
+    for gain, discount in ((0, 1), (0, "1/2"), (1, "1/2")):
+        family = moving(MDP.from_arrays([[[1]]], [gain], discount), {})
+        found = moments_gradient(family, [0])["discount"]
+        assert found.mean.value == (4 if gain else 0)
+        assert (found.variance.value, found.sd) == (0, None)
+        assert gradient(family)["discount"].elasticity == (1.0 if gain else None)
+
+
+def test_an_elasticity_beyond_floats_is_infinite_not_an_error() -> None:
+    """The value is 1e-320, the parameter 1 and the derivative 1: 1e320 per cent."""
+    tiny = F(1, 10**320)
+    family = Family(
+        parameters=(Parameter(name="p", value=F(1)),),
+        build=lambda at: MDP.from_outcomes(
+            [(0, 0, [(1, 1, at["p"] - 1 + tiny)]), (1, 0, [(1, 1, 0)])]
+        ),
+    )
+    assert gradient(family)["p"].elasticity == np.inf

@@ -1,0 +1,157 @@
+"""Chances above 1 are cut off, and it is said: once, with the state and the numbers."""
+
+import subprocess
+import sys
+import warnings
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+import pytest
+from cli_runner import run
+
+from analysis.sensitivity import (
+    box_extreme,
+    gradient,
+    morris,
+    one_way,
+    psa,
+    sobol,
+    structural,
+    thresholds,
+    tornado,
+)
+from mdp import Scenario, ScenarioWarning
+from mdp.chances import chances, excess
+from mdp.scenario import READINGS
+from solvers.care_batch import optimal, policy_values
+
+SMALL = {"tasks": [1], "max_trial": 2}
+ADDITIVE = {"influence_on_present": "additive"}
+HIGH = {"base.anger": (Fraction(1, 100), Fraction(99, 100))}
+
+
+def small(**readings: str) -> Scenario:
+    return Scenario.load("yuan2025").with_(readings=readings, **SMALL)
+
+
+def told(work) -> list[str]:
+    """Return the warnings of some work, every one of them."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        work()
+    assert all(each.category is ScenarioWarning for each in found)
+    assert all(each.filename != warnings.__file__ for each in found)
+    return [str(each.message) for each in found]
+
+
+def over(scenario: Scenario) -> int:
+    """Count sums above 1 in fractions, one by one."""
+    found = chances(scenario)
+    values = [*(parameter.value for parameter in scenario.parameters), Fraction(0)]
+    count = found.bits.shape[1]
+    rows = [*found.step.reshape(-1, count).tolist(), *found.skip.reshape(-1, count).tolist()]
+    return sum(sum(values[k] for k in row) > 1 for row in rows)
+
+
+@pytest.mark.parametrize(
+    "readings",
+    [
+        dict(
+            zip(("influence_on_present", "influence_orientation", "skip_onset"), each, strict=True)
+        )
+        for each in product(
+            READINGS["influence_on_present"],
+            READINGS["influence_orientation"],
+            READINGS["skip_onset"],
+        )
+    ],
+)
+def test_every_chance_above_1_is_counted(readings: dict[str, str]) -> None:
+    own = small(**readings)
+    count, said = over(own), excess(own)
+    assert (said is None) == (count == 0)
+    if said is not None and count > 1:
+        assert f"so are {count - 1} others" in said
+
+
+def test_the_default_reading_warns_of_nothing() -> None:
+    """Some sums are exactly 1 there, and none is more."""
+    own = small()
+    assert told(own.compile) == told(own.operator) == told(lambda: optimal(own)) == []
+
+
+def test_compiling_names_the_state_and_the_numbers() -> None:
+    (said,) = told(small(**ADDITIVE).compile)
+    assert "a chance of 1.34 is cut off at 1: anger in status 1111 under none" in said
+    assert "persistence.anger 1 + influence.forgetfulness.anger 0.06" in said
+    assert "\n" not in said
+
+
+@pytest.mark.parametrize("make", ["compile", "operator"])
+def test_a_warning_is_an_error_where_python_is_told_so(make: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ScenarioWarning, match=r"cut off at 1"):
+            getattr(small(**ADDITIVE), make)()
+
+
+def test_operators_and_batches_say_it_too() -> None:
+    own = small(**ADDITIVE)
+    always = np.zeros((1, 16), dtype=int)
+    for work in (
+        own.operator,
+        lambda: optimal(own),
+        lambda: policy_values(own, (), None, always),
+    ):
+        (said,) = told(work)
+        assert "a chance of 1.34 is cut off at 1" in said
+
+
+def test_a_batch_says_in_how_many_draws() -> None:
+    (said,) = told(lambda: optimal(small(), ["base.anger"], [[0.05], [0.9], [0.95]]))
+    assert "2 of 3 draws, the first of them draw 1" in said
+    assert "base.anger 0.9 +" in said
+
+
+@pytest.mark.parametrize(
+    "analysis",
+    [
+        lambda own: tornado(own, ranges=HIGH),
+        lambda own: one_way(own, "base.anger", HIGH["base.anger"], points=5),
+        lambda own: thresholds(own, "base.anger", (Fraction(1, 2), Fraction(4, 5))),
+        lambda own: sobol(own, ranges=HIGH, samples=16, seed=0),
+        lambda own: morris(own, ranges=HIGH, trajectories=4, seed=0),
+        lambda own: box_extreme(own, "always:none", HIGH, parts=3),
+        lambda own: psa(
+            own.with_(parameters={"base.anger": "7/10"}), 50, seed=0, effective_sample_size=5
+        ),
+        lambda own: gradient(own.with_(parameters={"base.anger": "9/10"}), names=["base.anger"]),
+        lambda own: structural(own, {"additive": ADDITIVE, "both": ADDITIVE}, policies={}),
+    ],
+)
+def test_an_analysis_says_it_once(analysis) -> None:
+    """However many models it makes, and in how many of them chances pass 1."""
+    (said,) = told(lambda: analysis(small()))
+    assert "is cut off at 1" in said
+
+
+def test_the_command_line_says_it_in_one_line_on_standard_error() -> None:
+    words = ["--set", "readings.influence_on_present=additive", "--set", "tasks=[1]", "--json"]
+    for command in (["info", "yuan2025"], ["sensitivity", "yuan2025", "gradient"]):
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            done = run(*command, *words)
+        assert done.status == 0
+        assert done.out.startswith("{")
+        (line,) = done.err.splitlines()
+        assert line.startswith("warning: scenario yuan2025: a chance of 1.34 is cut off at 1")
+
+
+def test_the_command_line_refuses_it_where_warnings_are_errors() -> None:
+    words = ["info", "yuan2025", "--set", "readings.influence_on_present=additive"]
+    code = f"import sys; from analysis.cli import main; sys.exit(main({words!r}))"
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True)
+    assert done.returncode == 2
+    assert done.stdout == b""
+    assert done.stderr.startswith(b"ScenarioWarning: scenario yuan2025: a chance of 1.34")
