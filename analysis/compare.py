@@ -23,7 +23,7 @@ from analysis.q_error import pair_values
 from analysis.regret import regret
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.policy import Policy
+from mdp.policy import Policy, by_time
 from mdp.table import FLOAT_ROW_TOLERANCE, Floats, exact
 from solvers.policy_chain import PolicyChain
 
@@ -35,6 +35,7 @@ def check(
     max_regret: object | None = None,
     max_relative_regret: object | None = None,
     exact_values: bool | None = None,
+    horizon: int | None = None,
 ) -> Audit:
     """Return how much a policy or Q-table loses against the optimum, where and why.
 
@@ -50,6 +51,10 @@ def check(
         either, the audit passes only where the regret is zero up to rounding.
     exact_values : bool, optional
         Rational arithmetic or bounds in floats; see `analysis.regret.regret`.
+    horizon : int, optional
+        Stop after so many steps, without a further reward: the audit is that of
+        `mdp.within(horizon)`. What is learned over states is the same at every time there; tables
+        (N, S, A) depend on time.
 
     Raises
     ------
@@ -64,6 +69,8 @@ def check(
     >>> audit.passed, round(float(audit.regret.at_start.value), 3), round(audit.agreement, 3)
     (False, 63.062, 0.333)
     """
+    if horizon is not None:
+        mdp = mdp.within(horizon)
     policy, said = _learned(mdp, learned)
     chain = PolicyChain.of(mdp, policy)
     lost = regret(mdp, chain, exact=exact_values)
@@ -87,6 +94,7 @@ def assert_policy_optimal(
     max_regret: object = 1e-9,
     *,
     max_relative_regret: object | None = None,
+    horizon: int | None = None,
 ) -> Audit:
     """Raise AssertionError, naming the costly states, unless the regret is at most `max_regret`.
 
@@ -97,6 +105,8 @@ def assert_policy_optimal(
         A policy or Q-table; see `check`.
     max_regret, max_relative_regret : number or "p/q"
         Limits at the start; both must hold.
+    horizon : int, optional
+        Stop after so many steps; see `check`.
 
     Returns
     -------
@@ -112,7 +122,13 @@ def assert_policy_optimal(
     optimal value 3, learned 1; not optimal in 1 of 1 states with a choice
       (state 0): 0, not 1; gap 2 x 1 visits = 2
     """
-    audit = check(mdp, policy, max_regret=max_regret, max_relative_regret=max_relative_regret)
+    audit = check(
+        mdp,
+        policy,
+        max_regret=max_regret,
+        max_relative_regret=max_relative_regret,
+        horizon=horizon,
+    )
     if not audit.passed:
         raise AssertionError(audit.message())
     return audit
@@ -132,19 +148,22 @@ def _learned(mdp: MDP, learned: Any) -> tuple[Policy, Floats | None]:
         return Policy.from_choices(mdp, learned.policy), None
     if not isinstance(learned, np.ndarray | list | tuple):
         return Policy.of(mdp, learned), None
-    array = np.asarray(learned)
+    array = by_time(mdp, np.asarray(learned), 0, of_actions=True)
     if array.ndim != 2 or array.dtype.kind not in "fiu":
         return Policy.of(mdp, array), None
     if _distributions(mdp, array):
-        return Policy.of(mdp, array.astype(np.float64)), None
+        return Policy.of(mdp, np.asarray(learned).astype(np.float64)), None
     policy = Policy.from_q(mdp, array)
     return policy, pair_values(mdp, policy, array)
 
 
 def _distributions(mdp: MDP, table: NDArray[Any]) -> bool:
     """Return whether the rows of an array are distributions, where there is a choice."""
-    if mdp.space.regular <= len(table) <= mdp.n_states:
-        table = table[(~mdp.forced & ~mdp.terminal)[: len(table)]]
+    untimed = mdp.space.untimed
+    timeless = untimed is not None and untimed.regular <= len(table) <= untimed.size
+    if timeless or mdp.space.regular <= len(table) <= mdp.n_states:
+        chosen = (~mdp.forced & ~mdp.terminal)[: untimed.regular if timeless else len(table)]
+        table = table[: len(chosen)][chosen]
     near = np.abs(table.sum(axis=1) - 1) <= FLOAT_ROW_TOLERANCE
     return bool(near.all() and (table >= 0).all())
 

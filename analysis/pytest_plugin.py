@@ -44,6 +44,7 @@ class PolicyGate(Protocol):
         max_relative_regret: object | None = None,
         set: Sequence[str] = (),
         discount: object | None = None,
+        horizon: int | None = None,
     ) -> Audit: ...
 
 
@@ -59,6 +60,7 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         max_relative_regret: object | None = None,
         set: Sequence[str] = (),
         discount: object | None = None,
+        horizon: int | None = None,
     ) -> Audit:
         __tracebackhide__ = True
         from analysis.compare import check
@@ -74,6 +76,7 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
             _beside(request.path, policy),
             max_regret=max_regret,
             max_relative_regret=max_relative_regret,
+            horizon=horizon,
         )
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.
         request.node.user_properties += [

@@ -35,6 +35,7 @@ from solvers.visits import at_start
 
 Flags = NDArray[np.bool_]
 EXACT_TRANSITIONS = 100_000
+EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
 EXACT_CYCLE = 64  # states of the largest cycle
 ROUNDING = 1e-12  # of max(1, |V|): gaps of a model of floats that are smaller are ties
 UNDECIDED = 1e-8  # of max(1, |V|): wider bounds show nothing about a regret of zero
@@ -114,7 +115,8 @@ def regret(
         The model under the policy.
     exact : bool, optional
         Rational arithmetic or bounds; unless given, rational arithmetic for deterministic policies
-        in models of up to 100,000 transitions without cycles of over 64 states.
+        in models of up to 100,000 transitions (250,000 with a horizon) without cycles of over 64
+        states.
     optimum : Certificate or Bounds, optional
         What another policy's regret was found with; unless `exact` is given, this says how.
 
@@ -162,7 +164,7 @@ def under(mdp: MDP, pairs: Integers) -> MDP:
 
 
 def _cheap(mdp: MDP) -> bool:
-    if mdp.n_transitions > EXACT_TRANSITIONS:
+    if mdp.n_transitions > (EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME):
         return False
     return is_acyclic(mdp) or int(np.bincount(components(mdp)[1]).max()) <= EXACT_CYCLE
 

@@ -129,7 +129,7 @@ def from_outcomes(
         gain=gain,
         gain_denominator=gain_denominator,
     )
-    table = _by_outcome(table)
+    table = by_outcome(table)
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -186,7 +186,7 @@ def _from_rows(
     if rising:
         vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
     if reward.ndim == 2:
-        table = _by_outcome(table)
+        table = by_outcome(table)
     return _assemble(state, action, table, size, discount, start, names)
 
 
@@ -206,7 +206,7 @@ def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:
     return sp.csr_array((data, indices, indptr), shape=rows.shape, copy=False), lowest.min()
 
 
-def _by_outcome(table: OutcomeTable) -> OutcomeTable:
+def by_outcome(table: OutcomeTable) -> OutcomeTable:
     """Return a table whose rewards belong to outcomes beyond doubt.
 
     With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same

@@ -144,7 +144,8 @@ class Policy:
         mdp : MDP
         policy : Policy, str, path, mapping or array
             A policy; "random", "always:ACTION" or a file; {status: action}; (S,) action numbers;
-            (S, A) probabilities.
+            (S, A) probabilities. Where the model stops after N steps (`MDP.within`), S may be the
+            states without their time, and (N, S) and (N, S, A) depend on time.
         """
         if isinstance(policy, Policy):
             return policy
@@ -159,10 +160,13 @@ class Policy:
         if isinstance(policy, str | Path):
             return cls.read(policy, mdp)
         array = np.asarray(policy)
-        if array.dtype.kind in "iu" and array.shape in ((mdp.n_states,), (_free(mdp),)):
+        if array.dtype.kind in "iu" and _layout(mdp, by_time(mdp, array, 0), 1) is not None:
             return cls.from_choices(mdp, array)
-        if array.dtype.kind == "f" and array.shape == (mdp.n_states, mdp.n_actions):
-            return cls(space=mdp.space, actions=mdp.actions, table=array)
+        if array.dtype.kind == "f" and array.ndim > 1 and array.shape[-1] == mdp.n_actions:
+            table = by_time(mdp, array, np.nan, of_actions=True)
+            space = _layout(mdp, table, 2)
+            if space is not None and (space == mdp.space or mdp.space.untimed is not None):
+                return cls(space=space, actions=mdp.actions, table=table)
         raise ModelError(
             f"a policy of type {type(policy).__name__} with shape {array.shape}",
             where="policy",
@@ -190,17 +194,19 @@ class Policy:
 
     @classmethod
     def from_choices(cls, mdp: MDP, choices: ArrayLike) -> Policy:
-        """Return the policy of (S,) action numbers; a forced end may be left out."""
-        numbers = np.asarray(choices, dtype=np.int64)
-        if numbers.shape == (_free(mdp),):
-            numbers = np.append(numbers, np.zeros(mdp.n_states - _free(mdp), dtype=np.int64))
-        if numbers.shape != (mdp.n_states,) or ((numbers < 0) | (numbers >= mdp.n_actions)).any():
+        """Return the policy of (S,) action numbers; a forced end may be left out.
+
+        Where the model stops after N steps, (S,) without the time and (N, S) are taken as well.
+        """
+        numbers = by_time(mdp, np.asarray(choices, dtype=np.int64), 0)
+        space = _layout(mdp, numbers, 1)
+        if space is None or ((numbers < 0) | (numbers >= mdp.n_actions)).any():
             raise ModelError(
                 f"action numbers of shape {numbers.shape}, or outside 0 … {mdp.n_actions - 1}",
                 where="policy",
                 fix=f"give one action number for each of the {mdp.n_states} states",
             )
-        return cls(space=mdp.space, actions=mdp.actions, table=np.eye(mdp.n_actions)[numbers])
+        return cls(space=space, actions=mdp.actions, table=np.eye(mdp.n_actions)[numbers])
 
     @classmethod
     def from_q(cls, mdp: MDP, table: ArrayLike) -> Policy:
@@ -210,9 +216,10 @@ class Policy:
         ----------
         table : (S, A) over all states, or (2^n, A) over the status vectors
             Action values; only the actions that a state offers are compared. Extra states
-            (the end) may be left out where they offer no choice.
+            (the end) may be left out where they offer no choice. Where the model stops after N
+            steps, S may be the states without their time; (N, S, A) depends on time.
         """
-        values = float_array(table)
+        values = by_time(mdp, float_array(table), 0.0, of_actions=True)
         space, actions, offered = _q_layout(mdp, values)
         if np.isnan(values[offered]).any():
             row = int(np.flatnonzero((np.isnan(values) & offered).any(axis=1))[0])
@@ -266,13 +273,15 @@ def _q_layout(mdp: MDP, values: Floats) -> tuple[StateSpace, tuple[str, ...], Nu
     """Return the space, the actions and the (K, A) availability that a Q-table is over."""
     offered: Numbers = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
     offered[mdp.pair_state, mdp.pair_action] = True
-    if values.shape == offered.shape:
-        return mdp.space, mdp.actions, offered
-    if values.shape == (_free(mdp), mdp.n_actions):
-        return StateSpace(columns=mdp.space.columns), mdp.actions, offered[: len(values)]
+    space = _layout(mdp, values, 2) if values.shape[1:] == (mdp.n_actions,) else None
+    if space is not None:
+        return space, mdp.actions, offered[: len(values)]
     free = np.flatnonzero(offered[~mdp.forced].any(axis=0))
     actions = tuple(mdp.actions[number] for number in free)
     expected = [f"({mdp.n_states}, {mdp.n_actions}) over all states"]
+    untimed = mdp.space.untimed
+    if untimed is not None:
+        expected.append(f"({untimed.size}, {mdp.n_actions}) over the states without their time")
     if "status" in mdp.space.names:
         column: Column = mdp.space.column("status")
         if values.shape == (column.size, len(actions)):
@@ -283,10 +292,59 @@ def _q_layout(mdp: MDP, values: Floats) -> tuple[StateSpace, tuple[str, ...], Nu
     )
 
 
-def _free(mdp: MDP) -> int:
-    """Return the number of states, the extra ones at the end left out where they are forced."""
-    regular = mdp.space.regular
-    return regular if bool(mdp.forced[regular:].all()) else mdp.n_states
+def by_time(mdp: MDP, table: Numbers, rest: float, *, of_actions: bool = False) -> Numbers:
+    """Return a table (N, S) or (N, S, A) over times and states as one over all states of `mdp`.
+
+    Parameters
+    ----------
+    mdp : MDP
+        Where its first column is not the time, the table is returned as it is; so are tables of
+        other shapes.
+    table : (N, S) or (N, S, A)
+        S are the states without their time, with or without the extra ones; time N, where all is
+        over, may be there as well or not.
+    rest : float
+        What is put where all is over.
+    of_actions : bool
+        Whether the last axis is that of the actions.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[1, 3], [0, 0]]).within(2)
+    >>> by_time(mdp, np.array([[0, 1], [1, 1]]), 0).tolist()
+    [0, 1, 1, 1, 0, 0]
+    """
+    untimed = mdp.space.untimed
+    if untimed is None or table.ndim != 2 + of_actions:
+        return table
+    times, own = mdp.space.columns[0].size, untimed.regular
+    over = bool(mdp.forced[(times - 1) * own :].all())
+    steps = times - 1 if over else times
+    if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
+        return table
+    kind = table.dtype if float(rest).is_integer() else np.result_type(table.dtype, np.float64)
+    found = np.full((mdp.n_states, *table.shape[2:]), rest, dtype=kind)
+    found[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
+    return found
+
+
+def _layout(mdp: MDP, table: Numbers, axes: int) -> StateSpace | None:
+    """Return the states that the rows of a table stand for; None where there are no such.
+
+    All states; without the extra ones, where these offer no choice; or, where the first column is
+    the time, the states without it.
+    """
+    if table.ndim != axes:
+        return None
+    space, rows = mdp.space, len(table)
+    if rows == space.size:
+        return space
+    if space.untimed is not None:
+        untimed = space.untimed
+        bare = StateSpace(columns=untimed.columns)
+        return untimed if rows == untimed.size else bare if rows == bare.size else None
+    free = rows == space.regular and bool(mdp.forced[space.regular :].all())
+    return StateSpace(columns=space.columns) if free else None
 
 
 def check_action(name: str, actions: Sequence[str], where: str) -> int:

@@ -260,7 +260,7 @@ class Evaluation:
         }
 
 
-def evaluate(mdp: MDP, policy: object) -> Evaluation:
+def evaluate(mdp: MDP, policy: object, *, horizon: int | None = None) -> Evaluation:
     """Return the mean and all else that there is to know about a policy's return.
 
     Parameters
@@ -268,6 +268,10 @@ def evaluate(mdp: MDP, policy: object) -> Evaluation:
     mdp : MDP
     policy : Policy, Solution, str, path, mapping or array
         Whatever `Policy.of` takes; a solution, for its policy; (L,) probabilities of pairs.
+    horizon : int, optional
+        Stop after so many steps, without a further reward: what is found is that of
+        `mdp.within(horizon)`. Policies over states are the same at every time there; those of
+        `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
 
     Raises
     ------
@@ -284,6 +288,8 @@ def evaluate(mdp: MDP, policy: object) -> Evaluation:
     >>> found.mean, found.steps, found.components, found.quantiles[0.5]
     (2.0, 2.0, {'reward': 2.0}, 1.0)
     """
+    if horizon is not None:
+        mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy)
     live = ~mdp.terminal
     if mdp.discount_exact == 1:

@@ -130,7 +130,12 @@ class ReturnDistribution:
 
 
 def return_distribution(
-    mdp: MDP, policy: object, *, exact: bool = False, max_sweeps: int = 1_000_000
+    mdp: MDP,
+    policy: object,
+    *,
+    exact: bool = False,
+    max_sweeps: int = 1_000_000,
+    horizon: int | None = None,
 ) -> ReturnDistribution:
     """Return the distribution of the total reward of an episode.
 
@@ -143,6 +148,8 @@ def return_distribution(
         Compute the probabilities as exact rationals; for chains without cycles, of modest size.
     max_sweeps : int
         How often states that lead back to each other are swept at most.
+    horizon : int, optional
+        Stop after so many steps; see `evaluate`.
 
     Raises
     ------
@@ -164,6 +171,8 @@ def return_distribution(
             where="discount",
             fix="choose discount 1; evaluate() gives mean and sd, simulate() samples returns",
         )
+    if horizon is not None:
+        mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy)
     chain.require_end()
     gain, unit = _lattice(chain)

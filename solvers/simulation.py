@@ -36,9 +36,10 @@ class Simulation:
     events : {name: share}
         Share of the episodes in which each event of the model happened.
     truncated : int
-        Episodes cut off before a terminal state; only below discount 1.
+        Episodes cut off before a terminal state: below discount 1, or by a horizon.
     truncation_error : float
-        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ).
+        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ). A horizon is no
+        error: its returns are those of episodes that stop there.
     """
 
     returns: Floats
@@ -92,6 +93,7 @@ def simulate(
     seed: int | np.random.Generator,
     *,
     max_steps: int | None = None,
+    horizon: int | None = None,
 ) -> Simulation:
     """Return the sampled returns of a policy's episodes.
 
@@ -106,6 +108,9 @@ def simulate(
         Timesteps after which an episode is cut off. Below discount 1 it is, unless given, the
         number after which nothing above 10⁻¹² of the greatest return can follow; at discount 1
         episodes are never cut off, and an episode that takes longer is an error.
+    horizon : int, optional
+        Stop every episode after so many steps, without a further reward, as the environments of a
+        time limit do; see `evaluate`.
 
     Raises
     ------
@@ -121,9 +126,10 @@ def simulate(
     """
     from tqdm import tqdm
 
-    chain = PolicyChain.of(mdp, policy)
     generator = generator_of(episodes, seed, max_steps)
-    limit, size = _horizon(chain, max_steps)
+    endless, mdp = mdp, mdp if horizon is None else mdp.within(horizon)
+    chain = PolicyChain.of(mdp, policy)
+    limit, size = _longest(chain, horizon if max_steps is None else max_steps)
     first, cumulative = _cumulative(chain)
     following, gain, event = chain.table.next, chain.gain, chain.table.event
     state = _starts(mdp, episodes, generator)
@@ -152,12 +158,16 @@ def simulate(
         raise ModelError(
             "a return is beyond the range of floats", where="rewards", fix="scale them down"
         )
+    stopped = 0
+    if horizon is not None:
+        last = mdp.n_states - endless.n_states  # the first state of the time at which all is over
+        stopped = int((~endless.terminal[state[state >= last] - last]).sum())
     rest = size * factor / float(1 - mdp.discount_exact) if len(running) else 0.0
     return Simulation(
         returns=returns,
         steps=steps,
         events={name: float(((happened >> bit) & 1).mean()) for bit, name in enumerate(mdp.events)},
-        truncated=len(running),
+        truncated=len(running) + stopped,
         truncation_error=rest,
     )
 
@@ -181,7 +191,7 @@ def generator_of(
     return np.random.default_rng(int(seed))
 
 
-def _horizon(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
+def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
     """Return the number of steps to simulate, and the greatest reward."""
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
