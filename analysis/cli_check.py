@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli_common import POLICY_HELP, check_outputs, model_options, perception_option
+from analysis.cli_common import (
+    POLICY_HELP,
+    check_outputs,
+    horizon_option,
+    model_options,
+    perception_option,
+    stopped,
+    tell_limit,
+)
 from analysis.cli_output import Grid, number, show
 
 if TYPE_CHECKING:
@@ -38,6 +46,7 @@ LISTED_STATES = 1000  # models with more states are left to Python for the regre
     "--no-explain", is_flag=True, help="Leave out what the policy's columns cannot express."
 )
 @perception_option
+@horizon_option
 @model_options
 def check(
     model: str,
@@ -48,6 +57,7 @@ def check(
     certify: bool,
     no_explain: bool,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -65,7 +75,7 @@ def check(
 
     started = perf_counter()
     check_outputs((junit, (".xml",)))
-    loaded = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     audit = compare.check(
         loaded.mdp,
         policy_of(loaded.mdp, learned, perception)
@@ -80,8 +90,10 @@ def check(
         _report(
             junit, loaded.name, learned, audit, perf_counter() - started, explain=why is not None
         )
-    result = {"model": loaded.name, "learned": learned, "perception": perception} | _result(audit)
+    result = {"model": loaded.name, "learned": learned, "perception": perception, "horizon": steps}
+    result |= _result(audit)
     result |= _reasons(audit, why)
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=_facts(result), grids=_grids(result))
     return PASSED if audit.passed else FAILED
 
@@ -194,6 +206,7 @@ def _facts(result: dict[str, Any]) -> dict[str, str]:
     facts = {
         "model": result["model"],
         "learned": result["learned"],
+        **({"horizon": f"{result['horizon']:,} steps"} if result["horizon"] else {}),
         "verdict": "passed" if result["passed"] else "FAILED",
     }
     for each in result["checks"]:

@@ -7,7 +7,16 @@ from typing import Any
 
 import click
 
-from analysis.cli_common import POLICY_HELP, model_options, perception_option, policy_of, whole_of
+from analysis.cli_common import (
+    POLICY_HELP,
+    horizon_option,
+    model_options,
+    perception_option,
+    policy_of,
+    stopped,
+    tell_limit,
+    whole_of,
+)
 from analysis.cli_output import Grid, at_most, decimal, number, show
 
 MOST_EPISODES = 10**9
@@ -26,12 +35,14 @@ LISTED_RETURNS = 1000  # longer distributions are left to --json
     help="Whether to work out the quantiles, which can take long in large models.",
 )
 @perception_option
+@horizon_option
 @model_options
 def evaluate(
     model: str,
     policy: str,
     quantiles: bool,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -40,7 +51,7 @@ def evaluate(
     import solvers
     from mdp.load import load
 
-    loaded = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     found = solvers.evaluate(loaded.mdp, policy_of(loaded.mdp, policy, perception))
     shares = found.quantiles if quantiles else None
     missing = "left out" if not quantiles else found.quantiles_missing
@@ -49,6 +60,7 @@ def evaluate(
         "policy": policy,
         "perception": perception,
         "discount": loaded.mdp.discount,
+        "horizon": steps,
         "claim": found.claim,
         "mean": found.mean,
         "error_bound": found.error_bound,
@@ -68,6 +80,7 @@ def evaluate(
         "policy": policy,
         **({"perception": perception} if perception else {}),
         "discount": number(loaded.mdp.discount),
+        **({"horizon": f"{steps:,} steps"} if steps else {}),
         "claim": f"{found.claim}, the mean within {at_most(found.error_bound)}",
         "mean": number(found.mean, found.error_bound),
         "sd": number(found.sd, errors["sd"]),
@@ -85,6 +98,7 @@ def evaluate(
     if shares is not None:
         rows = [(f"{share:.0%}", number(value)) for share, value in shares.items()]
         grids.append(_numbers("quantiles of the return", ("share", "return"), rows))
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=grids)
 
 
@@ -95,12 +109,14 @@ def evaluate(
 @click.argument("policy")
 @click.option("--exact", is_flag=True, help="Give the probabilities as rationals, too.")
 @perception_option
+@horizon_option
 @model_options
 def returns(
     model: str,
     policy: str,
     exact: bool,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -110,7 +126,7 @@ def returns(
     from mdp.load import load
     from solvers.returns import return_distribution
 
-    loaded = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     chosen = policy_of(loaded.mdp, policy, perception)
     found = return_distribution(loaded.mdp, chosen, exact=exact)
     moments = solvers.evaluate(loaded.mdp, chosen)
@@ -121,6 +137,7 @@ def returns(
         "policy": policy,
         "perception": perception,
         "discount": loaded.mdp.discount,
+        "horizon": steps,
         "claim": found.claim,
         "mean": moments.mean,
         "sd": moments.sd,
@@ -134,6 +151,7 @@ def returns(
     facts = {
         "model": loaded.name,
         "policy": policy,
+        **({"horizon": f"{steps:,} steps"} if steps else {}),
         "mean": number(moments.mean, moments.error_bound),
         "sd": number(moments.sd, moments.numbers["sd"].error),
         "returns": f"{len(values):,}",
@@ -151,6 +169,7 @@ def returns(
     title = "distribution" + (f" (the first {len(rows):,}; --json prints all)" if more else "")
     headings = ("return", "probability", "at most that")
     grid = Grid(title=title, headings=headings, rows=rows, numeric=frozenset({0, 1, 2}))
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=[grid])
 
 
@@ -164,6 +183,7 @@ def returns(
     "--seed", default="0", metavar="S", help="Seed of the random numbers; 0 unless given."
 )
 @perception_option
+@horizon_option
 @model_options
 def simulate(
     model: str,
@@ -171,6 +191,7 @@ def simulate(
     episodes: str,
     seed: str,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -180,14 +201,17 @@ def simulate(
     from solvers.simulation import simulate as sample
 
     count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
-    loaded = load(model, sets=sets, discount=discount)
-    found = sample(loaded.mdp, policy_of(loaded.mdp, policy, perception), count, first)
+    endless = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(endless, horizon)
+    chosen = policy_of(loaded.mdp, policy, perception)
+    found = sample(endless.mdp, chosen, count, first, horizon=steps)
     low, high = found.estimate.interval
     result: dict[str, Any] = {
         "model": loaded.name,
         "policy": policy,
         "perception": perception,
         "discount": loaded.mdp.discount,
+        "horizon": steps,
         "claim": found.claim,
         "mean": found.mean,
         "standard_error": found.standard_error,
@@ -206,6 +230,7 @@ def simulate(
         "policy": policy,
         **({"perception": perception} if perception else {}),
         "discount": number(loaded.mdp.discount),
+        **({"horizon": f"{steps:,} steps"} if steps else {}),
         "episodes": f"{found.episodes:,}, seed {first}",
         "mean": f"{number(found.mean, error / 10)} ({found.claim}, standard error {error:.2g})",
         "95 % interval": f"{number(low, error / 10)} to {number(high, error / 10)}",
@@ -215,8 +240,9 @@ def simulate(
     for name, share in found.events.items():
         facts[f"share with a {name}"] = number(share, 1e-4)
     if found.truncated:
-        cut = at_most(found.truncation_error)
-        facts["cut off"] = f"{found.truncated:,} episodes, each return within {cut}"
+        cut = f", each return within {at_most(found.truncation_error)}"
+        facts["cut off"] = f"{found.truncated:,} episodes{'' if steps else cut}"
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=())
 
 
