@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import islice
+from math import isnan
 from typing import Any
 
 import click
@@ -83,15 +84,15 @@ def evaluate(
         **({"horizon": f"{steps:,} steps"} if steps else {}),
         "claim": f"{found.claim}, the mean within {at_most(found.error_bound)}",
         "mean": number(found.mean, found.error_bound),
-        "sd": number(found.sd, errors["sd"]),
-        "steps": number(found.steps, errors["steps"]) if found.ends else "it may never end",
+        "sd": _told(found.sd, errors["sd"]),
+        "steps": _told(found.steps, errors["steps"]) if found.ends else "inf: it may never end",
     }
     for name, chance in found.event_probability.items():
-        facts[f"probability of a {name}"] = number(chance, errors[f"event.{name}"])
+        facts[f"probability of a {name}"] = _told(chance, errors[f"event.{name}"])
     if missing:
         facts["quantiles"] = f"none: {missing}"
     rows = [
-        (name, number(value, errors[f"component.{name}"]))
+        (name, _told(value, errors[f"component.{name}"]))
         for name, value in found.components.items()
     ]
     grids = [_numbers("expected total of each reward component", ("component", "total"), rows)]
@@ -244,6 +245,10 @@ def simulate(
         facts["cut off"] = f"{found.truncated:,} episodes{'' if steps else cut}"
     tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=())
+
+
+def _told(value: float, error: float) -> str:
+    return "unknown: double precision cannot bound it" if isnan(value) else number(value, error)
 
 
 def _numbers(title: str, headings: tuple[str, str], rows: list[tuple[str, str]]) -> Grid:
