@@ -1,8 +1,8 @@
 """What the commands print: one JSON object, or plain aligned tables.
 
-JSON has no NaN (it becomes null) and no infinity (it becomes "inf" or "-inf"); floats are as Python's
-repr gives them, which is exact, and rationals are "p/q". Text never has colours or cut-off cells:
-what is too wide wraps.
+JSON has no NaN (it becomes null) and no infinity (it becomes "inf" or "-inf"); floats are as
+Python's repr gives them, which is exact, and rationals are "p/q". Text never has colours or cut-off
+cells: what is too wide wraps.
 """
 
 from __future__ import annotations

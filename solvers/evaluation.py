@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property, partial
 from math import inf, nan, sqrt
 
@@ -240,7 +241,7 @@ class Evaluation:
             distribution = return_distribution(self.mdp, self.chain)
         except ModelError as error:
             return error.what
-        return {share: float(distribution.quantile(share)) for share in QUANTILES}
+        return {share: _rounded(distribution.quantile(share)) for share in QUANTILES}
 
     # ---- visits ------------------------------------------------------------------------------
 
@@ -321,6 +322,14 @@ def _known(make: Callable[[], Bounded]) -> Bounded:
         return make()
     except SolverError:
         return UNKNOWN
+
+
+def _rounded(number: Fraction) -> float:
+    """Return the nearest float; infinite beyond their range."""
+    try:
+        return float(number)
+    except OverflowError:
+        return inf if number > 0 else -inf
 
 
 def _times(number: float, power: int, times: int = 1) -> float:

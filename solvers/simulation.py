@@ -65,12 +65,21 @@ class Simulation:
     @property
     def mean(self) -> float:
         """Mean return."""
-        return float(self.returns.mean())
+        scaled, power = self._scaled
+        return float(np.ldexp(scaled.mean(), power))
 
     @property
     def sd(self) -> float:
         """Standard deviation of the returns; infinite for one episode, which says nothing of it."""
-        return float(self.returns.std(ddof=1)) if self.episodes > 1 else inf
+        scaled, power = self._scaled
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(scaled.std(ddof=1), power)) if self.episodes > 1 else inf
+
+    @property
+    def _scaled(self) -> tuple[Floats, int]:
+        """The returns over a power of two, so that sums and squares stay within the floats."""
+        power = int(np.frexp(np.abs(self.returns).max())[1])
+        return np.ldexp(self.returns, -power), power
 
     @property
     def standard_error(self) -> float:

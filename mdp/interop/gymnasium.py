@@ -228,8 +228,10 @@ def _time_limit(env: Any) -> int | None:
         limits.append(getattr(layer, "__dict__", {}).get("_max_episode_steps"))
         layer = getattr(layer, "env", None)
     known = [limit for limit in limits if _positive(limit)]
-    stated = getattr(getattr(env, "spec", None), "max_episode_steps", None)
-    return int(min(known)) if known else int(stated) if _positive(stated) else None
+    if not known:
+        stated = getattr(getattr(env, "spec", None), "max_episode_steps", None)
+        known = [stated] if _positive(stated) else []
+    return int(min(known)) if known else None
 
 
 def _positive(limit: Any) -> bool:

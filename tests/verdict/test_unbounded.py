@@ -10,7 +10,7 @@ import pytest
 from cli_runner import run, strict
 
 from mdp import MDP
-from solvers import evaluate
+from solvers import evaluate, return_distribution, simulate
 
 
 def test_steps_of_a_policy_that_never_ends_are_infinite() -> None:
@@ -85,3 +85,26 @@ def test_two_outcomes_give_the_spread_of_a_recursion() -> None:
     spread = (0.5 * (1 + 0.5 * mean - mean) ** 2 + 0.5 * mean**2) / (1 - 0.125)
     assert found.sd / 1e300 == pytest.approx(sqrt(spread))
     assert np.isfinite(found.mean)
+
+
+@pytest.mark.parametrize("size", [1.7e308, 1e-308])
+def test_sampled_and_listed_returns_of_any_scale(size: float) -> None:
+    """Mean and sd of simulations and of distributions neither overflow nor vanish."""
+    rows = [(0, 0, [(0.5, 1, size), (0.5, 1, -size)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    found = simulate(mdp, [0, 0], 400, seed=3)
+    assert found.sd == pytest.approx(size, rel=0.02)
+    assert abs(found.mean) < 4 * found.standard_error
+    listed = return_distribution(mdp, [0, 0])
+    assert (listed.mean, listed.sd) == (0, pytest.approx(size))
+
+
+def test_returns_beyond_the_floats_are_infinite() -> None:
+    """Two losses of 1e308 make one that no float holds; its quantile is -inf, the rest stands."""
+    rows = [(0, 0, [(1, 1, -1e308)]), (1, 0, [(0.5, 2, -1e308), (0.5, 2, 1e308)])]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+    found = evaluate(mdp, [0, 0, 0])
+    assert found.quantiles is not None
+    assert (found.quantiles[0.05], found.quantiles[0.95]) == (-inf, 0)
+    assert (found.mean, found.sd) == (-1e308, pytest.approx(1e308))
+    assert return_distribution(mdp, [0, 0, 0]).sd == pytest.approx(1e308)
