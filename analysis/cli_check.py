@@ -13,10 +13,13 @@ import click
 from analysis.cli_common import (
     POLICY_HELP,
     check_outputs,
+    horizon_option,
     kind_option,
     model_options,
     perception_option,
     read_as,
+    stopped,
+    tell_limit,
 )
 from analysis.cli_output import Grid, number, show
 
@@ -48,6 +51,7 @@ LISTED_STATES = 1000  # models with more states are left to Python for the regre
 )
 @kind_option
 @perception_option
+@horizon_option
 @model_options
 def check(
     model: str,
@@ -59,6 +63,7 @@ def check(
     no_explain: bool,
     kind: str,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -78,7 +83,7 @@ def check(
 
     started = perf_counter()
     check_outputs((junit, (".xml",)))
-    loaded = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     given = taken_of(loaded.mdp, learned, perception, kind=kind)
     audit = compare.check(
         loaded.mdp,
@@ -92,9 +97,11 @@ def check(
         _report(
             junit, loaded.name, learned, audit, perf_counter() - started, explain=why is not None
         )
-    result = {"model": loaded.name, "learned": learned, "perception": perception} | _result(audit)
+    result = {"model": loaded.name, "learned": learned, "perception": perception, "horizon": steps}
+    result |= _result(audit)
     result |= _reasons(audit, why)
     facts = read_as(given) | _facts(result)
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=_grids(result))
     return PASSED if audit.passed else FAILED
 
@@ -216,6 +223,7 @@ def _facts(result: dict[str, Any]) -> dict[str, str]:
     facts = {
         "model": result["model"],
         "learned": result["learned"],
+        **({"horizon": f"{result['horizon']:,} steps"} if result["horizon"] else {}),
         "verdict": "passed" if result["passed"] else "FAILED",
     }
     for each in result["checks"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
+    from mdp.load import Loaded
     from mdp.model import MDP
     from mdp.policy import Policy, Taken
 
@@ -55,6 +57,38 @@ kind_option = click.option(
     metavar="q|policy|auto",
     help="What a .npy or .npz file holds: a Q-table, or probabilities of actions.",
 )
+
+
+horizon_option = click.option(
+    "--horizon", metavar="N", help="Stop every episode after N steps, without a further reward."
+)
+
+MOST_STEPS = 10**9
+
+
+def stopped(loaded: Loaded, horizon: str | None) -> tuple[Loaded, int | None]:
+    """Return the model of episodes that stop after the steps that an option states, and these."""
+    if horizon is None:
+        return loaded, None
+    steps = whole_of(horizon, "--horizon", 1, MOST_STEPS)
+    return replace(loaded, mdp=loaded.mdp.within(steps)), steps
+
+
+def tell_limit(mdp: MDP, *, option: bool = True) -> None:
+    """Say on standard error that an answer leaves the environment's time limit out, if it does.
+
+    Parameters
+    ----------
+    option : bool
+        Whether the command takes `--horizon`.
+    """
+    if mdp.time_limit is not None:
+        also = f": --horizon {mdp.time_limit}" if option else ""
+        print(
+            f"note: the environment stops after {mdp.time_limit:,} steps; this answer is for "
+            f"episodes without a limit{also}",
+            file=sys.stderr,
+        )
 
 
 def policy_of(mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto") -> Policy:

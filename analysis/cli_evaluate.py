@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from itertools import islice
+from math import isnan
 from typing import Any
 
 import click
 
 from analysis.cli_common import (
     POLICY_HELP,
+    horizon_option,
     kind_option,
     model_options,
     perception_option,
     read_as,
+    stopped,
     taken_of,
+    tell_limit,
     whole_of,
 )
 from analysis.cli_output import Grid, at_most, decimal, number, show
@@ -35,6 +39,7 @@ LISTED_RETURNS = 1000  # longer distributions are left to --json
 )
 @kind_option
 @perception_option
+@horizon_option
 @model_options
 def evaluate(
     model: str,
@@ -42,6 +47,7 @@ def evaluate(
     quantiles: bool,
     kind: str,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -50,7 +56,7 @@ def evaluate(
     import solvers
     from mdp.load import load
 
-    loaded = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     given = taken_of(loaded.mdp, policy, perception, kind=kind)
     found = solvers.evaluate(loaded.mdp, given.policy)
     shares = found.quantiles if quantiles else None
@@ -61,6 +67,7 @@ def evaluate(
         "read_as": given.read_as,
         "perception": perception,
         "discount": loaded.mdp.discount,
+        "horizon": steps,
         "claim": found.claim,
         "mean": found.mean,
         "error_bound": found.error_bound,
@@ -80,23 +87,25 @@ def evaluate(
         "policy": policy,
         **({"perception": perception} if perception else {}),
         "discount": number(loaded.mdp.discount),
+        **({"horizon": f"{steps:,} steps"} if steps else {}),
         "claim": f"{found.claim}, the mean within {at_most(found.error_bound)}",
         "mean": number(found.mean, found.error_bound),
-        "sd": number(found.sd, errors["sd"]),
-        "steps": number(found.steps, errors["steps"]) if found.ends else "it may never end",
+        "sd": _told(found.sd, errors["sd"]),
+        "steps": _told(found.steps, errors["steps"]) if found.ends else "inf: it may never end",
     }
     for name, chance in found.event_probability.items():
-        facts[f"probability of a {name}"] = number(chance, errors[f"event.{name}"])
+        facts[f"probability of a {name}"] = _told(chance, errors[f"event.{name}"])
     if missing:
         facts["quantiles"] = f"none: {missing}"
     rows = [
-        (name, number(value, errors[f"component.{name}"]))
+        (name, _told(value, errors[f"component.{name}"]))
         for name, value in found.components.items()
     ]
     grids = [_numbers("expected total of each reward component", ("component", "total"), rows)]
     if shares is not None:
         rows = [(f"{share:.0%}", number(value)) for share, value in shares.items()]
         grids.append(_numbers("quantiles of the return", ("share", "return"), rows))
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=grids)
 
 
@@ -108,6 +117,7 @@ def evaluate(
 @click.option("--exact", is_flag=True, help="Give the probabilities as rationals, too.")
 @kind_option
 @perception_option
+@horizon_option
 @model_options
 def returns(
     model: str,
@@ -115,6 +125,7 @@ def returns(
     exact: bool,
     kind: str,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -124,7 +135,7 @@ def returns(
     from mdp.load import load
     from solvers.returns import return_distribution
 
-    loaded = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     given = taken_of(loaded.mdp, policy, perception, kind=kind)
     found = return_distribution(loaded.mdp, given.policy, exact=exact)
     moments = solvers.evaluate(loaded.mdp, given.policy)
@@ -136,6 +147,7 @@ def returns(
         "read_as": given.read_as,
         "perception": perception,
         "discount": loaded.mdp.discount,
+        "horizon": steps,
         "claim": found.claim,
         "mean": moments.mean,
         "sd": moments.sd,
@@ -149,6 +161,7 @@ def returns(
     facts = read_as(given) | {
         "model": loaded.name,
         "policy": policy,
+        **({"horizon": f"{steps:,} steps"} if steps else {}),
         "mean": number(moments.mean, moments.error_bound),
         "sd": number(moments.sd, moments.numbers["sd"].error),
         "returns": f"{len(values):,}",
@@ -166,6 +179,7 @@ def returns(
     title = "distribution" + (f" (the first {len(rows):,}; --json prints all)" if more else "")
     headings = ("return", "probability", "at most that")
     grid = Grid(title=title, headings=headings, rows=rows, numeric=frozenset({0, 1, 2}))
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=[grid])
 
 
@@ -180,6 +194,7 @@ def returns(
 )
 @kind_option
 @perception_option
+@horizon_option
 @model_options
 def simulate(
     model: str,
@@ -188,6 +203,7 @@ def simulate(
     seed: str,
     kind: str,
     perception: str | None,
+    horizon: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
@@ -197,9 +213,10 @@ def simulate(
     from solvers.simulation import simulate as sample
 
     count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
-    loaded = load(model, sets=sets, discount=discount)
+    endless = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(endless, horizon)
     given = taken_of(loaded.mdp, policy, perception, kind=kind)
-    found = sample(loaded.mdp, given.policy, count, first)
+    found = sample(endless.mdp, given.policy, count, first, horizon=steps)
     low, high = found.estimate.interval
     result: dict[str, Any] = {
         "model": loaded.name,
@@ -207,6 +224,7 @@ def simulate(
         "read_as": given.read_as,
         "perception": perception,
         "discount": loaded.mdp.discount,
+        "horizon": steps,
         "claim": found.claim,
         "mean": found.mean,
         "standard_error": found.standard_error,
@@ -225,6 +243,7 @@ def simulate(
         "policy": policy,
         **({"perception": perception} if perception else {}),
         "discount": number(loaded.mdp.discount),
+        **({"horizon": f"{steps:,} steps"} if steps else {}),
         "episodes": f"{found.episodes:,}, seed {first}",
         "mean": f"{number(found.mean, error / 10)} ({found.claim}, standard error {error:.2g})",
         "95 % interval": f"{number(low, error / 10)} to {number(high, error / 10)}",
@@ -234,9 +253,14 @@ def simulate(
     for name, share in found.events.items():
         facts[f"share with a {name}"] = number(share, 1e-4)
     if found.truncated:
-        cut = at_most(found.truncation_error)
-        facts["cut off"] = f"{found.truncated:,} episodes, each return within {cut}"
+        cut = f", each return within {at_most(found.truncation_error)}"
+        facts["cut off"] = f"{found.truncated:,} episodes{'' if steps else cut}"
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=())
+
+
+def _told(value: float, error: float) -> str:
+    return "unknown: double precision cannot bound it" if isnan(value) else number(value, error)
 
 
 def _numbers(title: str, headings: tuple[str, str], rows: list[tuple[str, str]]) -> Grid:

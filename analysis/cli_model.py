@@ -47,6 +47,7 @@ def info(model: str, sets: tuple[str, ...], discount: str | None, as_json: bool)
         "terminates": ending.proven,
         "never_ends": _counterexample(mdp, ending),
         "acyclic": is_acyclic(mdp),
+        "time_limit": mdp.time_limit,
         "reward_components": mdp.component_names,
         "events": mdp.events,
         "model_hash": fingerprint(mdp),
@@ -93,6 +94,8 @@ def _facts(result: dict[str, Any]) -> dict[str, str]:
         also = f"; {more} more" if more else ""
         facts["every policy ends"] = f"no; one that stays for ever: {'; '.join(shown)}{also}"
     facts["acyclic"] = "yes" if result["acyclic"] else "no"
+    if result["time_limit"] is not None:
+        facts["time limit"] = f"{result['time_limit']:,} steps, left out without --horizon"
     facts["reward components"] = ", ".join(result["reward_components"])
     if "tasks" in result:
         facts["statuses"] = ", ".join(result["statuses"])

@@ -1,7 +1,8 @@
 """What the commands print: one JSON object, or plain aligned tables.
 
-JSON has no NaN and no infinity (they become null), floats as Python's repr gives them, which is
-exact, and rationals as "p/q". Text never has colours or cut-off cells: what is too wide wraps.
+JSON has no NaN (it becomes null) and no infinity (it becomes "inf" or "-inf"); floats are as
+Python's repr gives them, which is exact, and rationals are "p/q". Text never has colours or cut-off
+cells: what is too wide wraps.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def to_json(result: Mapping[str, Any]) -> str:
     Examples
     --------
     >>> to_json({"value": Fraction(1, 3), "steps": math.inf, "x": 0.1}).replace(chr(10), "")
-    '{  "value": "1/3",  "steps": null,  "x": 0.1}'
+    '{  "value": "1/3",  "steps": "inf",  "x": 0.1}'
     """
     return json.dumps(_plain(result), indent=2, allow_nan=False)
 
@@ -84,7 +85,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Fraction):
         return ratio(value)
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return None if math.isnan(value) else f"{value:g}"
     if not isinstance(value, str) and hasattr(value, "tolist"):
         return _plain(value.tolist())
     return value

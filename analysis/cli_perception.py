@@ -12,6 +12,7 @@ from analysis.cli_common import (
     float_of,
     model_options,
     policy_of,
+    tell_limit,
     whole_of,
 )
 from analysis.cli_output import show
@@ -122,6 +123,7 @@ def perception(
         "counted": None if spread is None else spread_of(spread, seeded),
     }
     facts = {"model": loaded.name, "policy": policy, "perception": told}
+    tell_limit(loaded.mdp, option=False)
     show(result, as_json=as_json, facts=facts, grids=grids_of(price, costs, needed, spread, mdp))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from analysis.cli_common import PERCEPTION_HELP, POLICY_HELP, model_options
+from analysis.cli_common import PERCEPTION_HELP, POLICY_HELP, model_options, tell_limit
 from analysis.cli_output import show
 
 KINDS = MappingProxyType(
@@ -151,6 +151,7 @@ def sensitivity(
     head = {"model": loaded.name, "kind": kind, "discount": loaded.mdp.discount, "perception": seen}
     told = {"perception": f"{seen}, which the policy held fixed acts on"} if seen else {}
     facts = {"model": loaded.name, "analysis": kind} | told | facts
+    tell_limit(loaded.mdp, option=False)
     show(head | result, as_json=as_json, facts=facts, grids=grids)
 
 

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from analysis.cli_common import check_outputs, float_of, model_options
+from analysis.cli_common import (
+    check_outputs,
+    float_of,
+    horizon_option,
+    model_options,
+    stopped,
+    tell_limit,
+)
 from analysis.cli_output import Grid, at_most, number, ratio, show
 
 if TYPE_CHECKING:
@@ -22,6 +29,7 @@ SHOWN_DIGITS = 1000  # longer exact values are left to --json
 @click.command(short_help="Optimal value and policy, with a bound or a proof.")
 @click.argument("model")
 @model_options
+@horizon_option
 @click.option(
     "--method",
     default="auto",
@@ -48,6 +56,7 @@ def solve(
     sets: tuple[str, ...],
     discount: str | None,
     as_json: bool,
+    horizon: str | None,
     method: str,
     tol: str | None,
     certify: bool,
@@ -59,23 +68,27 @@ def solve(
     """Find an optimal policy of MODEL and its value, with an error bound that is sound.
 
     With --certify the optimum is also computed in rational arithmetic, and proved. With --operator
-    whether the optimum is stationary is left open, and no model hash is recorded.
+    whether the optimum is stationary is left open, and no model hash is recorded. With --horizon
+    the optimum is that of episodes that stop, whose policy depends on the time.
     """
     from analysis.cli_save import save
     from analysis.optimum import optimum
     from mdp.load import load
+    from mdp.model import MDP
 
     endings = ((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     check_outputs(*endings)
     if operator:
-        method = _by_operator(method, {"--certify": certify, "--certificate": certificate})
-        loaded = _as_operator(model, sets, discount)
+        others = {"--certify": certify, "--certificate": certificate, "--horizon": horizon}
+        method = _by_operator(method, others)
+        loaded, steps = _as_operator(model, sets, discount), None
     else:
-        loaded = load(model, sets=sets, discount=discount)
+        loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     found = optimum(loaded.mdp, method, float_of(tol, "--tol"), certify=certify)
     written = save(loaded, found, policy_out, out, certificate)
-    result = _result(loaded, found)
-    result["written"] = written
+    result = _result(loaded, found) | {"horizon": steps, "written": written}
+    if isinstance(loaded.mdp, MDP):
+        tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=_facts(result), grids=_grids(result, loaded))
 
 
@@ -164,6 +177,7 @@ def _facts(result: dict[str, Any]) -> dict[str, str]:
         "model": result["model"],
         "method": result["method"],
         "discount": number(result["discount"]),
+        **({"horizon": f"{result['horizon']:,} steps"} if result["horizon"] else {}),
         "start value": f"{shown} ({result['claim']}, within {at_most(result['error_bound'])})",
     }
     if result["seconds"] is not None:

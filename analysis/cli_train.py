@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli_common import float_of, model_options, whole_of
+from analysis.cli_common import float_of, model_options, tell_limit, whole_of
 from analysis.cli_output import show
 
 if TYPE_CHECKING:
@@ -113,6 +113,7 @@ def train(
         result["unstable"] = explained(loaded, settings, found)
     if out is not None:
         result["written"] = save(Path(out), loaded, settings, first, runs, found, result)
+    tell_limit(loaded.mdp, option=False)
     show(result, as_json=as_json, facts=facts(result), grids=grids(result))
 
 

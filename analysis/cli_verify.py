@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli_common import model_options
+from analysis.cli_common import horizon_option, model_options, stopped, tell_limit
 from analysis.cli_output import Grid, at_most, number, show
 
 if TYPE_CHECKING:
@@ -19,9 +19,15 @@ HOLDS, FAILS = 0, 1
 @click.command(short_help="Check a certificate of a model's optimum.")
 @click.argument("certificate")
 @click.argument("model")
+@horizon_option
 @model_options
 def verify(
-    certificate: str, model: str, sets: tuple[str, ...], discount: str | None, as_json: bool
+    certificate: str,
+    model: str,
+    horizon: str | None,
+    sets: tuple[str, ...],
+    discount: str | None,
+    as_json: bool,
 ) -> int:
     """Check that CERTIFICATE proves the optimum of MODEL; exit status 1 where it does not.
 
@@ -29,12 +35,13 @@ def verify(
     """
     from mdp.load import load
 
-    loaded = load(model, sets=sets, discount=discount)
+    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     proof = _read(certificate)
     violations = proof.violations(loaded.mdp)
     result: dict[str, Any] = {
         "certificate": certificate,
         "model": loaded.name,
+        "horizon": steps,
         "passed": not violations,
         "violations": violations,
         "claim": None if violations else proof.claim,
@@ -53,6 +60,7 @@ def verify(
         )
     rows = [[violation] for violation in violations]
     grids = [Grid(title="violations", headings=["what is wrong"], rows=rows)] if rows else []
+    tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=grids)
     return FAILS if violations else HOLDS
 

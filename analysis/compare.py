@@ -32,6 +32,7 @@ def check(
     max_relative_regret: object | None = None,
     exact_values: bool | None = None,
     kind: str = "auto",
+    horizon: int | None = None,
 ) -> Audit:
     """Return how much a policy or Q-table loses against the optimum, where and why.
 
@@ -53,6 +54,10 @@ def check(
     kind : "auto", "q" or "policy"
         What a two-dimensional array or a file of one holds; `mdp.policy_array` states the rule of
         "auto", and `Audit.read_as` says what was taken.
+    horizon : int, optional
+        Stop after so many steps, without a further reward: the audit is that of
+        `mdp.within(horizon)`. What is learned over states is the same at every time there; tables
+        (N, S, A) depend on time.
 
     Raises
     ------
@@ -68,6 +73,8 @@ def check(
     >>> audit.passed, round(float(audit.regret.at_start.value), 3), round(audit.agreement, 3)
     (False, 63.062, 0.333)
     """
+    if horizon is not None:
+        mdp = mdp.within(horizon)
     limits = {
         "max_regret": _limit("max_regret", max_regret),
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
@@ -106,6 +113,7 @@ def assert_policy_optimal(
     *,
     max_relative_regret: object | None = None,
     kind: str = "auto",
+    horizon: int | None = None,
 ) -> Audit:
     """Raise AssertionError, naming the costly states, unless the regret keeps its limits.
 
@@ -118,6 +126,8 @@ def assert_policy_optimal(
         Limits at the start; both must hold. Without either the regret must be zero; see `check`.
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `check`.
+    horizon : int, optional
+        Stop after so many steps; see `check`.
 
     Returns
     -------
@@ -134,7 +144,12 @@ def assert_policy_optimal(
       (state 0): 0, not 1; gap 2 x 1 visits = 2
     """
     audit = check(
-        mdp, policy, max_regret=max_regret, max_relative_regret=max_relative_regret, kind=kind
+        mdp,
+        policy,
+        max_regret=max_regret,
+        max_relative_regret=max_relative_regret,
+        kind=kind,
+        horizon=horizon,
     )
     if not audit.passed:
         raise AssertionError(audit.message())

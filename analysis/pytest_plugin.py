@@ -46,6 +46,7 @@ class PolicyGate(Protocol):
         set: Sequence[str] = (),
         discount: object | None = None,
         kind: str = "auto",
+        horizon: int | None = None,
     ) -> Audit: ...
 
 
@@ -62,6 +63,7 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         set: Sequence[str] = (),
         discount: object | None = None,
         kind: str = "auto",
+        horizon: int | None = None,
     ) -> Audit:
         __tracebackhide__ = True
         from analysis.compare import check
@@ -78,6 +80,7 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
             max_regret=max_regret,
             max_relative_regret=max_relative_regret,
             kind=kind,
+            horizon=horizon,
         )
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.
         request.node.user_properties += [

@@ -19,6 +19,7 @@ import numpy as np
 from mdp.chain import reachable
 from mdp.model import MDP
 from mdp.policy import Policy
+from mdp.policy_array import by_time
 from mdp.table import Floats, Numbers
 
 
@@ -57,8 +58,9 @@ def pair_values(mdp: MDP, policy: Policy, table: Numbers) -> Floats:
     policy : Policy
         The table's greedy policy, which knows its rows and actions.
     table : (K, A)
-        Rows of the states, or of the columns that the policy reads.
+        Rows of the states, or of the columns that the policy reads; (N, S, A) by time.
     """
+    table = by_time(mdp, table, np.nan, of_actions=True)
     keys = policy._keys(mdp)[mdp.pair_state]
     column = np.array(
         [policy.actions.index(name) if name in policy.actions else -1 for name in mdp.actions]

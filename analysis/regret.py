@@ -58,6 +58,7 @@ from solvers.visits import at_start
 
 Flags = NDArray[np.bool_]
 EXACT_TRANSITIONS = 100_000
+EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
 EXACT_CYCLE = 64  # states of the largest cycle
 LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open
 ACCURATE = 2.0**-30  # relative errors of gaps from which on they are worked out exactly
@@ -149,7 +150,7 @@ def regret(
         The model under the policy.
     exact : bool, optional
         Rational arithmetic or bounds; unless given, rational arithmetic in models of up to 100,000
-        transitions without cycles of over 64 states.
+        transitions (250,000 with a horizon) without cycles of over 64 states.
     optimum : Certificate or Bounds, optional
         What another policy's regret was found with; unless `exact` is given, this says how.
 
@@ -192,7 +193,7 @@ def under(mdp: MDP, pairs: Integers) -> MDP:
 
 def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
     """Return whether rational arithmetic is quick: few transitions, cycles of few states."""
-    if mdp.n_transitions > EXACT_TRANSITIONS:
+    if mdp.n_transitions > (EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME):
         return False
     return is_acyclic(mdp) or int(np.bincount(components(mdp)[1]).max()) <= cycle
 

@@ -152,7 +152,7 @@ def from_outcomes(
         weight_doubt=weight.doubt,
         gain_doubt=gain.doubt,
     )
-    table = _by_outcome(table) if owned is None else table
+    table = by_outcome(table) if owned is None else table
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -202,7 +202,7 @@ def _total(row: Outcomes) -> Fraction:
     return sum(map(exact, row.values()), Fraction(0))
 
 
-def _by_outcome(table: OutcomeTable) -> OutcomeTable:
+def by_outcome(table: OutcomeTable) -> OutcomeTable:
     """Return a table whose rewards belong to outcomes beyond doubt.
 
     With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
@@ -280,7 +280,7 @@ def _from_rows(
     if rising:
         vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
     if reward.ndim == 2:
-        table = _by_outcome(table)
+        table = by_outcome(table)
     return _assemble(state, action, table, size, discount, start, names)
 
 

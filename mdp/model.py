@@ -26,7 +26,7 @@ from mdp.errors import ModelError, suggest
 from mdp.space import StateSpace
 from mdp.symbolic import changed_degrees, followed
 from mdp.table import Floats, Integers, OutcomeTable, beside, exact
-from mdp.validate import check_model
+from mdp.validate import check_model, counted
 
 if TYPE_CHECKING:
     from mdp.parameters import Parameter
@@ -57,6 +57,9 @@ class MDP:
         Expected reward by component; the row sums are `reward`.
     events : tuple of str
         Names of the bits of `table.event`.
+    time_limit : int, optional
+        The number of steps after which the environment that the model was made from stops. No
+        transition knows of it: `within` makes the model of episodes that stop.
 
     Raises
     ------
@@ -86,6 +89,7 @@ class MDP:
     events: tuple[str, ...] = ()
     name: str = ""
     parameters: tuple[Parameter, ...] = ()
+    time_limit: int | None = None
 
     transition: sp.csr_array = field(init=False, repr=False)
     reward: Floats = field(init=False, repr=False)
@@ -94,6 +98,8 @@ class MDP:
     def __post_init__(self) -> None:
         check_model(self)
         fill = object.__setattr__
+        if self.time_limit is not None:
+            fill(self, "time_limit", counted(self.time_limit, "time_limit"))
         counts = np.bincount(self.pair_state, minlength=self.n_states)
         fill(self, "pair_offsets", np.concatenate([[0], np.cumsum(counts)]))
         fill(self, "transition", _transition(self.table, self.n_states))
@@ -256,6 +262,38 @@ class MDP:
         if "table" in parts and "components" not in parts:
             parts |= {"components": np.empty((0, 0)), "component_names": ("reward",)}
         return replace(self, **parts)
+
+    def within(self, steps: int) -> MDP:
+        """Return the model of episodes that stop after N steps, without a further reward.
+
+        A column `time` comes before the model's own: states are those of time 0, of time 1, and so
+        on to time N, where all is over; extra states, such as an end, keep no time. Everything
+        that takes a model takes this one. Policies over the model's own states or columns are
+        policies of this one, too, the same at every time.
+
+        Parameters
+        ----------
+        steps : int
+            N, 1 or more.
+
+        Raises
+        ------
+        ModelError
+            For what is no positive whole number; where the model would not fit in memory; where it
+            has a column `time` already.
+
+        Examples
+        --------
+        >>> wait, go = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+        >>> mdp = MDP.from_arrays([wait, go], [[1, "3/2"], [0, 0]]).within(3)
+        >>> mdp.space.names, mdp.n_states, mdp.space.label(2)
+        (('time', 'state'), 8, 'time 1, state 0')
+        >>> mdp.table.row(mdp.pair(2, 0))
+        [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
+        """
+        from mdp.horizon import within
+
+        return within(self, steps)
 
     # ---- construction ------------------------------------------------------------------------
 

@@ -22,9 +22,11 @@ from mdp.policy_array import (
     ArrayPolicy,
     ReadAs,
     action_numbers,
+    by_time,
     checked_kind,
     numbers_of,
     policy_of_array,
+    rows_read,
 )
 from mdp.space import StateSpace
 from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, float_array
@@ -104,6 +106,8 @@ class Policy:
         by_action = np.zeros((self.space.size, mdp.n_actions))
         by_action[:, numbers] = self.table
         weights = by_action[keys[mdp.pair_state], mdp.pair_action]
+        if mdp.space.extra and self.space.extra != mdp.space.extra:
+            weights[mdp.pair_state >= mdp.space.regular] = np.nan
         weights[mdp.forced[mdp.pair_state]] = 1.0
         total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
         bad = ~(np.abs(total - 1) <= FLOAT_ROW_TOLERANCE)
@@ -134,20 +138,7 @@ class Policy:
 
     def _keys(self, mdp: MDP) -> Integers:
         """Return (S,) the row of the table that each state reads."""
-        if self.space.columns == mdp.space.columns and self.space.extra == mdp.space.extra:
-            return np.arange(mdp.n_states)
-        keys = np.zeros(mdp.n_states, dtype=np.int64)
-        for column in self.space.columns:
-            theirs = mdp.space.column(column.name)
-            if theirs != column:
-                raise ModelError(
-                    f"column {column.name} has {column.size} values here and {theirs.size} "
-                    "in the model",
-                    where="policy",
-                    fix="use a policy made for this model",
-                )
-            keys = keys * column.size + np.maximum(mdp.space.values(column.name), 0)
-        return keys
+        return rows_read(mdp, self.space)
 
     # ---- construction ------------------------------------------------------------------------
 
@@ -160,7 +151,9 @@ class Policy:
         mdp : MDP
         policy : Policy, str, path, mapping, array, or object with an array `q` or `policy`
             A policy; "random", "always:ACTION" or a file; {status: action}; (S,) action numbers;
-            a two-dimensional array of probabilities or action values.
+            a two-dimensional array of probabilities or action values. Where the model stops after N
+            steps (`MDP.within`), S may be the states without their time, and (N, S) and (N, S, A)
+            depend on time.
         kind : "auto", "q" or "policy"
             What a two-dimensional array holds; `mdp.policy_array` states the rule of "auto".
 
@@ -199,9 +192,12 @@ class Policy:
 
     @classmethod
     def from_choices(cls, mdp: MDP, choices: ArrayLike) -> Policy:
-        """Return the policy of (S,) action numbers; a forced end may be left out."""
-        numbers = action_numbers(mdp, numbers_of(choices))
-        return cls(space=mdp.space, actions=mdp.actions, table=np.eye(mdp.n_actions)[numbers])
+        """Return the policy of (S,) action numbers; a forced end may be left out.
+
+        Where the model stops after N steps, (S,) without the time and (N, S) are taken as well.
+        """
+        space, numbers = action_numbers(mdp, numbers_of(choices))
+        return cls(space=space, actions=mdp.actions, table=np.eye(mdp.n_actions)[numbers])
 
     @classmethod
     def from_q(cls, mdp: MDP, table: ArrayLike) -> Policy:
@@ -330,7 +326,11 @@ def _of_words(mdp: MDP, policy: object) -> Policy | None:
 
 
 def _of_array(mdp: MDP, array: Numbers, kind: str) -> Taken:
-    if array.ndim == 2:
+    timed = mdp.space.untimed is not None
+    times = timed and array.ndim == 2 and by_time(mdp, array, 0).ndim == 1
+    if times and array.dtype.kind in "iu" and kind != "q" and array.shape[1] != mdp.n_actions:
+        return Taken(policy=Policy.from_choices(mdp, array))
+    if array.ndim == 2 or (timed and array.ndim == 3):
         found = policy_of_array(mdp, array, kind)
         values = found.values
         return Taken(policy=_made(found), read_as=found.read_as, array=True, values=values)

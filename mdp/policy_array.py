@@ -56,12 +56,14 @@ class ArrayPolicy:
 
 
 def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy:
-    """Return the policy that a two-dimensional array of numbers gives.
+    """Return the policy that an array of numbers gives.
 
     Parameters
     ----------
     array : (S, A) over all states, or (2^n, A) over the status vectors
-        Extra states (the end) may be left out where they offer no choice. Real numbers of any type.
+        Where the model stops after N steps, S may be the states without their time, and (N, S, A)
+        depends on time. Extra states (the end) may be left out where they offer no choice. Real
+        numbers of any type.
     kind : "auto", "q" or "policy"
 
     Raises
@@ -86,6 +88,7 @@ def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy
       fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q)
     """
     kind = checked_kind(kind)
+    array = by_time(mdp, array, 0, of_actions=True)
     layout = _Layout.of(mdp, array.shape)
     if kind == "q":
         return layout.greedy(array)
@@ -181,17 +184,21 @@ class _Layout:
         offered = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
         offered[mdp.pair_state, mdp.pair_action] = True
         choosing = ~mdp.forced & ~mdp.terminal
-        if shape in (offered.shape, (free_states(mdp), mdp.n_actions)):
-            rows = shape[0]
-            space = mdp.space
-            if rows < mdp.n_states:
-                space = StateSpace(columns=mdp.space.columns)
-            return cls(
-                space=space, actions=mdp.actions, offered=offered[:rows], counts=choosing[:rows]
-            )
+        space = space_of(mdp, shape[0]) if shape[1:] == (mdp.n_actions,) else None
+        if space is not None:
+            row = rows_read(mdp, space)
+            each = np.zeros((space.size, mdp.n_actions), dtype=bool)
+            each[row[mdp.pair_state], mdp.pair_action] = True
+            counts = np.zeros(space.size, dtype=bool)
+            counts[row[choosing]] = True
+            return cls(space=space, actions=mdp.actions, offered=each, counts=counts)
         numbers = np.flatnonzero(offered[~mdp.forced].any(axis=0))
         actions = tuple(mdp.actions[number] for number in numbers)
         expected = [f"({mdp.n_states}, {mdp.n_actions}) over all states"]
+        untimed = mdp.space.untimed
+        if untimed is not None:
+            also = f"({untimed.size}, {mdp.n_actions}) over the states without their time"
+            expected.append(also)
         if "status" in mdp.space.names:
             column = mdp.space.column("status")
             if shape == (column.size, len(actions)):
@@ -249,22 +256,92 @@ def _distributions(array: Numbers) -> Flags:
     return found
 
 
-def free_states(mdp: MDP) -> int:
-    """Return the number of states, the extra ones at the end left out where they are forced."""
-    regular = mdp.space.regular
-    return regular if bool(mdp.forced[regular:].all()) else mdp.n_states
+def space_of(mdp: MDP, rows: int) -> StateSpace | None:
+    """Return the states that so many rows of a table stand for; None where there are no such.
+
+    All states; without the extra ones, where these offer no choice; or, where the first column is
+    the time, the states without it.
+    """
+    space = mdp.space
+    if rows == space.size:
+        return space
+    if space.untimed is not None:
+        untimed = space.untimed
+        bare = StateSpace(columns=untimed.columns)
+        return untimed if rows == untimed.size else bare if rows == bare.size else None
+    free = rows == space.regular and bool(mdp.forced[space.regular :].all())
+    return StateSpace(columns=space.columns) if free else None
 
 
-def action_numbers(mdp: MDP, given: Numbers) -> Integers:
-    """Return (S,) action numbers; a forced end may be left out."""
-    numbers = np.asarray(given)
-    if numbers.ndim == 1 and len(numbers) == free_states(mdp) < mdp.n_states:
-        numbers = np.append(numbers, np.zeros(mdp.n_states - len(numbers), dtype=numbers.dtype))
+def rows_read(mdp: MDP, space: StateSpace) -> Integers:
+    """Return (S,) the row of a table over `space` that each state reads; 0 for extra ones."""
+    if space.columns == mdp.space.columns and space.extra == mdp.space.extra:
+        return np.arange(mdp.n_states)
+    rows = np.zeros(mdp.n_states, dtype=np.int64)
+    for column in space.columns:
+        theirs = mdp.space.column(column.name)
+        if theirs != column:
+            raise ModelError(
+                f"column {column.name} has {column.size} values here and {theirs.size} "
+                "in the model",
+                where="policy",
+                fix="use a policy made for this model",
+            )
+        rows = rows * column.size + np.maximum(mdp.space.values(column.name), 0)
+    return rows
+
+
+def action_numbers(mdp: MDP, given: Numbers) -> tuple[StateSpace, Integers]:
+    """Return action numbers (K,), and the states that they are over.
+
+    Raises
+    ------
+    ModelError
+        For numbers over other states, or outside those of the model's actions.
+    """
+    numbers = by_time(mdp, np.asarray(given), 0)
+    space = space_of(mdp, len(numbers)) if numbers.ndim == 1 else None
     inside = numbers.dtype.kind in "iu" and ((numbers >= 0) & (numbers < mdp.n_actions)).all()
-    if numbers.shape != (mdp.n_states,) or not inside:
+    if space is None or not inside:
         raise ModelError(
             f"action numbers of shape {numbers.shape}, or outside 0 … {mdp.n_actions - 1}",
             where="policy",
             fix=f"give one action number for each of the {mdp.n_states} states",
         )
-    return numbers.astype(np.int64)
+    return space, numbers.astype(np.int64)
+
+
+def by_time(mdp: MDP, table: Numbers, rest: float, *, of_actions: bool = False) -> Numbers:
+    """Return a table (N, S) or (N, S, A) over times and states as one over all states of `mdp`.
+
+    Parameters
+    ----------
+    mdp : MDP
+        Where its first column is not the time, the table is returned as it is; so are tables of
+        other shapes.
+    table : (N, S) or (N, S, A)
+        S are the states without their time, with or without the extra ones; time N, where all is
+        over, may be there as well or not.
+    rest : float
+        What is put where all is over.
+    of_actions : bool
+        Whether the last axis is that of the actions.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[1, 3], [0, 0]]).within(2)
+    >>> by_time(mdp, np.array([[0, 1], [1, 1]]), 0).tolist()
+    [0, 1, 1, 1, 0, 0]
+    """
+    untimed = mdp.space.untimed
+    if untimed is None or table.ndim != 2 + of_actions:
+        return table
+    times, own = mdp.space.columns[0].size, untimed.regular
+    over = bool(mdp.forced[(times - 1) * own :].all())
+    steps = times - 1 if over else times
+    if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
+        return table
+    kind = table.dtype if float(rest).is_integer() else np.result_type(table.dtype, np.float64)
+    found = np.full((mdp.n_states, *table.shape[2:]), rest, dtype=kind)
+    found[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
+    return found

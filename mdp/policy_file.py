@@ -54,7 +54,8 @@ def write(policy: Policy, path: str | Path) -> None:
 
 def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> Policy:
     """Return a policy from {status: action} or {status: {action: probability}}."""
-    name = "status" if "status" in mdp.space.names else mdp.space.names[0]
+    names = (mdp.space.untimed or mdp.space).names
+    name = "status" if "status" in names else names[0]
     rows: dict[int, dict[int, float]] = {}
     space = StateSpace(columns=(mdp.space.column(name),))
     for label, choice in entries.items():

@@ -18,6 +18,7 @@ from mdp.errors import ModelError, suggest
 from mdp.names import check_names
 
 Integers = NDArray[np.int64]
+TIME = "time"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +105,19 @@ class StateSpace:
     def names(self) -> tuple[str, ...]:
         """Column names."""
         return tuple(column.name for column in self.columns)
+
+    @property
+    def untimed(self) -> StateSpace | None:
+        """The space without its first column where that is the time; None where it is not.
+
+        Examples
+        --------
+        >>> columns = (Column(name="time", size=4), Column(name="state", size=9))
+        >>> StateSpace(columns=columns).untimed.names
+        ('state',)
+        """
+        timed = len(self.columns) > 1 and self.columns[0].name == TIME
+        return StateSpace(columns=self.columns[1:], extra=self.extra) if timed else None
 
     def column(self, name: str) -> Column:
         """Return the column called `name`; raises ModelError where there is none."""

@@ -50,6 +50,19 @@ def _check_names(mdp: MDP) -> None:
     check_names(mdp.events, "event", where="events")
 
 
+def counted(steps: object, where: str) -> int:
+    """Return a number of steps as an int, or raise ModelError where it is none.
+
+    Examples
+    --------
+    >>> counted(200, "horizon")
+    200
+    """
+    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
+        raise ModelError(f"{where} is {steps!r}", where=where, fix="give a whole number, 1 or more")
+    return int(steps)
+
+
 def _check_pairs(mdp: MDP) -> None:
     state, action = mdp.pair_state, mdp.pair_action
     if state.shape != action.shape or state.ndim != 1:

@@ -90,7 +90,9 @@ _LATER = {
 }
 
 
-def solve(mdp: MDP | CareOperator, solver: Solver | str | None = None) -> Solution:
+def solve(
+    mdp: MDP | CareOperator, solver: Solver | str | None = None, *, horizon: int | None = None
+) -> Solution:
     """Return optimal values and a policy, with bounds on their error.
 
     Parameters
@@ -100,6 +102,9 @@ def solve(mdp: MDP | CareOperator, solver: Solver | str | None = None) -> Soluti
     solver : Solver or str, optional
         A solver with its settings, or a name in `SOLVERS`; unless given (or "auto"), backward
         induction for models without cycles and modified policy iteration for others.
+    horizon : int, optional
+        Stop after so many steps, without a further reward: the solution is that of
+        `mdp.within(horizon)`, whose states are times and states.
 
     Raises
     ------
@@ -107,9 +112,25 @@ def solve(mdp: MDP | CareOperator, solver: Solver | str | None = None) -> Soluti
         For an unknown name; at discount 1 where not every policy ends.
     SolverError
         Where a solver reaches a limit: of iterations, or of double precision.
+
+    Examples
+    --------
+    >>> wait, go = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+    >>> mdp = MDP.from_arrays([wait, go], [[1, "3/2"], [0, 0]])
+    >>> found = solve(mdp, horizon=3)
+    >>> found.start_value, [found.mdp.actions[a] for a in found.policy[[0, 2, 4]]]
+    (1.875, ['0', '0', '1'])
     """
     if not isinstance(mdp, MDP):
+        if horizon is not None:
+            raise ModelError(
+                "an operator is solved until it ends",
+                where="horizon",
+                fix="compile the scenario, which stops after any number of steps",
+            )
         return _solve_operator(mdp, solver)
+    if horizon is not None:
+        mdp = mdp.within(horizon)
     if solver is None or solver == "auto":
         acyclic = numbered_in_order(mdp) or levels(mdp) is not None
         solver = BackwardInduction() if acyclic else ModifiedPolicyIteration()

@@ -12,9 +12,11 @@ Every number comes with a bound on its error that is sound in floating point.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from math import inf, sqrt
+from fractions import Fraction
+from functools import cached_property, partial
+from math import inf, nan, sqrt
 
 import numpy as np
 
@@ -25,7 +27,7 @@ from mdp.table import Floats
 from solvers.linear import FixedPoint, LinearSystem
 from solvers.policy_chain import Mask, PolicyChain
 from solvers.rounding import SLACK, TINY, UNIT, gamma
-from solvers.solution import Bounded, Claim
+from solvers.solution import Bounded, Claim, SolverError
 from solvers.visits import at_start, ever, pair_visits, steps, visits
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -72,10 +74,12 @@ class Evaluation:
 
     @property
     def numbers(self) -> dict[str, Bounded]:
-        """Every number from the start with its error bound, by name."""
+        """Every number from the start with its error bound, by name.
+
+        One that double precision cannot bound is NaN, with an infinite error; the others stand.
+        """
         found = {"mean": self._mean, "sd": self._sd, "variance": self._start_variance}
-        if self._steps is not None:
-            found["steps"] = self._steps
+        found["steps"] = self._steps
         found |= {f"component.{name}": number for name, number in self._components.items()}
         return found | {f"event.{name}": number for name, number in self._events.items()}
 
@@ -105,17 +109,22 @@ class Evaluation:
 
     @cached_property
     def _components(self) -> dict[str, Bounded]:
-        mdp, chain, found = self.mdp, self.chain, self._discounted
+        mdp, chain = self.mdp, self.chain
         if mdp.components.shape[1] == 1:
             return {mdp.component_names[0]: self._mean}
+        try:
+            found = self._discounted
+        except SolverError:
+            return dict.fromkeys(mdp.component_names, UNKNOWN)
         share = np.where(mdp.terminal[mdp.pair_state], 0.0, chain.weights)
         used, doubt = found.value[mdp.pair_state] * share, found.error[mdp.pair_state] * share
         rounding = float(gamma(len(chain.pairs) + chain.roundings + 4))
         size = np.abs(mdp.components)
-        total = used @ mdp.components
-        error = (doubt @ size + rounding * (used @ size)) * SLACK
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = used @ mdp.components
+            error = (doubt @ size + rounding * (used @ size)) * SLACK
         return {
-            name: Bounded(value=float(value), error=float(bound))
+            name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
             for name, value, bound in zip(mdp.component_names, total, error, strict=True)
         }
 
@@ -128,22 +137,42 @@ class Evaluation:
 
     @property
     def start_variance(self) -> float:
-        """Variance of the return from the start: within start states, and between them."""
+        """Variance of the return from the start: within start states, and between them.
+
+        Infinite where it is beyond the range of floats; `sd` need not be.
+        """
         return self._start_variance.value
 
     @property
     def variance(self) -> Floats:
         """(S,) variance of the return from every state; NaN where `value` is."""
-        return np.where(np.isnan(self.value), np.nan, self._variance.value)
+        with np.errstate(over="ignore"):
+            found = np.ldexp(self._variance.value, 2 * self._power)
+        return np.where(np.isnan(self.value), np.nan, found)
+
+    @cached_property
+    def _power(self) -> int:
+        """The power of two that rewards and values are divided by before they are squared.
+
+        That is exact, and keeps their squares within the range of floats.
+        """
+        known = self.value[np.isfinite(self.value)]
+        size = max(np.abs(self.chain.gain).max(initial=0.0), np.abs(known).max(initial=0.0))
+        return int(np.frexp(size)[1])
 
     @cached_property
     def _variance(self) -> FixedPoint:
-        chain, rate = self.chain, self.mdp.discount
+        """Variances over 4^power."""
+        chain, rate, power = self.chain, self.mdp.discount, self._power
         live: Mask = ~self.mdp.terminal & ~np.isnan(self.value)
-        value, error = np.where(live, self.value, 0.0), np.where(live, self.value_error, 0.0)
-        here, there, gain = value[chain.source], value[chain.table.next], chain.gain
+        if not chain.gain.any():
+            return FixedPoint(value=np.zeros(len(live)), error=np.zeros(len(live)))
+        value = np.ldexp(np.where(live, self.value, 0.0), -power)
+        error = np.ldexp(np.where(live, self.value_error, 0.0), -power) + TINY
+        here, there = value[chain.source], value[chain.table.next]
+        gain = np.ldexp(chain.gain, -power)
         surprise = gain + rate * there - here
-        off = 5 * UNIT * (np.abs(gain) + rate * np.abs(there) + np.abs(here))
+        off = TINY + 5 * UNIT * (np.abs(gain) + rate * np.abs(there) + np.abs(here))
         off += rate * error[chain.table.next] + error[chain.source]
         constant = chain.total(chain.probability * surprise**2)
         doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
@@ -164,11 +193,24 @@ class Evaluation:
 
     @cached_property
     def _start_variance(self) -> Bounded:
+        scaled = self._scaled_variance
+        return Bounded(
+            value=_times(scaled.value, self._power, 2), error=_times(scaled.error, self._power, 2)
+        )
+
+    @cached_property
+    def _scaled_variance(self) -> Bounded:
+        return _known(self._variance_at_start)
+
+    def _variance_at_start(self) -> Bounded:
         within = at_start(self.mdp, self._variance)
         if np.count_nonzero(self.mdp.start_distribution) == 1:
             return within
-        away = self.value - self.mean
-        off = self.value_error + self.error_bound + 2 * UNIT * np.abs(away)
+        away = np.ldexp(self.value, -self._power) - float(np.ldexp(self.mean, -self._power))
+        off = np.ldexp(self.value_error, -self._power) + float(
+            np.ldexp(self.error_bound, -self._power)
+        )
+        off += 2 * TINY + 2 * UNIT * np.abs(away)
         doubt = (2 * np.abs(away) + off) * off + UNIT * away**2
         between = at_start(self.mdp, FixedPoint(value=away**2, error=doubt))
         total = within.value + between.value
@@ -176,10 +218,13 @@ class Evaluation:
 
     @cached_property
     def _sd(self) -> Bounded:
-        variance = self._start_variance
+        variance = self._scaled_variance
+        if not np.isfinite(variance.error):
+            return variance
         sd, least = sqrt(variance.value), sqrt(max(variance.value - variance.error, 0.0))
         most = sqrt(variance.value + variance.error)
-        return Bounded(value=sd, error=max(sd - least, most - sd) + 4 * UNIT * most)
+        error = max(sd - least, most - sd) + 4 * UNIT * most
+        return Bounded(value=_times(sd, self._power), error=_times(error, self._power))
 
     @property
     def quantiles(self) -> dict[float, float] | None:
@@ -202,7 +247,7 @@ class Evaluation:
             distribution = return_distribution(self.mdp, self.chain)
         except ModelError as error:
             return error.what
-        return {share: float(distribution.quantile(share)) for share in QUANTILES}
+        return {share: _rounded(distribution.quantile(share)) for share in QUANTILES}
 
     # ---- visits ------------------------------------------------------------------------------
 
@@ -213,12 +258,17 @@ class Evaluation:
 
     @property
     def steps(self) -> float:
-        """Expected number of timesteps until a terminal state; infinite where it may not come."""
-        return inf if self._steps is None else self._steps.value
+        """Expected number of timesteps until a terminal state; infinite where it may not come.
+
+        NaN where the end comes, but so late that double precision cannot bound when.
+        """
+        return self._steps.value
 
     @cached_property
-    def _steps(self) -> Bounded | None:
-        return at_start(self.mdp, steps(self.chain)) if self.ends else None
+    def _steps(self) -> Bounded:
+        if not self.ends:
+            return Bounded(value=inf, error=0.0)
+        return _known(lambda: at_start(self.mdp, steps(self.chain)))
 
     @property
     def occupancy(self) -> Floats:
@@ -261,12 +311,42 @@ class Evaluation:
         if bits is None:
             return {}
         return {
-            name: at_start(self.mdp, ever(self.chain, (bits >> bit) & 1 == 1))
+            name: _known(partial(self._event, (bits >> bit) & 1 == 1))
             for bit, name in enumerate(self.mdp.events)
         }
 
+    def _event(self, happens: Mask) -> Bounded:
+        return at_start(self.mdp, ever(self.chain, happens))
 
-def evaluate(mdp: MDP, policy: object, *, kind: str = "auto") -> Evaluation:
+
+UNKNOWN = Bounded(value=nan, error=inf)
+
+
+def _known(make: Callable[[], Bounded]) -> Bounded:
+    """Return a number, or that it is unknown where double precision cannot bound it."""
+    try:
+        return make()
+    except SolverError:
+        return UNKNOWN
+
+
+def _rounded(number: Fraction) -> float:
+    """Return the nearest float; infinite beyond their range."""
+    try:
+        return float(number)
+    except OverflowError:
+        return inf if number > 0 else -inf
+
+
+def _times(number: float, power: int, times: int = 1) -> float:
+    """Return number · 2^(power · times); infinite where that is beyond the range of floats."""
+    with np.errstate(over="ignore"):
+        return float(np.ldexp(number, times * power))
+
+
+def evaluate(
+    mdp: MDP, policy: object, *, kind: str = "auto", horizon: int | None = None
+) -> Evaluation:
     """Return the mean and all else that there is to know about a policy's return.
 
     Parameters
@@ -276,6 +356,10 @@ def evaluate(mdp: MDP, policy: object, *, kind: str = "auto") -> Evaluation:
         Whatever `Policy.of` takes; a solution, for its policy; (L,) probabilities of pairs.
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `mdp.policy_array`.
+    horizon : int, optional
+        Stop after so many steps, without a further reward: what is found is that of
+        `mdp.within(horizon)`. Policies over states are the same at every time there; those of
+        `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
 
     Raises
     ------
@@ -292,14 +376,18 @@ def evaluate(mdp: MDP, policy: object, *, kind: str = "auto") -> Evaluation:
     >>> found.mean, found.steps, found.components, found.quantiles[0.5]
     (2.0, 2.0, {'reward': 2.0}, 1.0)
     """
+    if horizon is not None:
+        mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
     live = ~mdp.terminal
     if mdp.discount_exact == 1:
         chain.require_end()
         live &= chain.ends
-    reward = np.add.reduceat(chain.weights * mdp.reward, mdp.pair_offsets[:-1])
+    with np.errstate(over="ignore"):  # what is beyond the floats is refused as it is solved for
+        reward = np.add.reduceat(chain.weights * mdp.reward, mdp.pair_offsets[:-1])
     error = chain.total(chain.probability * np.abs(chain.gain))
-    error = gamma(chain.outcomes + chain.roundings + 4) * error + TINY * chain.outcomes
+    earning = chain.total(chain.gain != 0)  # nothing that is 0 is rounded
+    error = gamma(chain.outcomes + chain.roundings + 4) * error + TINY * earning
     found = chain.discounted.solve(np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
     known = live | mdp.terminal
     value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)

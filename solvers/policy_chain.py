@@ -180,7 +180,8 @@ class PolicyChain:
             where="it can stay for ever in "
             + ", ".join(named)
             + (f" and {more} more" if more else ""),
-            fix="choose a discount below 1, or a policy that leaves these states",
+            fix="choose a discount below 1, stop after N steps (--horizon "
+            f"{self.mdp.time_limit or 'N'}), or take a policy that leaves these states",
         )
 
     def _named(self, state: int) -> str:

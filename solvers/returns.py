@@ -24,7 +24,7 @@ import numpy as np
 
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.table import Floats, Numbers, exact, integers, multiply
+from mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from solvers.conclusion import check_counts
 from solvers.policy_chain import PolicyChain
 from solvers.returns_dense import carry_dense
@@ -83,19 +83,31 @@ class ReturnDistribution:
         return tuple(self.unit * int(multiple) for multiple in self.multiples)
 
     @cached_property
-    def _floats(self) -> Floats:
+    def _scaled(self) -> tuple[Floats, int]:
+        """The returns over a power of two, so that they and their squares are within the floats."""
         top, bottom = self.unit.numerator, self.unit.denominator
-        return np.array([int(multiple) * top / bottom for multiple in self.multiples])
+        largest = magnitude(self.multiples) * top
+        power = largest.bit_length() - bottom.bit_length()
+        if power >= 0:
+            bottom <<= power
+        else:
+            top <<= -power
+        return np.array([int(multiple) * top / bottom for multiple in self.multiples]), power
 
     @cached_property
     def mean(self) -> float:
-        """Mean of the returns listed."""
-        return float(self.probabilities @ self._floats)
+        """Mean of the returns listed; infinite where it is beyond the range of floats."""
+        scaled, power = self._scaled
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(self.probabilities @ scaled, power))
 
     @cached_property
     def sd(self) -> float:
-        """Standard deviation of the returns listed."""
-        return sqrt(float(self.probabilities @ (self._floats - self.mean) ** 2))
+        """Standard deviation of the returns listed; infinite beyond the range of floats."""
+        scaled, power = self._scaled
+        spread = sqrt(float(self.probabilities @ (scaled - self.probabilities @ scaled) ** 2))
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(spread, power))
 
     def cdf(self, value: object) -> float:
         """Return the probability of a return of at most `value` (a number or "p/q")."""
@@ -137,6 +149,7 @@ def return_distribution(
     exact: bool = False,
     max_sweeps: int = 1_000_000,
     kind: str = "auto",
+    horizon: int | None = None,
 ) -> ReturnDistribution:
     """Return the distribution of the total reward of an episode.
 
@@ -149,6 +162,8 @@ def return_distribution(
         Compute the probabilities as exact rationals; for chains without cycles, of modest size.
     max_sweeps : int
         How often states that lead back to each other are swept at most.
+    horizon : int, optional
+        Stop after so many steps; see `evaluate`.
 
     Raises
     ------
@@ -171,6 +186,8 @@ def return_distribution(
             where="discount",
             fix="choose discount 1; evaluate() gives mean and sd, simulate() samples returns",
         )
+    if horizon is not None:
+        mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
     chain.require_end()
     gain, unit = _lattice(chain)

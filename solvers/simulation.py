@@ -36,9 +36,10 @@ class Simulation:
     events : {name: share}
         Share of the episodes in which each event of the model happened.
     truncated : int
-        Episodes cut off before a terminal state; only below discount 1.
+        Episodes cut off before a terminal state: below discount 1, or by a horizon.
     truncation_error : float
-        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ).
+        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ). A horizon is no
+        error: its returns are those of episodes that stop there.
     """
 
     returns: Floats
@@ -64,12 +65,21 @@ class Simulation:
     @property
     def mean(self) -> float:
         """Mean return."""
-        return float(self.returns.mean())
+        scaled, power = self._scaled
+        return float(np.ldexp(scaled.mean(), power))
 
     @property
     def sd(self) -> float:
         """Standard deviation of the returns; infinite for one episode, which says nothing of it."""
-        return float(self.returns.std(ddof=1)) if self.episodes > 1 else inf
+        scaled, power = self._scaled
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(scaled.std(ddof=1), power)) if self.episodes > 1 else inf
+
+    @property
+    def _scaled(self) -> tuple[Floats, int]:
+        """The returns over a power of two, so that sums and squares stay within the floats."""
+        power = int(np.frexp(np.abs(self.returns).max())[1])
+        return np.ldexp(self.returns, -power), power
 
     @property
     def standard_error(self) -> float:
@@ -93,6 +103,7 @@ def simulate(
     *,
     max_steps: int | None = None,
     kind: str = "auto",
+    horizon: int | None = None,
 ) -> Simulation:
     """Return the sampled returns of a policy's episodes.
 
@@ -107,6 +118,9 @@ def simulate(
         Timesteps after which an episode is cut off. Below discount 1 it is, unless given, the
         number after which nothing above 10⁻¹² of the greatest return can follow; at discount 1
         episodes are never cut off, and an episode that takes longer is an error.
+    horizon : int, optional
+        Stop every episode after so many steps, without a further reward, as the environments of a
+        time limit do; see `evaluate`.
 
     Raises
     ------
@@ -122,9 +136,10 @@ def simulate(
     """
     from tqdm import tqdm
 
-    chain = PolicyChain.of(mdp, policy, kind=kind)
     generator = generator_of(episodes, seed, max_steps)
-    limit, size = _horizon(chain, max_steps)
+    endless, mdp = mdp, mdp if horizon is None else mdp.within(horizon)
+    chain = PolicyChain.of(mdp, policy, kind=kind)
+    limit, size = _longest(chain, horizon if max_steps is None else max_steps)
     first, cumulative = _cumulative(chain)
     following, gain, event = chain.table.next, chain.gain, chain.table.event
     state = _starts(mdp, episodes, generator)
@@ -153,12 +168,16 @@ def simulate(
         raise ModelError(
             "a return is beyond the range of floats", where="rewards", fix="scale them down"
         )
+    stopped = 0
+    if horizon is not None:
+        last = mdp.n_states - endless.n_states  # the first state of the time at which all is over
+        stopped = int((~endless.terminal[state[state >= last] - last]).sum())
     rest = size * factor / float(1 - mdp.discount_exact) if len(running) else 0.0
     return Simulation(
         returns=returns,
         steps=steps,
         events={name: float(((happened >> bit) & 1).mean()) for bit, name in enumerate(mdp.events)},
-        truncated=len(running),
+        truncated=len(running) + stopped,
         truncation_error=rest,
     )
 
@@ -182,7 +201,7 @@ def generator_of(
     return np.random.default_rng(int(seed))
 
 
-def _horizon(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
+def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
     """Return the number of steps to simulate, and the greatest reward."""
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))

@@ -134,6 +134,8 @@ class Bounded:
     @property
     def interval(self) -> tuple[float, float]:
         """Lower and upper bound."""
+        if not np.isfinite(self.error):
+            return -np.inf, np.inf
         low, high = self.value - self.error, self.value + self.error
         return float(np.nextafter(low, -np.inf)), float(np.nextafter(high, np.inf))
 

@@ -22,7 +22,7 @@ def assert_same(left: MDP, right: MDP) -> None:
         same_array(getattr(left.transition, name), getattr(right.transition, name), name)
     for name in (
         "space", "actions", "discount_exact", "start", "component_names", "events", "name",
-        "parameters",
+        "parameters", "time_limit",
     ):  # fmt: skip
         assert getattr(left, name) == getattr(right, name), name
 

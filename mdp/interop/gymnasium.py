@@ -13,7 +13,9 @@ and the terminated outcomes lead to one more state, "end", appended behind the o
 the optimal values of all states that `P` numbers, ends excepted, are those of the equation above;
 a Q-table of the environment's own shape is read by `Policy.from_q`.
 
-Wrappers are looked through: what they add (time limits, changed rewards) is no part of `P`.
+Wrappers are looked through: what they change (rewards, observations) is no part of `P`. The number
+of steps after which an environment stops is kept as the model's `time_limit`; `MDP.within` makes
+the model of episodes that stop there.
 """
 
 from __future__ import annotations
@@ -43,7 +45,8 @@ def from_gymnasium(env: object, discount: object = 1, **names: Any) -> MDP:
         An environment, wrapped or not; anything with an attribute `P`; or a registered id.
     discount : number or "p/q"
     **names
-        `start` where the environment has no `initial_state_distrib`; `actions`, `states`, `name`.
+        `start` where the environment has no `initial_state_distrib`; `actions`, `states`, `name`;
+        `time_limit` instead of the environment's own.
 
     Raises
     ------
@@ -69,6 +72,7 @@ def from_gymnasium(env: object, discount: object = 1, **names: Any) -> MDP:
             made.close()
     bare = getattr(env, "unwrapped", env)
     names.setdefault("name", _name(env))
+    names.setdefault("time_limit", _time_limit(env))
     where = names["name"]
     rows, states, actions = _rows(bare, where)
     start = names.pop("start", None)
@@ -210,6 +214,29 @@ def _start(env: Any, states: int, where: str) -> dict[int, Any]:
             fix="give one probability for each state",
         )
     return {state: weight for state, weight in enumerate(weights) if weight != 0}
+
+
+def _time_limit(env: Any) -> int | None:
+    """Return after how many steps the environment stops: the lowest limit of its wrappers.
+
+    A specification says it too, where no wrapper does; a limit of -1 is none.
+    """
+    limits: list[Any] = []
+    layer, seen = env, set[int]()
+    while layer is not None and id(layer) not in seen:
+        seen.add(id(layer))
+        limits.append(getattr(layer, "__dict__", {}).get("_max_episode_steps"))
+        layer = getattr(layer, "env", None)
+    known = [limit for limit in limits if _positive(limit)]
+    if not known:
+        stated = getattr(getattr(env, "spec", None), "max_episode_steps", None)
+        known = [stated] if _positive(stated) else []
+    return int(min(known)) if known else None
+
+
+def _positive(limit: Any) -> bool:
+    whole = isinstance(limit, int | np.integer) and not isinstance(limit, bool)
+    return bool(whole and limit > 0)
 
 
 def _name(env: Any) -> str:

@@ -23,7 +23,8 @@ is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has
 ("exact-mdp model"), `version` (1), `name`, `discount` ("p/q"), `start` ([[state, "p/q"], …]),
 `actions`, `columns` ([{"name", "size", "bits", "words"}, …]: a state's number is that of its column
 values in row-major order), `extra` (names of the states after those), `component_names`, `events`
-and `parameters` ([{"name", "value", "low", "high"}, …], low and high may be null).
+`parameters` ([{"name", "value", "low", "high"}, …], low and high may be null) and `time_limit` (a
+number of steps or null; older files lack it).
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
 """

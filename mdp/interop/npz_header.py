@@ -45,6 +45,7 @@ def as_header(mdp: MDP) -> dict[str, Any]:
             }
             for p in mdp.parameters
         ],
+        "time_limit": mdp.time_limit,
     }
 
 
@@ -82,6 +83,7 @@ def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
         "component_names": _words(header, "component_names"),
         "events": _words(header, "events"),
         "parameters": tuple(_parameter(entry) for entry in _list(header, "parameters")),
+        "time_limit": _time_limit(header),
     }
 
 
@@ -146,6 +148,11 @@ def _whole(header: Mapping[str, Any], key: str) -> int:
     if type(value) is not int or value < 0:
         raise _wrong(key, "a whole number")
     return value
+
+
+def _time_limit(header: Mapping[str, Any]) -> int | None:
+    """Return the number of steps; None where there is none, and in files of before there were."""
+    return None if header.get("time_limit") is None else _whole(header, "time_limit")
 
 
 def _rational(value: object, key: str) -> Fraction:

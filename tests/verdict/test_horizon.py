@@ -1,0 +1,386 @@
+"""Episodes that stop after N steps, against recursions that share nothing with the toolkit."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction as F
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from cli_runner import run, strict
+
+from analysis import assert_policy_optimal, check
+from mdp import MDP, ModelError, Policy, Scenario
+from mdp.fingerprint import fingerprint
+from mdp.interop import npz
+from solvers import certify, evaluate, return_distribution, simulate, solve
+from solvers.policy_iteration import PolicyIteration
+
+LAKE, WIDE = "FrozenLake-v1", "FrozenLake8x8-v1"
+OPTIMA = {LAKE: (100, 0.7441903), WIDE: (200, 0.9132202)}
+
+
+def recursion(name: str, steps: int) -> tuple[Any, Any]:
+    """V_0 and the greedy Q-table of every time (N, S, A), straight from the environment's P."""
+    table = gymnasium.make(name).unwrapped.P
+    value, tables = [0.0] * len(table), []
+    for _ in range(steps):
+        q = [
+            [
+                sum(p * (r + (0 if over else value[n])) for p, n, r, over in row)
+                for row in table[s].values()
+            ]
+            for s in table
+        ]
+        tables.append(q)
+        value = [max(row) for row in q]
+    return value, tables[::-1]
+
+
+def exactly(mdp: MDP, steps: int) -> list[F]:
+    """V_0 of every state in Fractions, from the model's own rows."""
+    value = [F(0)] * mdp.n_states
+    for _ in range(steps):
+        value = [
+            max(
+                sum(
+                    (p * (r + mdp.discount_exact * value[n]) for p, n, r in mdp.table.row(pair)),
+                    F(0),
+                )
+                for pair in mdp.pairs_of(state)
+            )
+            for state in range(mdp.n_states)
+        ]
+    return value
+
+
+def stationary(name: str, steps: int, choices: list[int]) -> float:
+    """The value of fixed choices within so many steps, straight from the environment's P."""
+    table = gymnasium.make(name).unwrapped.P
+    value = [0.0] * len(table)
+    for _ in range(steps):
+        value = [
+            sum(p * (r + (0 if over else value[n])) for p, n, r, over in table[s][choices[s]])
+            for s in table
+        ]
+    return value[0]
+
+
+@pytest.mark.parametrize("name", [LAKE, WIDE])
+def test_known_optima_within_the_registered_limit(name: str) -> None:
+    """FrozenLake8x8 within 200 steps is worth 0.91322, FrozenLake within 100 steps 0.74419."""
+    mdp = MDP.from_gymnasium(name)
+    steps, known = OPTIMA[name]
+    assert mdp.time_limit == steps
+    found = solve(mdp, horizon=steps)
+    assert found.start_value == pytest.approx(known, abs=1e-7)
+    wanted, _ = recursion(name, steps)
+    own = found.value.reshape(steps + 1, -1)
+    ends = mdp.terminal
+    assert own[0][~ends] == pytest.approx(np.array(wanted)[~ends], abs=1e-12)
+    assert (own[steps] == 0).all()
+    assert abs(found.start_value - wanted[0]) <= found.start_error_bound + 1e-13
+
+
+def test_the_optimum_is_certified_fraction_for_fraction() -> None:
+    """The certificate holds, and its value is that of a recursion in Fractions."""
+    mdp = MDP.from_gymnasium(LAKE)
+    certificate = certify(mdp.within(30))
+    assert certificate.start_value == exactly(mdp, 30)[0]
+    assert certificate.value[:16].tolist() == exactly(mdp, 30)
+    assert certificate.violations() == []
+
+
+def test_a_learned_policy_of_the_wide_lake_is_judged_exactly() -> None:
+    """What is optimal without a limit loses within 200 steps, by a certified amount."""
+    mdp = MDP.from_gymnasium(WIDE)
+    endless = solve(mdp.with_(discount="999999/1000000")).policy
+    audit = check(mdp, endless, horizon=200)
+    assert (audit.claim.value, audit.passed) == ("certified", False)
+    wanted = stationary(WIDE, 200, endless.tolist())
+    assert 0.87 < wanted < 0.9
+    assert float(audit.regret.learned.value) == pytest.approx(wanted, abs=1e-12)
+    assert float(audit.regret.optimal.value) == pytest.approx(0.9132202, abs=1e-7)
+    exact = certify(mdp.within(200)).policy
+    assert check(mdp, exact, horizon=200).regret.at_start.value == 0
+
+
+def test_a_policy_of_a_solution_can_be_given_back() -> None:
+    mdp = MDP.from_gymnasium(LAKE)
+    found = solve(mdp, horizon=12)
+    for given in (found, found.policy, Policy.from_choices(found.mdp, found.policy)):
+        own = evaluate(mdp, given, horizon=12)
+        assert abs(own.mean - found.start_value) <= own.error_bound + found.start_error_bound
+    assert_policy_optimal(mdp, certify(mdp.within(12)).policy, max_regret=0, horizon=12)
+
+
+def test_tables_over_states_and_over_times_are_both_policies() -> None:
+    """(S, A) is the same at every time, (N, S, A) is not; arrays of choices likewise."""
+    mdp, steps = MDP.from_gymnasium(LAKE), 20
+    _, tables = recursion(LAKE, steps)
+    whole = np.array(tables)
+    assert whole.shape == (steps, 16, 4)
+    best = solve(mdp, horizon=steps).start_value
+    choices = whole.argmax(axis=2)
+    one_hot = np.eye(4)[choices]
+    for given in (choices, one_hot):
+        assert evaluate(mdp, given, horizon=steps).mean == pytest.approx(best, abs=1e-12)
+    audit = check(mdp, whole, horizon=steps)
+    assert float(audit.regret.at_start.value) < 1e-15
+    assert audit.q_error is not None
+    assert audit.q_error.largest < 1e-12
+    first = choices[0]
+    wanted = stationary(LAKE, steps, first.tolist())
+    assert wanted < best - 1e-3
+    for given in (
+        first,
+        one_hot[0],
+        Policy.from_q(mdp, whole[0]),
+        {str(s): str(a) for s, a in enumerate(first)},
+    ):
+        assert evaluate(mdp, given, horizon=steps).mean == pytest.approx(wanted, abs=1e-12)
+    lost = check(mdp, whole[0], horizon=steps)
+    assert float(lost.regret.learned.value) == pytest.approx(wanted, abs=1e-12)
+    assert lost.policy.columns == ("state",)
+    for named in ("random", "always:1"):
+        assert 0 <= evaluate(mdp, named, horizon=steps).mean < best
+
+
+def test_puterman_inventory_over_three_periods() -> None:
+    """Puterman, section 4.6.1: v = (67, 129, 194, 227) / 16, orders (3, 0, 0, 0)."""
+    demand = ((0, F(1, 4)), (1, F(1, 2)), (2, F(1, 4)))
+    rows = []
+    for stock in range(4):
+        for order in range(4 - stock):
+            filled = stock + order
+            sales = sum((8 * min(d, filled) * p for d, p in demand), F(0))
+            earned = sales - (4 + 2 * order if order else 0) - filled
+            rows.append((stock, order, [(p, max(0, filled - d), earned) for d, p in demand]))
+    mdp = MDP.from_outcomes(rows)
+    certificate = certify(mdp.within(3))
+    assert certificate.violations() == []
+    assert certificate.value[:4].tolist() == [F(v, 16) for v in (67, 129, 194, 227)]
+    assert certificate.policy[:4].tolist() == [3, 0, 0, 0]
+    found = solve(mdp, horizon=3)
+    assert found.value[:4].tolist() == [67 / 16, 129 / 16, 194 / 16, 227 / 16]
+    assert found.policy[:4].tolist() == [3, 0, 0, 0]
+
+
+@pytest.mark.parametrize("discount", ["1", "9/10"])
+def test_the_care_model_within_five_steps(discount: str) -> None:
+    """yuan2025 stopped after 5 steps, against a recursion over its exact rows."""
+    mdp = Scenario.load("yuan2025").with_(discount=discount).compile()
+    wanted = exactly(mdp, 5)
+    model = mdp.within(5)
+    certificate = certify(model)
+    assert certificate.start_value == wanted[mdp.start[0][0]]
+    assert certificate.violations() == []
+    assert model.component_names == mdp.component_names
+    own = evaluate(mdp, "always:directive", horizon=5)
+    assert own.steps <= 5
+    assert sum(own.components.values()) == pytest.approx(own.mean)
+    assert own.skip_probability is not None
+    table = np.arange(64.0).reshape(16, 4)
+    assert check(mdp, table, horizon=5).policy.columns == ("status",)
+
+
+def test_a_process_that_ends_by_itself_is_not_changed_by_a_late_horizon() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
+    assert certify(mdp.within(40)).start_value == certify(mdp).start_value
+
+
+def test_returns_sum_to_one_exactly() -> None:
+    """The exact distribution of the return within N steps; its mean is that of evaluate."""
+    thirds = [["1/3", "2/3"], [0, 1]]
+    mdp = MDP.from_arrays([thirds, [["2/3", "1/3"], [0, 1]]], [["1/2", 1], [0, 0]])
+    found = return_distribution(mdp, "random", exact=True, horizon=4)
+    assert found.exact is not None
+    assert sum(found.exact) == 1
+    mean = sum(p * v for p, v in zip(found.exact, found.values, strict=True))
+    own = evaluate(mdp, "random", horizon=4)
+    assert abs(own.mean - float(mean)) <= own.error_bound + 1e-15
+    lake = return_distribution(MDP.from_gymnasium(LAKE), "random", horizon=100)
+    assert lake.remaining == 0
+    assert abs(lake.probabilities.sum() - 1) <= lake.error.sum() + 1e-14
+
+
+def test_simulation_stops_at_the_limit() -> None:
+    """It agrees with evaluate within four standard errors, and never takes a step more."""
+    mdp = MDP.from_gymnasium(LAKE)
+    best = solve(mdp, horizon=100)
+    found = simulate(mdp, best, 40_000, seed=1, horizon=100)
+    assert abs(found.mean - best.start_value) < 4 * found.standard_error
+    assert found.steps.max() == 100
+    own = evaluate(mdp, best, horizon=100)
+    spread = found.steps.std() / 200
+    assert abs(found.steps.mean() - own.steps) < 4 * spread
+    assert 0 < found.truncated < (found.steps == 100).sum() + 1
+    assert found.truncation_error == 0
+
+
+def test_the_environment_itself_agrees() -> None:
+    """Episodes of Gymnasium with its own time limit, under the time-dependent optimum."""
+    env = gymnasium.make(LAKE)
+    found = solve(MDP.from_gymnasium(env), horizon=100)
+    action = found.policy.reshape(101, 16)
+    env.reset(seed=5)
+    returns = []
+    for _ in range(600):
+        state, total, over, time = int(env.reset()[0]), 0.0, False, 0
+        while not over:
+            state, reward, ended, cut, _ = env.step(int(action[time, state]))
+            total, over, time = total + float(reward), ended or cut, time + 1
+        returns.append(total)
+    error = np.std(returns, ddof=1) / np.sqrt(len(returns))
+    assert abs(np.mean(returns) - found.start_value) < 4 * error
+
+
+@pytest.mark.parametrize("steps", [True, 0, -3, 2.0, "5", None, F(3), float("nan")])
+def test_what_is_no_number_of_steps_is_refused(steps: Any) -> None:
+    with pytest.raises(ModelError, match="give a whole number, 1 or more"):
+        MDP.from_gymnasium(LAKE).within(steps)
+
+
+def test_a_model_beyond_memory_is_refused_before_it_is_built() -> None:
+    with pytest.raises(
+        ModelError, match=r"(?s)make 16,000,000,000,000,000,016 states and .* fewer steps"
+    ) as error:
+        solve(MDP.from_gymnasium(LAKE), horizon=10**18)
+    assert error.value.where == "horizon"
+
+
+def test_any_solver_takes_the_unrolled_model() -> None:
+    mdp = MDP.from_gymnasium(LAKE)
+    values = {
+        name: solve(mdp, name, horizon=15).start_value
+        for name in ("policy-iteration", "value-iteration", "backward-induction")
+    }
+    assert max(values.values()) - min(values.values()) < 1e-9
+    assert PolicyIteration().solve(mdp.within(15)).start_value == pytest.approx(
+        values["value-iteration"]
+    )
+
+
+def test_extra_states_that_go_on_are_unrolled_as_well() -> None:
+    """An extra state in which the process goes on gets its times, as any other."""
+    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 0, 0)]), (1, 0, [(1, 0, 2)])]
+    plain = MDP.from_outcomes(rows)
+    from mdp import Column, StateSpace
+
+    odd = plain.with_(space=StateSpace(columns=(Column(name="place", size=1),), extra=("away",)))
+    wanted = certify(plain.within(4)).start_value
+    assert certify(odd.within(4)).start_value == wanted
+
+
+# ---- the limit of an environment ---------------------------------------------------------------
+
+
+def test_a_model_keeps_the_limit_of_its_environment(tmp_path: Path) -> None:
+    """From the registration or the wrappers, through changes and through the project's file."""
+    bare = gymnasium.make(LAKE).unwrapped
+    limits = {
+        100: gymnasium.make(LAKE),
+        7: gymnasium.wrappers.TimeLimit(bare, 7),
+        9: gymnasium.wrappers.TimeLimit(gymnasium.make(LAKE, max_episode_steps=9), 300),
+        None: gymnasium.make(LAKE, max_episode_steps=-1),
+    }
+    for limit, env in limits.items():
+        assert MDP.from_gymnasium(env).time_limit == limit
+    assert MDP.from_gymnasium("CliffWalking-v1").time_limit is None
+    mdp = MDP.from_gymnasium(LAKE).with_(discount="1/2")
+    npz.save(mdp, tmp_path / "lake.npz")
+    assert npz.load(tmp_path / "lake.npz").time_limit == mdp.time_limit == 100
+    assert mdp.within(3).time_limit is None
+    # It changes no transition and no certificate.
+    assert fingerprint(mdp) == fingerprint(mdp.with_(time_limit=None))
+    for wrong in (0, True, 2.5):
+        with pytest.raises(ModelError, match="time_limit is"):
+            mdp.with_(time_limit=wrong)
+
+
+def test_info_shows_the_limit() -> None:
+    assert run("info", f"gymnasium:{LAKE}", "--json").result["time_limit"] == 100
+    assert run("info", "yuan2025", "--json").result["time_limit"] is None
+    assert "100 steps" in run("info", f"gymnasium:{LAKE}").out
+
+
+COMMANDS = {
+    "solve": (),
+    "evaluate": ("random",),
+    "check": ("random", "--no-explain"),
+    "simulate": ("random", "--episodes", "50"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_says_once_that_it_leaves_the_limit_out(command: str) -> None:
+    words = (command, f"gymnasium:{LAKE}", *COMMANDS[command], "--json")
+    done = run(*words, "--discount", "9/10")
+    assert done.err.count("the environment stops after 100 steps") == 1
+    assert "--horizon 100" in done.err
+    assert strict(done.out)["horizon"] is None
+    within = run(*words, "--horizon", "20")
+    assert (within.err, strict(within.out)["horizon"]) == ("", 20)
+
+
+def test_returns_take_a_horizon_on_the_command_line() -> None:
+    found = run("returns", f"gymnasium:{LAKE}", "random", "--horizon", "20", "--json").result
+    assert sum(found["distribution"].values()) == pytest.approx(1, abs=1e-12)
+    assert (found["horizon"], found["remaining"]) == (20, 0)
+
+
+def test_what_does_not_end_is_refused_with_the_way_out() -> None:
+    """At discount 1 the error names --horizon, with the environment's own limit."""
+    for words, named in (
+        (("solve", f"gymnasium:{LAKE}"), "--horizon 100"),
+        (("evaluate", "gymnasium:CliffWalking-v1", "always:0"), "--horizon N"),
+    ):
+        done = run(*words)
+        assert (done.status, done.out) == (2, "")
+        assert named in done.err
+
+
+@pytest.mark.parametrize(
+    "steps", ["0", "-1", "1.5", "x", "", "1e3", "true", "9" * 30, "1000000000"]
+)
+def test_a_bad_horizon_is_refused(steps: str) -> None:
+    done = run("solve", f"gymnasium:{LAKE}", "--horizon", steps)
+    assert (done.status, done.out) == (2, "")
+    assert "horizon" in done.err
+
+
+def test_solve_with_a_horizon_is_proved_written_and_given_back(tmp_path: Path) -> None:
+    """A certificate is verified with the same horizon; policies are read back as they are."""
+    proof, policy, arrays = tmp_path / "p.json", tmp_path / "p.csv", tmp_path / "p.npz"
+    model, limit = f"gymnasium:{LAKE}", ("--horizon", "10")
+    files = ("--certificate", proof, "--policy-out", policy, "--out", arrays)
+    found = run("solve", model, *limit, "--certify", *files, "--json").result
+    wanted = exactly(MDP.from_gymnasium(LAKE), 10)
+    assert F(found["exact_start_value"]) == wanted[0]
+    assert run("verify", proof, model, *limit).status == 0
+    assert run("verify", proof, model).status == 1
+    for file in (policy, arrays):
+        own = run("evaluate", model, file, *limit, "--json").result
+        assert own["mean"] == pytest.approx(float(wanted[0]), abs=1e-13)
+        assert run("check", model, file, *limit, "--no-explain", "--json").status == 0
+
+
+def test_an_operator_takes_no_horizon() -> None:
+    done = run("solve", "yuan2025", "--operator", "--horizon", "3")
+    assert (done.status, done.out) == (2, "")
+    with pytest.raises(ModelError, match="compile the scenario"):
+        solve(Scenario.load("yuan2025").operator(), horizon=3)
+
+
+def test_a_file_of_before_has_no_limit(tmp_path: Path) -> None:
+    """Files that were written without the field are read as they were."""
+    from mdp.interop.npz_header import as_header, parts_of
+
+    mdp = MDP.from_gymnasium(LAKE)
+    header = json.loads(json.dumps(as_header(mdp)))
+    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] == 100
+    del header["time_limit"]
+    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] is None

@@ -1,0 +1,110 @@
+"""What is infinite is said to be, the rest is given, and no warning of NumPy gets out."""
+
+from __future__ import annotations
+
+from fractions import Fraction as F
+from math import inf, isnan, sqrt
+
+import numpy as np
+import pytest
+from cli_runner import run, strict
+
+from mdp import MDP
+from solvers import evaluate, return_distribution, simulate
+
+
+def test_steps_of_a_policy_that_never_ends_are_infinite() -> None:
+    """Below discount 1 the mean is finite, and everything else is given as well."""
+    found = evaluate(MDP.from_arrays([[[1.0]]], [[3.0]], "1/2"), [0])
+    assert (found.mean, found.steps, found.sd) == (6.0, inf, pytest.approx(0, abs=1e-7))
+    assert found.numbers["steps"].value == inf
+    done = run("evaluate", "gymnasium:CliffWalking-v1", "always:0", "--discount", "0.9", "--json")
+    assert strict(done.out)["steps"] == "inf"
+
+
+@pytest.mark.parametrize("chance", ["1/10000000000000000000", F(1, 10**300)])
+def test_an_end_beyond_double_precision_leaves_the_rest(chance: object) -> None:
+    """When it ends is unknown; the mean, the spread and the events stand."""
+    stay = 1 - F(chance)
+    rows = [(0, 0, [(chance, 1, 1), (stay, 0, 1)]), (1, 0, [(1, 1, 0)])]
+    found = evaluate(MDP.from_outcomes(rows, "1/2"), [0, 0])
+    assert found.mean == pytest.approx(2)
+    assert found.ends
+    assert isnan(found.steps)
+    assert found.numbers["steps"].error == inf
+    assert found.sd < 1e-5
+    assert "nan" in str(found.numbers["steps"])
+
+
+@pytest.mark.parametrize("size", [1e308, 1e200, 1.0, 1e-200, 1e-308])
+@pytest.mark.parametrize("discount", [0, "1/2", 1])
+def test_spreads_are_right_at_any_scale(size: float, discount: object) -> None:
+    """A fair bet of ± size: its sd is the size, whether or not the variance is a float."""
+    rows = [(0, 0, [(0.5, 1, size), (0.5, 1, -size)]), (1, 0, [(1, 1, 0)])]
+    found = evaluate(MDP.from_outcomes(rows, discount), [0, 0])
+    assert found.sd == pytest.approx(size, rel=1e-12)
+    spread = found.numbers["sd"]
+    assert abs(F(spread.value) - F(size)) <= F(spread.error)
+    assert found.start_variance == (inf if size > 1e160 else pytest.approx(size * size))
+    assert found.variance[0] == found.start_variance
+
+
+def test_spreads_between_starts_are_right_at_any_scale() -> None:
+    rows = [(0, 0, [(1, 2, 1e308)]), (1, 0, [(1, 2, -1e308)]), (2, 0, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes(rows, start={0: "1/2", 1: "1/2"})
+    assert evaluate(mdp, [0, 0, 0]).sd == pytest.approx(1e308)
+
+
+def test_nothing_earned_is_exactly_nothing() -> None:
+    """Without rewards the mean is 0 at any discount, however near to 1."""
+    rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 0, 0)])]
+    found = evaluate(MDP.from_outcomes(rows, F(10**16 - 1, 10**16)), [0, 0])
+    assert (found.mean, found.error_bound, found.sd, found.steps) == (0, 0, 0, inf)
+
+
+def test_the_command_tells_what_is_unknown(tmp_path: object) -> None:
+    from pathlib import Path
+
+    from mdp.interop import npz
+
+    path = Path(str(tmp_path)) / "late.npz"
+    stay = 1 - F(1, 10**19)
+    rows = [(0, 0, [(1 - stay, 1, 1), (stay, 0, 1)]), (1, 0, [(1, 1, 0)])]
+    npz.save(MDP.from_outcomes(rows, "1/2"), path)
+    found = run("evaluate", path, "random", "--json").result
+    assert (found["steps"], found["error_bounds"]["steps"]) == (None, "inf")
+    assert found["mean"] == pytest.approx(2)
+    assert "cannot bound" in run("evaluate", path, "random").out
+
+
+def test_two_outcomes_give_the_spread_of_a_recursion() -> None:
+    """The scaled equation is the one of Sobel: Var = E[(r + γ V' - V)²] + γ² E[Var']."""
+    rows = [(0, 0, [("1/2", 0, 1e300), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])]
+    found = evaluate(MDP.from_outcomes(rows, "1/2"), [0, 0])
+    mean = 0.5 / (1 - 0.25)
+    spread = (0.5 * (1 + 0.5 * mean - mean) ** 2 + 0.5 * mean**2) / (1 - 0.125)
+    assert found.sd / 1e300 == pytest.approx(sqrt(spread))
+    assert np.isfinite(found.mean)
+
+
+@pytest.mark.parametrize("size", [1.7e308, 1e-308])
+def test_sampled_and_listed_returns_of_any_scale(size: float) -> None:
+    """Mean and sd of simulations and of distributions neither overflow nor vanish."""
+    rows = [(0, 0, [(0.5, 1, size), (0.5, 1, -size)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    found = simulate(mdp, [0, 0], 400, seed=3)
+    assert found.sd == pytest.approx(size, rel=0.02)
+    assert abs(found.mean) < 4 * found.standard_error
+    listed = return_distribution(mdp, [0, 0])
+    assert (listed.mean, listed.sd) == (0, pytest.approx(size))
+
+
+def test_returns_beyond_the_floats_are_infinite() -> None:
+    """Two losses of 1e308 make one that no float holds; its quantile is -inf, the rest stands."""
+    rows = [(0, 0, [(1, 1, -1e308)]), (1, 0, [(0.5, 2, -1e308), (0.5, 2, 1e308)])]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+    found = evaluate(mdp, [0, 0, 0])
+    assert found.quantiles is not None
+    assert (found.quantiles[0.05], found.quantiles[0.95]) == (-inf, 0)
+    assert (found.mean, found.sd) == (-1e308, pytest.approx(1e308))
+    assert return_distribution(mdp, [0, 0, 0]).sd == pytest.approx(1e308)
