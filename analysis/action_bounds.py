@@ -55,7 +55,7 @@ class ActionBounds:
         >>> from solvers.bounds import bounds
         >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
         >>> found = ActionBounds.of(mdp, bounds(mdp, np.array([3.0, 0.0])))
-        >>> found.gap.tolist(), found.most_gap[1], bool(found.least_gap[0] > 1.99)
+        >>> found.gap.tolist(), float(found.most_gap[1]), bool(found.least_gap[0] > 1.99)
         ([2.0, 0.0, 0.0, 0.0], 0.0, True)
         """
         # Q*(l) - V(s) = d(l) + γ P_l (V* - V), and low · w ≤ V* - V ≤ high · w.

@@ -64,7 +64,7 @@ def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
     --------
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [0.1, 0])
     >>> found = per_use(mdp, np.array([0.1, 0.0]), np.zeros(2))
-    >>> bool(found.low[0] <= 2.0**-57 <= found.high[0]), found.low[1]
+    >>> bool(found.low[0] <= 2.0**-57 <= found.high[0]), float(found.low[1])
     (True, 0.0)
     """
     table, first = mdp.table, mdp.table.offsets[:-1]

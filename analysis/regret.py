@@ -60,7 +60,7 @@ Flags = NDArray[np.bool_]
 EXACT_TRANSITIONS = 100_000
 EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
 EXACT_CYCLE = 64  # states of the largest cycle
-LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open
+LAST_CYCLE = 200  # states of the largest cycle, where bounds leave a verdict open: about a second
 ACCURATE = 2.0**-30  # relative errors of gaps from which on they are worked out exactly
 IMPROVEMENTS = 100  # policies tried after a solver has stopped at its tolerance
 
