@@ -95,7 +95,8 @@ def test_a_sign_can_be_flipped_a_target_frozen_and_time_unrolled() -> None:
         F(mdp.table.row(pair)[0][2]) + rate * sum(p * value[t] for p, t, _ in mdp.table.row(pair))
         for pair in mdp.pairs_of(0)
     ]
-    assert reward in {r for _, _, r in frozen.table.row(0)} and value[0] == max(backup)
+    assert reward in {r for _, _, r in frozen.table.row(0)}
+    assert value[0] == max(backup)
     size, steps = mdp.n_states, 3
     unrolled = [
         (k * size + s, a, [(p, (k + 1) * size + t, r) for p, t, r in row])
