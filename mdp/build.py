@@ -165,7 +165,7 @@ def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
     row: Outcomes = {}
     for probability, then, reward in outcomes:
         earned, chance = _number(reward), _number(probability)
-        key = (index(then), earned, type(earned) is float or rounding_of(earned) > 0)
+        key = (index(then), earned, rounding_of(earned) > 0)
         row[key] = _sum(row[key], chance) if key in row else chance
     return {key: row[key] for key in sorted(row) if row[key] != 0}
 

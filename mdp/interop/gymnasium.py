@@ -189,6 +189,7 @@ def _listed(values: Any, where: str) -> Sequence[Any]:
 def _outcome(outcome: Any, place: str) -> Outcome:
     values = _listed(outcome, place)
     whole = len(values) == 4 and isinstance(values[1], int | np.integer)
+    whole = whole and not isinstance(values[1], bool)
     if not whole or not isinstance(values[3], bool | np.bool_):
         raise ModelError(
             f"an outcome is {outcome!r}",
