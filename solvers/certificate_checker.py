@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from math import lcm
 from operator import mul
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,15 +30,19 @@ if TYPE_CHECKING:
 def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
     """Return what does not hold of an exact certificate, in words; nothing where it is sound."""
     wrong = not_of(mdp, found.model, found.numerator, found.group, found.gap, found.gap_scale)
-    wrong += _no_integers(found)
+    weight = () if found.weight is None else found.weight
+    halves: Any = [getattr(found.start_value, name, None) for name in ("numerator", "denominator")]
+    wrong += [f"its {name} are not all of type int, which holds any integer" for name, values in (
+        ("numerators", found.numerator), ("denominators", found.denominator),
+        ("gaps", [gap for gap in found.gap if gap is not None]), ("gap scales", found.gap_scale),
+        ("weights", weight), ("numbers of the start value", halves),
+    ) if {*map(type, values)} - {int}]  # fmt: skip
     if not wrong and found.optimal_pairs.shape != (mdp.n_pairs,):
         wrong.append(f"it marks {found.optimal_pairs.shape} pairs, the model has {mdp.n_pairs}")
     wrong += [f"its {name} are of type {array.dtype}" for name, array, kind in (
         ("marks", found.optimal_pairs, "b"), ("groups", found.group, "i"),
-        ("actions", found.policy, "i"),
-    ) if array.dtype.kind != kind]  # fmt: skip
-    if found.rank is not None and found.rank.dtype.kind != "i":
-        wrong.append(f"its ranks are of type {found.rank.dtype}")
+        ("actions", found.policy, "i"), ("ranks", found.rank, "i"),
+    ) if array is not None and array.dtype.kind != kind]  # fmt: skip
     if not wrong and not set(found.group.tolist()) <= set(range(len(found.denominator))):
         wrong.append("a state's denominator is missing")
     if wrong or min(found.denominator) <= 0:
@@ -57,40 +61,13 @@ def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
         wrong.append("the policy takes a pair that is not optimal")
     choices = np.add.reduceat(found.optimal_pairs.astype(np.int64), mdp.pair_offsets[:-1])
     reached = reachable(mdp, pairs=found.optimal_pairs) & ~ends
-    if found.unique != bool((choices[reached] == 1).all()):
+    if found.unique is not bool((choices[reached] == 1).all()):
         wrong.append(f"that the optimal policy is {'' if found.unique else 'not '}unique is false")
     below = found.denominator
-    if found.start_value != sum(
+    if Fraction(*halves) != sum(
         weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start
     ):
         wrong.append("the start value is not that of the start states")
-    return wrong
-
-
-def _no_integers(found: Certificate) -> list[str]:
-    """Return which numbers are not Python's own integers; others may overflow, or lie."""
-    single: dict[str, tuple[object, type]] = {
-        "start value": (found.start_value, Fraction),
-        "mark of a unique policy": (found.unique, bool),
-    }
-    wrong = [
-        f"its {name} is of type {type(value).__name__}"
-        for name, (value, kind) in single.items()
-        if type(value) is not kind
-    ]
-    start = [] if wrong else [found.start_value.numerator, found.start_value.denominator]
-    numbers: dict[str, Sequence[object]] = {
-        "numerators": found.numerator,
-        "denominators": found.denominator,
-        "gaps": [gap for gap in found.gap if gap is not None],
-        "gap scales": found.gap_scale,
-        "weights": [] if found.weight is None else found.weight,
-        "halves of the start value": start,
-    }
-    for name, values in numbers.items():
-        other = next((type(value) for value in values if type(value) is not int), None)
-        if other is not None:
-            wrong.append(f"its {name} are not all Python integers: one is of type {other.__name__}")
     return wrong
 
 
