@@ -1,10 +1,10 @@
 """Property tests draw the same examples in every run, unless EXPLORE=1 asks for new ones."""
 
-from __future__ import pytest
-import annotations
+from __future__ import annotations
 
 import os
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
@@ -19,5 +19,4 @@ settings.load_profile("explore" if os.environ.get("EXPLORE") else "fixed")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Let chances be cut off at 1 in tests of other readings: verdict/ tests that it is said."""
     for item in items:
-        if item.get_closest_marker("filterwarnings") is None:
-            item.add_marker(pytest.mark.filterwarnings("ignore::mdp.ScenarioWarning"))
+        item.add_marker(pytest.mark.filterwarnings("ignore::mdp.ScenarioWarning"))
