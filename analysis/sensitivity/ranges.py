@@ -97,6 +97,7 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
 
     Examples
     --------
+    >>> from mdp.model import MDP
     >>> from mdp.parametric import parametric
     >>> model = parametric(MDP.from_arrays([[[1]]], [1], "9/10"))
     >>> rate = parameter_of(model, "discount")
