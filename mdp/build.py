@@ -9,7 +9,6 @@ as floats; else as integers over one denominator for each row.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from functools import reduce
 from itertools import pairwise
@@ -32,11 +31,11 @@ from mdp.table import (
     Numbers,
     OutcomeTable,
     as_float,
+    by_outcome,
     common,
     exact,
     given,
     integers,
-    multiply,
     ones,
     rounding_of,
 )
@@ -200,29 +199,6 @@ def _certain(row: Outcomes) -> bool:
 
 def _total(row: Outcomes) -> Fraction:
     return sum(map(exact, row.values()), Fraction(0))
-
-
-def by_outcome(table: OutcomeTable) -> OutcomeTable:
-    """Return a table whose rewards belong to outcomes beyond doubt.
-
-    With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
-    unless a probability is only nearly 1; such outcomes are told as two exact halves.
-    """
-    if len(table.next) != table.pairs or (table.weight == table.denominator).all():
-        return table
-    floats = table.weight.dtype == np.float64
-    below = table.denominator if floats else multiply(table.denominator, integers([2]))
-    doubts = (table.weight_doubt, table.gain_doubt)
-    return replace(
-        table,
-        offsets=2 * table.offsets,
-        next=np.repeat(table.next, 2),
-        weight=np.repeat(table.weight / 2 if floats else table.weight, 2),
-        denominator=below,
-        gain=np.repeat(table.gain, 2),
-        weight_doubt=None if doubts[0] is None else np.repeat(doubts[0] / 2, 2),
-        gain_doubt=None if doubts[1] is None else np.repeat(doubts[1], 2),
-    )
 
 
 def _sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:

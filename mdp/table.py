@@ -16,7 +16,7 @@ they are of pairs (an array of shape (L,)) it is r, whatever the probabilities s
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
@@ -180,7 +180,7 @@ class OutcomeTable:
         offsets = np.concatenate([[0], np.cumsum(counts)])
         chosen = np.arange(offsets[-1]) + np.repeat(self.offsets[pairs] - offsets[:-1], counts)
         earned = pairs if len(self.gain) == self.pairs else chosen
-        return OutcomeTable(
+        found = OutcomeTable(
             offsets=offsets,
             next=self.next[chosen],
             weight=self.weight[chosen],
@@ -191,6 +191,7 @@ class OutcomeTable:
             weight_doubt=None if self.weight_doubt is None else self.weight_doubt[chosen],
             gain_doubt=None if self.gain_doubt is None else self.gain_doubt[earned],
         )
+        return found if earned is pairs else by_outcome(found)
 
     def probabilities(self) -> Floats:
         """Return the (N,) outcome probabilities, each rounded once."""
@@ -301,6 +302,29 @@ class OutcomeTable:
         if top.dtype == np.float64:
             return np.asarray(top, dtype=np.float64)
         return divide(top, np.repeat(bottom, np.diff(self.offsets)) if per_outcome else bottom)
+
+
+def by_outcome(table: OutcomeTable) -> OutcomeTable:
+    """Return a table whose rewards belong to outcomes beyond doubt.
+
+    With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
+    unless a probability is only nearly 1; such outcomes are told as two exact halves.
+    """
+    if len(table.next) != table.pairs or (table.weight == table.denominator).all():
+        return table
+    floats = table.weight.dtype == np.float64
+    below = table.denominator if floats else multiply(table.denominator, integers([2]))
+    doubts = (table.weight_doubt, table.gain_doubt)
+    return replace(
+        table,
+        offsets=2 * table.offsets,
+        next=np.repeat(table.next, 2),
+        weight=np.repeat(table.weight / 2 if floats else table.weight, 2),
+        denominator=below,
+        gain=np.repeat(table.gain, 2),
+        weight_doubt=None if doubts[0] is None else np.repeat(doubts[0] / 2, 2),
+        gain_doubt=None if doubts[1] is None else np.repeat(doubts[1], 2),
+    )
 
 
 def exact(number: object) -> Fraction:

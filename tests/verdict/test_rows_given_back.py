@@ -10,12 +10,14 @@ import pytest
 import scipy.sparse as sp
 from mixed_numbers import again, rows_of
 
+from analysis import check
 from mdp import MDP, ModelError, Scenario
 from mdp.interop.npz import load, save
 from mdp.perception import independent
 from solvers import ValueIteration, certify, evaluate, solve
 from solvers.ambiguity import Intervals
 from solvers.belief import Process
+from solvers.policy_chain import PolicyChain
 from solvers.pomdp import solve_beliefs
 from solvers.returns import return_distribution
 from solvers.robust import solve_robust
@@ -206,3 +208,14 @@ def test_float_action_numbers_are_called_what_they_are() -> None:
         evaluate(mdp, np.array([0.0, 1.0]))
     assert "action numbers are whole numbers" in caught.value.what
     assert "astype(int)" in caught.value.fix
+
+
+def test_a_policy_of_single_outcomes_earns_what_the_outcomes_earn() -> None:
+    """Rewards of outcomes stay those of outcomes where a policy's rows have one outcome each."""
+    near = 1 - 2.0**-40
+    first, second = (0, 0, [(near, 1, 3.0)]), (0, 1, [(0.5, 1, 3.0), (0.5, 0, 1.0)])
+    end = (1, 0, [(1.0, 1, 0)])
+    mdp = MDP.from_outcomes([first, second, end], discount="1/2")
+    top, bottom = PolicyChain.of(mdp, np.array([0, 0])).table.expected_gain_exact()
+    assert F(int(top[0]), int(bottom[0])) == 3 * F(near)
+    assert check(mdp, [0, 0], exact_values=True).regret.learned.value == 3 * F(near)
