@@ -166,7 +166,7 @@ def _outcome(
     if isinstance(error, ModelError):
         where = _option(command, name, error.where, words) or usage
         fix = error.fix or f"see {usage} --help"
-        return REFUSED, _message("ModelError", error.what, where, fix)
+        return REFUSED, _message(type(error).__name__, error.what, where, fix)
     if isinstance(error, UserWarning):  # an error where Python is told so: -W error, PYTHONWARNINGS
         fix = "correct it, or let warnings be warnings"
         return REFUSED, _message(type(error).__name__, str(error), usage, fix)

@@ -308,9 +308,12 @@ def by_outcome(table: OutcomeTable) -> OutcomeTable:
     """Return a table whose rewards belong to outcomes beyond doubt.
 
     With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
-    unless a probability is only nearly 1; such outcomes are told as two exact halves.
+    unless a probability is only nearly 1; such outcomes are told as two exact halves. Other
+    probabilities make no model, and stay as they are for the message that says so.
     """
     if len(table.next) != table.pairs or (table.weight == table.denominator).all():
+        return table
+    if (2 * table.weight < table.denominator).any() or (table.weight > 2 * table.denominator).any():
         return table
     floats = table.weight.dtype == np.float64
     below = table.denominator if floats else multiply(table.denominator, integers([2]))

@@ -155,6 +155,6 @@ def test_another_file_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
 def test_no_wheel_is_said(tmp_path: Path) -> None:
     broken = tmp_path / "broken.whl"
     broken.write_bytes(b"no zip")
-    for path in (broken, tmp_path / "absent.whl"):
-        with pytest.raises(ModelError, match="cannot unpack"):
+    for path, what in ((broken, "cannot unpack"), (tmp_path / "absent.whl", "cannot read")):
+        with pytest.raises(ModelError, match=what):
             unpack(path, tmp_path / "small.gguf")
