@@ -144,7 +144,8 @@ def excess(scenario: Scenario, found: Chances | None = None) -> str | None:
         return None
     total, place, terms = greatest
     added = " + ".join(f"{found.names[k]} {shown(values[k])}" for k in terms if k < len(values))
-    others = f"; so are {count - 1} others" if count > 1 else ""
+    others = "; and so is 1 other" if count == 2 else f"; and so are {count - 1} others"
+    others = others if count > 1 else ""
     return f"a chance of {shown(total)} is cut off at 1: {place} is {added}{others}"
 
 
