@@ -6,13 +6,16 @@ OUT     ?= results
 # processes that run the tests
 WORKERS ?= 2
 
-UV_VERSION = 0.13.8
-
 BIN   := $(VENV)/bin
 PY    := $(BIN)/python
 PIP   := $(PY) -m pip --disable-pip-version-check --no-input
 STAMP := $(VENV)/.installed
 BENCH_STAMP := $(VENV)/.installed-bench
+
+# A second environment, with the lowest versions that pyproject.toml declares.
+LOWEST       := .venv-lowest
+LOWEST_STAMP := $(LOWEST)/.installed
+LOWEST_PIP   := $(LOWEST)/bin/python -m pip --disable-pip-version-check --no-input
 
 # Figures are drawn without a screen, and what the tools keep for themselves stays in
 # .venv, so that nothing is written to the home directory.
@@ -76,6 +79,19 @@ test: lint types $(STAMP) ## every check: lint, types, unit tests, doctests and 
 test-slow: $(STAMP) ## the tests that take long
 	$(PYTEST) -m slow
 
+# The core at the lowest versions that are declared: models, solvers, certificates, the gate, the
+# commands, and each optional package that has a bound of its own. Not what takes long.
+LOWEST_TESTS = $(addprefix tests/,$(addsuffix .py,test_build test_certificate test_cli \
+    test_cli_files test_cli_train test_elimination test_environment test_evaluation test_exact \
+    test_gate test_interop_gymnasium test_interop_npz test_interop_umb test_many test_model \
+    test_perception test_policy test_policy_files test_robust test_sensitivity_global \
+    test_simulation test_solvers verdict/test_versions verdict/test_workers))
+
+.PHONY: test-lowest
+test-lowest: $(LOWEST_STAMP) ## the core tests at the lowest declared versions, in .venv-lowest
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n $(WORKERS) \
+	    --dist loadgroup -k "not compiled_draws" $(LOWEST_TESTS)
+
 .PHONY: wheel-test
 wheel-test: $(STAMP) ## build the wheel, install it elsewhere and use it there
 	$(PY) -m pytest -m wheel tests/test_packaging.py
@@ -103,20 +119,23 @@ bench: $(BENCH_STAMP) ## the benchmarks; rewrites tests/benchmarks/RESULTS.md
 
 .PHONY: lock
 lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
-	$(PIP) install -qq uv==$(UV_VERSION)
+	$(PIP) install -qq --require-hashes --no-deps -r requirements-uv.lock
+	echo uv | $(COMPILE) --output-file requirements-uv.lock -
 	$(COMPILE) --extra all --extra test --output-file requirements.lock pyproject.toml
 	$(COMPILE) --extra bench --constraints requirements.lock \
 	    --output-file requirements-bench.lock pyproject.toml
+	$(COMPILE) --resolution lowest-direct --extra gymnasium --extra sensitivity --extra umb \
+	    --extra cluster --extra test --output-file requirements-lowest.lock pyproject.toml
 
 COMPILE = $(PY) -m uv pip compile --quiet --universal --python-version 3.11 \
     --fork-strategy fewest --generate-hashes --no-emit-index-url \
     --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade)
 
 .PHONY: clean
-clean: ## remove what the targets above wrote, .venv excepted
+clean: ## remove what the targets above wrote, .venv and .venv-lowest excepted
 	rm -rf $(OUT) build dist *.egg-info .hypothesis .pytest_cache .mypy_cache .ruff_cache \
 	    .benchmarks .asv
-	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
+	find . -path './.venv*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # ---------------------------------------------------------------- .venv
 
@@ -136,4 +155,12 @@ $(STAMP): pyproject.toml requirements.lock | $(PY)
 
 $(BENCH_STAMP): requirements-bench.lock $(STAMP)
 	$(PIP) install -qq --no-compile --require-hashes --no-deps -r requirements-bench.lock
+	@touch $@
+
+# Wheels alone: to build old versions of compiled packages takes compilers and an hour.
+$(LOWEST_STAMP): pyproject.toml requirements-lowest.lock
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST_PIP) install -qq --no-compile --only-binary :all: --require-hashes --no-deps \
+	    -r requirements-lowest.lock
+	$(LOWEST_PIP) install -qq --no-build-isolation --no-deps -e .
 	@touch $@

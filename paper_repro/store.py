@@ -13,7 +13,6 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -21,10 +20,9 @@ from typing import Any
 from mdp.errors import ModelError
 from mdp.files import read_text, write_atomically
 from mdp.structured import json_of
+from solvers.sources import source_digest
 
-ROOT = Path(__file__).resolve().parent.parent
 NAMED = re.compile(r"code-[0-9a-f]{12}")
-PACKAGES = ("mdp", "solvers", "analysis", "paper_repro")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,14 +82,3 @@ class Store:
         found = compute()
         write_atomically(path, json.dumps(found) + "\n")
         return found
-
-
-def source_digest() -> str:
-    """Return a digest of every module and data file that a result can depend on."""
-    digest = sha256()
-    for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*")):
-            if path.suffix in (".py", ".toml"):
-                digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0")
-                digest.update(path.read_bytes())
-    return digest.hexdigest()

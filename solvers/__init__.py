@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from mdp.chain import numbered_in_order
 from mdp.errors import ModelError, suggest
 from mdp.model import MDP
+from solvers import sources as sources  # notes what its files are while they are being imported
 from solvers.backward_induction import BackwardInduction
 from solvers.bounds import levels
 from solvers.conclusion import Solver

@@ -91,7 +91,7 @@ def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve
     if (column >= row).any():
         raise ValueError(NO_FALL)
     flow = sp.csr_array((-discount * rows.data, column, rows.indptr), rows.shape)
-    matrix = (flow + sp.eye_array(len(sequence), format="csr")).tocsr()
+    matrix = _narrow((flow + sp.eye_array(len(sequence), format="csr")).tocsr())
     matrix.sort_indices()
 
     def solve(constant: Floats) -> Floats:
@@ -99,6 +99,16 @@ def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve
         return np.asarray(found[place])
 
     return solve
+
+
+def _narrow(matrix: sp.csr_array) -> sp.csr_array:
+    """Return the matrix with the places that SuperLU takes: C's int.
+
+    `splu` and `spilu` cast them. `spsolve_triangular` does so from SciPy 1.17.1 on, and raises a
+    TypeError before. They fit: what comes here has fewer transitions than `COMPILED`.
+    """
+    places = matrix.indices.astype(np.intc, copy=False), matrix.indptr.astype(np.intc, copy=False)
+    return sp.csr_array((matrix.data, *places), matrix.shape)
 
 
 def _substitution(

@@ -4,12 +4,17 @@ The result depends neither on where a piece is done nor on who finishes first: e
 all that it needs, its seed too. With a folder, every finished piece is written at once, whole or
 not at all, and is read instead of done again when the same work is called once more.
 
+A process, here or there, does a piece only where it has the code of the one that sent it, as
+`solvers.sources` tells: one that starts after a file changed is refused.
+
 Cores are processes of joblib (loky; another joblib backend where `joblib.parallel_config` says so).
 A cluster is a Dask scheduler; see `solvers.cluster`.
 """
 
 from __future__ import annotations
 
+import os
+import platform
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -20,6 +25,7 @@ import numpy as np
 from mdp.errors import ModelError
 from solvers.cluster import ATTEMPTS, died, on_cluster
 from solvers.pieces import Arrays, kept, open_folder, read_piece, write_piece
+from solvers.sources import here, require
 
 RECORD = "work.json"
 
@@ -65,7 +71,8 @@ def many(
     ------
     ModelError
         Where the folder holds other work or a damaged file, `n_jobs` is no count, Dask is not
-        installed, or the scheduler does not answer. What `work` raises is raised as it is.
+        installed, the scheduler does not answer, or a process has other code. What `work` raises is
+        raised as it is.
 
     Examples
     --------
@@ -146,13 +153,19 @@ def _one(work: Work, index: int, piece: Any) -> tuple[int, Arrays]:
     return index, {name: np.asarray(value) for name, value in found.items()}
 
 
+def _guarded(wanted: Mapping[str, str], work: Work, index: int, piece: Any) -> tuple[int, Arrays]:
+    """Do one piece where this process has the code that it was sent with."""
+    require(wanted, f"process {os.getpid()} of {platform.node()}")
+    return _one(work, index, piece)
+
+
 def _on_cores(
     work: Work, tasks: Sequence[Task], n_jobs: int | None
 ) -> Generator[tuple[int, Arrays]]:
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    left = dict(tasks)
+    left, wanted = dict(tasks), here()
     for attempt in range(ATTEMPTS + 1):
         parallel = Parallel(
             n_jobs=-1 if n_jobs is None else n_jobs,
@@ -160,7 +173,7 @@ def _on_cores(
             batch_size=1,
         )
         with closing(
-            parallel(delayed(_one)(work, *task) for task in list(left.items()))
+            parallel(delayed(_guarded)(wanted, work, *task) for task in list(left.items()))
         ) as results:
             try:
                 for index, result in results:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from fractions import Fraction
 
+import gymnasium
 import numpy as np
 
 from mdp import MDP, Column, Parameter, Scenario, StateSpace
 
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 2], max_trial=2)
 WIDE = Fraction(1, 3**60)
+TAXI = max(name for name in gymnasium.registry if name.startswith("Taxi-v"))
 
 MODELS = {
     "care": CARE.compile(),
@@ -45,5 +47,5 @@ MODELS = {
             Parameter(name="q", value=Fraction(-3), high=Fraction(7, 3)),
         ),
     ),
-    "gymnasium": MDP.from_gymnasium("Taxi-v4", "9/10"),
+    "gymnasium": MDP.from_gymnasium(TAXI, "9/10"),
 }  # fmt: skip

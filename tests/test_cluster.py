@@ -59,7 +59,10 @@ def workers(number: int, **how: Any) -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     import dask
+    import distributed
 
+    # Dask's own settings are there before one of them is changed, or all would go with the change.
+    assert distributed.config
     # Whoever has yet to hear of a worker's death tries for this long to reach it: 30 s by default.
     with dask.config.set({"distributed.comm.timeouts.connect": "2s"}), workers(2) as local:
         yield local
@@ -343,8 +346,10 @@ def test_a_scheduler_that_dies_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
             scheduler.kill()
             monkeypatch.setattr(cluster_module, "LOOK_AFTER", 0.1)
 
+        # A worker's first answer takes long: it imports the packages.
+        many(partial(draws, 0), range(1), key=KEY, scheduler=address)
         monkeypatch.setattr(many_module, "write_piece", writing)
-        monkeypatch.setattr(cluster_module, "ANSWER_WITHIN", 1.0)
+        monkeypatch.setattr(cluster_module, "ANSWER_WITHIN", 4.0)
         work = partial(waiting, str(tmp_path))
         with pytest.raises(ModelError, match="the scheduler has gone") as caught:
             many(work, range(12), key=KEY, scheduler=address, folder=folder)

@@ -1,0 +1,159 @@
+"""What is declared to work does: SciPy's indices, and a package for every import of the tests."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg
+
+from mdp import MDP
+from solvers import BackwardInduction, LinearProgram, certify, evaluate, solve
+from solvers.elimination import substitution
+from solvers.sources import PACKAGES, ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+LOCKS = ("requirements.lock", "requirements-lowest.lock", "requirements-uv.lock")
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The index types of all matrices that SciPy's triangular solve is given."""
+    found: list[Any] = []
+    true = scipy.sparse.linalg.spsolve_triangular
+
+    def watched(matrix: Any, *given: Any, **how: Any) -> Any:
+        found.extend([matrix.indices.dtype, matrix.indptr.dtype])
+        return true(matrix, *given, **how)
+
+    monkeypatch.setattr(scipy.sparse.linalg, "spsolve_triangular", watched)
+    return found
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.int64])
+def test_a_triangular_solve_gets_cs_integers(kind: Any, solved: list[Any]) -> None:
+    """SciPy before 1.17.1 raises a TypeError for wider indices: they are cast, whatever comes."""
+    chain = sp.csr_array([[0.0, 0.5, 0.25], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+    chain.indices, chain.indptr = chain.indices.astype(kind), chain.indptr.astype(kind)
+    found = substitution(chain, 0.5, np.array([2, 1, 0]))(np.array([1.0, 2.0, 4.0]))
+    assert found.tolist() == [1 + 0.25 * 3 + 0.125 * 4, 3.0, 4.0]
+    assert solved == [np.intc, np.intc]
+
+
+def test_commands_that_solve_by_substitution_work(solved: list[Any]) -> None:
+    """Solving, evaluating and certifying a small model without cycles hand over C's integers."""
+    mdp = MDP.from_arrays([[[0, 1, 0], [0, 0, 1], [0, 0, 1]]], [1, 2, 0])
+    assert evaluate(mdp, "random").mean == 3
+    for solver in (BackwardInduction(), LinearProgram()):
+        assert solve(mdp, solver).value.tolist() == [3, 2, 0]
+    assert certify(mdp).value[0] == 3
+    assert set(solved) <= {np.dtype(np.intc)}
+
+
+def test_one_module_asks_for_a_triangular_solve() -> None:
+    """The cast stands at the only place that needs it."""
+    holders = [
+        str(path.relative_to(ROOT))
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        if "import spsolve_triangular" in path.read_text()
+        or "spsolve_triangular(" in path.read_text()
+    ]
+    assert holders == [str(Path("solvers") / "elimination.py")]
+
+
+def name_of(requirement: str) -> str:
+    found = re.match(r"[A-Za-z0-9._-]+", requirement)
+    assert found
+    return re.sub(r"[-_.]+", "-", found[0]).lower()
+
+
+def declared() -> dict[str, str]:
+    """Return every requirement by the name of its package."""
+    extras = PROJECT["optional-dependencies"]
+    listed = [*PROJECT["dependencies"], *(each for extra in extras.values() for each in extra)]
+    return {name_of(each): each for each in listed if name_of(each) != "exact-mdp"}
+
+
+def imported(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.partition(".")[0])
+    return found
+
+
+def test_every_import_is_declared() -> None:
+    """Each package that a module, a test or a notebook imports is named in pyproject.toml."""
+    folders = (*PACKAGES, "tests", "notebooks")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    own = {*PACKAGES, "exact_mdp", *(path.stem for path in (ROOT / "tests").rglob("*.py"))}
+    own |= {path.name for path in (ROOT / "tests").iterdir() if path.is_dir()}
+    names = set().union(*map(imported, files)) - own - set(sys.stdlib_module_names)
+    # Under another name, and perhaps not installed.
+    packages = {"flint": ["python-flint"], "SALib": ["SALib"]} | dict(packages_distributions())
+    missing = {
+        name
+        for name in names
+        if not {name_of(each) for each in packages.get(name, [name])} & set(declared())
+    }
+    assert missing == set()
+
+
+def test_every_requirement_has_a_lower_bound() -> None:
+    """Without one nothing is declared, and nothing can be tested."""
+    assert [each for each in declared().values() if ">=" not in each] == []
+
+
+def locked(name: str) -> dict[str, str]:
+    text = (ROOT / name).read_text()
+    return {name_of(found[1]): found[2] for found in re.finditer(r"(?m)^(\S+?)==(\S+)", text)}
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_whatever_is_installed_has_a_hash_and_no_host(name: str) -> None:
+    """Every locked package has hashes, the one that writes the locks too."""
+    text = (ROOT / name).read_text()
+    entries = re.split(r"(?m)^(?=\S+==)", text)[1:]
+    assert len(entries) >= len(locked(name)) > 0  # one for some versions of Python, one for others
+    assert [each.split()[0] for each in entries if "--hash=sha256:" not in each] == []
+    assert "://" not in text
+
+
+def test_the_tool_that_locks_is_installed_from_its_lock() -> None:
+    """`make lock` installs nothing that has no hash."""
+    recipe = (ROOT / "Makefile").read_text().partition("\nlock:")[2].partition("\n\n")[0]
+    (install,) = [line for line in recipe.splitlines() if " install " in line]
+    assert "--require-hashes" in install
+    assert "requirements-uv.lock" in install
+    assert list(locked("requirements-uv.lock")) == ["uv"]
+
+
+def test_the_lowest_lock_holds_the_declared_bounds() -> None:
+    """`make test-lowest` runs at what pyproject.toml declares, not at something newer."""
+    held = locked("requirements-lowest.lock")
+
+    def cut(version: str) -> list[str]:
+        parts = version.split(".")
+        while parts[-1] == "0":
+            parts.pop()
+        return parts
+
+    newer = {}
+    for name, requirement in declared().items():
+        bound = re.search(r">=([0-9.]+)", requirement)
+        assert bound
+        if name in held and cut(held[name]) != cut(bound[1]):
+            newer[name] = (bound[1], held[name])
+    assert newer == {}
+    assert {"numpy", "scipy", "numba", "cvxpy", "gymnasium", "salib", "umbi", "dask"} <= set(held)
