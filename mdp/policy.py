@@ -106,11 +106,14 @@ class Policy:
         by_action = np.zeros((self.space.size, mdp.n_actions))
         by_action[:, numbers] = self.table
         weights = by_action[keys[mdp.pair_state], mdp.pair_action]
+        wanted = np.count_nonzero(by_action > 0, axis=1)[keys]
+        offered = np.add.reduceat((weights > 0).astype(np.int64), mdp.pair_offsets[:-1])
         if mdp.space.extra and self.space.extra != mdp.space.extra:
             weights[mdp.pair_state >= mdp.space.regular] = np.nan
         weights[mdp.forced[mdp.pair_state]] = 1.0
         total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
         bad = ~(np.abs(total - 1) <= FLOAT_ROW_TOLERANCE)
+        bad |= (offered < wanted) & ~mdp.forced  # however rarely it is taken
         # What is done where everything has ended does not matter: it may be left open.
         ended = bad & mdp.terminal
         weights[ended[mdp.pair_state]] = 0.0
@@ -119,13 +122,13 @@ class Policy:
         if bad.any():
             state = int(np.flatnonzero(bad)[0])
             missing = bool(np.isnan(total[state]))
-            offered = [mdp.actions[mdp.pair_action[pair]] for pair in mdp.pairs_of(state)]
+            names = [mdp.actions[mdp.pair_action[pair]] for pair in mdp.pairs_of(state)]
             raise ModelError(
                 "the policy says nothing of a state with a choice"
                 if missing
                 else "the policy takes an action that is not available",
                 where=f"state ({mdp.space.label(state)})",
-                fix=f"choose one of {', '.join(offered)} there",
+                fix=f"choose one of {', '.join(names)} there",
             )
         return np.asarray(weights, dtype=np.float64)
 
@@ -330,6 +333,8 @@ def _of_array(mdp: MDP, array: Numbers, kind: str) -> Taken:
     times = timed and array.ndim == 2 and by_time(mdp, array, 0).ndim == 1
     if times and array.dtype.kind in "iu" and kind != "q" and array.shape[1] != mdp.n_actions:
         return Taken(policy=Policy.from_choices(mdp, array))
+    if times and array.dtype.kind in "iu" and kind == "auto":
+        _refuse_two_meanings(mdp, array)
     if array.ndim == 2 or (timed and array.ndim == 3):
         found = policy_of_array(mdp, array, kind)
         values = found.values
@@ -342,6 +347,21 @@ def _of_array(mdp: MDP, array: Numbers, kind: str) -> Taken:
         fix=f"give ({mdp.n_states},) action numbers, or ({mdp.n_states}, {mdp.n_actions}) "
         "probabilities or action values",
     )
+
+
+def _refuse_two_meanings(mdp: MDP, array: Numbers) -> None:
+    """Raise ModelError where (N, S) action numbers may as well be (S, A) of something else."""
+    try:
+        numbers = Policy.from_choices(mdp, array).weights(mdp)
+    except ModelError:  # these are no action numbers
+        return
+    if (numbers != _made(policy_of_array(mdp, array, "auto")).weights(mdp)).any():
+        raise ModelError(
+            f"an array of shape {array.shape} may be action numbers by time and state, or a table "
+            "of states and actions, which differ",
+            where="policy",
+            fix='give probabilities (N, S, A), or say kind="q" (--kind q) of a Q-table',
+        )
 
 
 def _made(found: ArrayPolicy) -> Policy:

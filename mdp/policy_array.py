@@ -113,7 +113,17 @@ def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy
         )
     table = np.full(array.shape, np.nan)
     table[fits] = array[fits].astype(np.float64)
+    lost = np.flatnonzero(layout.counts & ((table == 0) & np.asarray(array != 0)).any(axis=1))
+    if len(lost):
+        raise too_small(f"policy, {layout.space.label(int(lost[0]))}")
     return ArrayPolicy(read_as="policy", space=layout.space, actions=layout.actions, table=table)
+
+
+def too_small(where: str) -> ModelError:
+    """Return the error to raise where a probability above 0 would become 0 as a float."""
+    return ModelError(
+        "a probability of an action is above 0, and below all floats", where=where, fix="give 0"
+    )
 
 
 def checked_kind(kind: object) -> str:
@@ -131,15 +141,21 @@ def numbers_of(given: object) -> Numbers:
     Raises
     ------
     ModelError
-        Where something in it is not a real number.
+        Where something in it is not a real number, or is masked.
 
     Examples
     --------
     >>> numbers_of([[2**53 + 1, 0.5]]).tolist() == [[2**53 + 1, 0.5]]
     True
     """
+    if np.ma.is_masked(given):  # what lies under a mask is no number of anybody's
+        raise ModelError(
+            "entries of the array are masked",
+            where="policy",
+            fix="fill them: with -inf for an action never to be taken",
+        )
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiu":
-        return given
+        return np.asarray(given)  # of matrices, too, whose rows have two dimensions
     try:
         array: Numbers = np.array(given, dtype=object)
     except ValueError:
@@ -249,7 +265,8 @@ def _least(values: Numbers) -> Any:
 def _distributions(array: Numbers) -> Flags:
     """Return (K,) True for rows that are distributions."""
     most = 1 + FLOAT_ROW_TOLERANCE
-    inside = np.asarray((array >= 0) & (array <= most), dtype=bool).all(axis=1)
+    with np.errstate(invalid="ignore"):  # NaN is no probability
+        inside = np.asarray((array >= 0) & (array <= most), dtype=bool).all(axis=1)
     found = np.zeros(len(array), dtype=bool)
     total = array[inside].astype(np.float64).sum(axis=1)
     found[inside] = np.abs(total - 1) <= FLOAT_ROW_TOLERANCE

@@ -17,6 +17,7 @@ from mdp.files import read_text, write_atomically
 from mdp.model import MDP
 from mdp.numpy_file import read_array
 from mdp.policy import Policy, check_action
+from mdp.policy_array import too_small
 from mdp.space import StateSpace
 from mdp.table import Numbers, exact
 
@@ -171,7 +172,11 @@ def _values(space: StateSpace, entry: Mapping[str, str]) -> dict[str, int]:
 
 
 def _probability(value: object, where: str) -> float:
-    return _at(where, lambda: float(exact(value)))
+    number = _at(where, lambda: exact(value))
+    found = _at(where, lambda: float(number))
+    if number and not found:
+        raise too_small(where)
+    return found
 
 
 def _at(where: str, make: Callable[[], T]) -> T:

@@ -1,5 +1,6 @@
 """One array, one meaning: how arrays of policies are read, in memory and in files."""
 
+import warnings
 from fractions import Fraction as F
 from pathlib import Path
 from typing import Any
@@ -157,3 +158,69 @@ def test_what_was_taken_is_said(mdp: MDP) -> None:
     assert taken(mdp, q).values is q
     assert evaluate(mdp, q).read_as == "q"
     assert evaluate(mdp, "random").read_as == "policy"
+
+
+# ---- policies that are none of the model's -----------------------------------------------------
+
+
+def rare() -> MDP:
+    """Return a choice between 5 and 0; a third action is offered in state 1 alone."""
+    rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 0)]), (1, 1, [(1, 2, 0)]), (1, 2, [(1, 2, 0)])]
+    return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+
+
+@pytest.mark.parametrize("chance", [5e-10, 1e-17, 5e-324])
+def test_an_action_that_is_not_offered_is_refused_however_rare(chance: float) -> None:
+    """What a policy does once in a billion visits is part of it."""
+    table = [[1, 0, chance], [0, 1, 0], [0, 0, 0]]
+    with pytest.raises(ModelError, match="not available"):
+        check(rare(), table, kind="policy")
+    assert check(rare(), [[1, 0, 0], [0, 1, 0], [0, 0, 0]], kind="policy").passed
+    audit = check(rare(), [[1, chance, 0], [0, 1, 0], [0, 0, 0]], kind="policy")
+    assert not audit.passed
+    assert audit.regret.at_start.value > 0
+
+
+def test_a_probability_below_all_floats_is_not_taken_for_none() -> None:
+    """5/10^400 is given up by who takes the second action once in 10^400 times."""
+    least = F(1, 10**400)
+    for given in (
+        [[1 - least, least, 0], [0, 1, 0], [0, 0, 0]],
+        {"0": {"0": 1 - least, "1": "1e-400"}, "1": "1", "2": "0"},
+    ):
+        with pytest.raises(ModelError, match="below all floats"):
+            check(rare(), given, kind="auto" if isinstance(given, dict) else "policy")
+
+
+def test_masked_entries_are_refused_and_matrices_are_arrays() -> None:
+    """A masked action must not be taken for what lies under the mask."""
+    table = [[9.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    hidden = np.ma.masked_array(table, mask=np.array(table) == 9)
+    with pytest.raises(ModelError, match="masked"):
+        check(rare(), hidden, kind="q")
+    assert check(rare(), np.ma.masked_array(table), kind="q").passed
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        matrix = np.asmatrix(table)
+    assert check(rare(), matrix, kind="q").passed
+
+
+def test_nan_among_exact_action_values_is_no_warning() -> None:
+    """It is refused by name, and NumPy says nothing."""
+    table = np.array([[float("nan"), F(1, 3), 0], [0, 0, 0], [0, 0, 0]], dtype=object)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ModelError, match="NaN"):
+            check(rare(), table)
+
+
+def test_action_numbers_by_time_are_told_from_tables() -> None:
+    """(2, 2) whole numbers may be actions by time and state, a Q-table, or a policy."""
+    stay, go = (0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)])
+    rows = [stay, go, (1, 0, [(1, 1, 0)]), (1, 1, [(1, 1, 3)])]
+    mdp = MDP.from_outcomes(rows).within(2)
+    for given in ([[0, 1], [1, 0]], [[1, 1], [0, 1]]):
+        with pytest.raises(ModelError, match="may be action numbers"):
+            check(mdp, np.array(given))
+        assert check(mdp, np.array(given), kind="q").read_as == "q"
+    assert check(mdp, np.array([[5, 6], [3, 9]])).read_as == "q"
