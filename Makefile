@@ -124,9 +124,10 @@ lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
 	$(COMPILE) --extra all --extra test --output-file requirements.lock pyproject.toml
 	$(COMPILE) --extra bench --constraints requirements.lock \
 	    --output-file requirements-bench.lock pyproject.toml
-	$(COMPILE) --resolution lowest-direct --extra gymnasium --extra sensitivity --extra umb \
+	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra gymnasium --extra sensitivity --extra umb \
 	    --extra cluster --extra test --output-file requirements-lowest.lock pyproject.toml
 
+# The lowest versions are found anew each time: those locked would be kept where a bound falls.
 COMPILE = $(PY) -m uv pip compile --quiet --universal --python-version 3.11 \
     --fork-strategy fewest --generate-hashes --no-emit-index-url \
     --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade)
