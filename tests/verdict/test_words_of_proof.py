@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from analysis.sensitivity import psa
+from analysis.sensitivity import psa, sobol
 from analysis.status_policies import best_policy
-from mdp import MDP
+from mdp import MDP, ModelError, Policy
 from mdp.parametric import moving
 
 STEPS = 5
@@ -54,3 +54,23 @@ def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:
     assert found == [False, False, None]
     usual = run("solve", "yuan2025", "--json").result["stationary"]
     assert usual is True
+
+
+def test_the_spread_of_small_rewards_is_a_spread() -> None:
+    """Shares of variance do not depend on the unit of reward."""
+    half, found = F(1, 2), []
+    for unit in (F(1), F(1, 2**40)):
+        rows = [(0, 0, [(half, 1, 5 * unit), (half, 2, 0)]), (1, 0, [(1, 3, unit)])]
+        rows += [(2, 0, [(F(1, 3), 3, 0), (F(2, 3), 1, 2 * unit)]), (3, 0, [(1, 3, 0)])]
+        model = moving(MDP.from_outcomes(rows), {"p": [(0, 1)], "q": [(2, 1)]})
+        found.append(sobol(model, samples=32, seed=1).optimal)
+    assert found[1].sd == pytest.approx(found[0].sd / 2**40, rel=1e-9, abs=0)
+    assert found[1].total == pytest.approx(found[0].total)
+
+
+def test_action_numbers_that_are_not_whole_are_refused() -> None:
+    """0.9 is not action 0."""
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    with pytest.raises(ModelError, match="not whole"):
+        Policy.by(mdp, ("state",), [0.9, 0.0])
+    assert Policy.by(mdp, ("state",), [1, 0]).weights(mdp).tolist() == [0.0, 1.0, 1.0]
