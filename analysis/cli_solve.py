@@ -67,7 +67,8 @@ def solve(
 ) -> None:
     """Find an optimal policy of MODEL and its value, with an error bound that is sound.
 
-    With --certify the optimum is also computed in rational arithmetic, and proved. With --operator
+    With --certify the optimum is also computed in rational arithmetic, and proved. Whether it is
+    stationary is left out where the bounds without it leave that open. With --operator
     whether the optimum is stationary is left open, and no model hash is recorded. With --horizon
     the optimum is that of episodes that stop, whose policy depends on the time.
     """
@@ -142,9 +143,9 @@ def _result(loaded: Loaded, found: Optimum) -> dict[str, Any]:
     }
     names = mdp.space.names
     if "status" in names and isinstance(mdp, MDP):
-        from analysis.stationary import status_policy
+        from analysis.stationary import stationary
 
-        result["stationary"] = status_policy(mdp, found.optimal) is not None
+        result["stationary"] = stationary(mdp, found)
     if {"subtask", "trial", "status"} <= set(names):
         column = mdp.space.column("status")
         first = [mdp.space.index(status=value) for value in range(column.size)]

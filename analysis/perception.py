@@ -25,7 +25,7 @@ from analysis.perception_policies import (
     status_names,
 )
 from analysis.perception_uncertain import UncertainValue, value_under_counts
-from analysis.status_policies import PROVEN, BestPolicy
+from analysis.status_policies import BestPolicy, is_proven
 from mdp.model import MDP
 from mdp.perception_process import Process
 from solvers import solve
@@ -141,5 +141,5 @@ def _capped(best: BestPolicy, upper: float) -> BestPolicy:
     """Return a best policy with what no controller can exceed among its upper bounds."""
     cap = max(min(best.mixed_upper_bound, upper), best.value.interval[0])
     bound = min(best.upper_bound, cap)
-    proven = bound - best.value.interval[0] <= PROVEN * max(1.0, abs(best.value.value))
+    proven = is_proven(best.value, bound)
     return replace(best, mixed_upper_bound=cap, upper_bound=bound, proven=proven)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.optimum import Optimum
 from mdp.chain import reachable
 from mdp.model import MDP
 from mdp.policy import Policy
@@ -53,3 +54,18 @@ def status_policy(mdp: MDP, optimal: NDArray[np.bool_], *, column: str = "status
     table = np.eye(mdp.n_actions)[serves.argmax(axis=1)]
     table[states == 0] = np.nan
     return Policy.by(mdp, (column,), table)
+
+
+def stationary(mdp: MDP, found: Optimum) -> bool | None:
+    """Return whether the optimum depends on the status alone; None where bounds leave it open.
+
+    Bounds rule actions out: where the others have none in common, no status policy is optimal.
+    What is left is known to be optimal only where it is alone.
+    """
+    if status_policy(mdp, found.optimal) is None:
+        return False
+    if found.certificate is not None:
+        return True
+    left = np.add.reduceat(found.optimal.astype(np.int64), mdp.pair_offsets[:-1])
+    alone = found.optimal & (left == 1)[mdp.pair_state]
+    return True if status_policy(mdp, alone) is not None else None

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
-PROVEN = 1e-9  # of max(1, |value|)
+PROVEN = 1e-9  # of |value|; see `is_proven`
 ALL_SETS = 3  # further columns of which every set is tried
 ROWS_TRIED = 64  # rows that one step of the ascent tries to change
 
@@ -57,7 +57,8 @@ class BestPolicy:
     mixed_upper_bound : float
         No policy at all is worth more: the optimal value, which bounds mixed ones, too.
     proven : bool
-        Whether `upper_bound` is the value itself, up to 1e-9 of it.
+        Whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding; see
+        `is_proven`.
     nodes : int
         Relaxations solved.
     """
@@ -125,16 +126,32 @@ def searched(
     search.run(node_limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
-    limit = PROVEN * max(1.0, abs(search.value))
     return BestPolicy(
         columns=rows.space.names,
         policy=rows.policy(search.choice),
         value=value,
         upper_bound=upper,
         mixed_upper_bound=search.root_upper,
-        proven=upper - value.interval[0] <= limit,
+        proven=is_proven(value, upper),
         nodes=search.nodes,
     )
+
+
+def is_proven(value: Bounded, upper: float) -> bool:
+    """Return whether nothing is worth more than a value, up to 1e-9 of it, or to its own error.
+
+    Small rewards are rewards: the error has to be small by itself, and may count beside a value of
+    0 alone.
+
+    Examples
+    --------
+    >>> is_proven(Bounded(value=1.0, error=1e-15), 1 + 5e-10)
+    True
+    >>> is_proven(Bounded(value=1e-14, error=1e-29), 2e-14)
+    False
+    """
+    left, size = upper - (value.value - value.error), abs(value.value)
+    return left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error)
 
 
 def value_of_memory(
@@ -251,7 +268,7 @@ class _Search:
         """What a bound must exceed for its node to be worth splitting."""
         if self.nodes == 0:
             return -np.inf
-        return self.value + 4 * self.error + 1e-13 * max(1.0, abs(self.value))
+        return self.value + 4 * self.error + 1e-13 * abs(self.value)
 
     def _expand(self, nodes: Flags) -> tuple[Expansion, list[int]]:
         """Return what is known of nodes (N, K, A), and the row to split each that is kept at."""

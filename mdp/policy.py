@@ -226,9 +226,9 @@ class Policy:
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
         array: Numbers = np.asarray(table)
         if array.ndim == 1:
-            if ((array < 0) | (array >= mdp.n_actions)).any():
+            if array.dtype.kind not in "iu" or ((array < 0) | (array >= mdp.n_actions)).any():
                 raise ModelError(
-                    f"an action number is outside 0 … {mdp.n_actions - 1}",
+                    f"an action number is not whole, or outside 0 … {mdp.n_actions - 1}",
                     where="policy",
                     fix="use the model's action numbers",
                 )

@@ -11,6 +11,7 @@ from analysis.sensitivity.policy_rows import distinct
 from mdp.parametric import Parametric
 from mdp.table import Floats, Integers
 from solvers import evaluate, solve
+from solvers.gains import gains
 from solvers.pieces import Arrays
 
 
@@ -41,8 +42,9 @@ class ModelSolver:
             solution = solve(drawn)
             start[d], error[d] = solution.start_value, solution.start_error_bound
             gap = solution.value[mdp.pair_state] - solution.q
-            size = float(np.abs(solution.value).max())
-            near = gap <= 3 * solution.error_bound + 1e-12 * size
+            error_there = solution.state_error
+            doubt = error_there[mdp.pair_state] + drawn.discount * (drawn.transition @ error_there)
+            near = gap <= doubt + gains(drawn, solution.value).noise
             best[mdp.pair_state[near], mdp.pair_action[near]] += 1
             policies[d] = solution.policy
             if len(first) == 1:

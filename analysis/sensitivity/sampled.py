@@ -61,7 +61,7 @@ class Sampled:
     @property
     def noise(self) -> float:
         """Least difference of two values that is told from rounding."""
-        size = max(1.0, float(np.abs(self.optimal).max()))
+        size = float(np.abs(self.optimal).max())
         return max(NOISE * size, 2 * float(self.error.max()))
 
 
