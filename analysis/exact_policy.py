@@ -1,10 +1,10 @@
 """What a mixed policy is worth in rational arithmetic, and each pair's exact distance to the best.
 
 A state in which a policy takes pair l with probability π(l) has the row Σ_l π(l) P_l and the reward
-Σ_l π(l) r(l). These are built in integers from the Bellman rows of the model; probabilities of
-actions count as the floats that they are, divided by their exact sum. The values that come out are
-put into their equations. That these have one solution is known wherever the optimum has been
-proven: a rank that falls along every pair, or w > γ P w, holds for mixtures of rows, too.
+Σ_l π(l) r(l). These are built in integers from the Bellman rows of the model and the exact
+probabilities of the actions. The values that come out are put into their equations. That these have
+one solution is known wherever the optimum has been proven: a rank that falls along every pair, or
+w > γ P w, holds for mixtures of rows, too.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
 from math import lcm
 from typing import Protocol
 
@@ -21,7 +20,7 @@ import numpy as np
 
 from mdp.bellman import BellmanRows, bellman_rows
 from mdp.model import MDP
-from mdp.table import Floats, Integers, divide, exact, integers
+from mdp.table import Floats, Integers, divide, in_proportion, integers
 from solvers.exact import ExactValues, solve_exactly
 from solvers.policy_chain import PolicyChain
 from solvers.rationals import fraction
@@ -118,9 +117,9 @@ def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
     constant, scale = rows.constant.tolist(), rows.scale.tolist()
     scales, constants, lengths = list[int](), list[int](), list[int]()
     targets, weights = list[int](), list[int]()
-    for state, (first, last) in enumerate(pairwise(rows.pair_offsets.tolist())):
-        taken = [l for l in range(first, last) if chain.chosen[l] > 0]
-        shares = _shares([exact(chain.chosen[l]) for l in taken])
+    for state in range(len(scale)):
+        chances = chain.exact_weights(state)
+        taken, shares = list(chances), in_proportion(list(chances.values()))
         row: dict[int, int] = {}
         for share, l in zip(shares, taken, strict=True):
             for i in range(offsets[l], offsets[l + 1]):
@@ -198,13 +197,3 @@ def _holds(rows: BellmanRows, found: ExactValues) -> bool:
         if loss:
             return False
     return True
-
-
-def _shares(chances: list[Fraction]) -> list[int]:
-    """Return integers in proportion to some chances, as small as they can be."""
-    if len(chances) == 1:
-        return [1]
-    shared = lcm(*(chance.denominator for chance in chances))
-    whole = [int(chance * shared) for chance in chances]
-    divisor = int(np.gcd.reduce(np.array(whole, dtype=object)))
-    return [number // divisor for number in whole]

@@ -330,10 +330,7 @@ def _exactly_in_all(chain: PolicyChain, value: Sequence[Fraction]) -> Sequence[F
     """Return F (S,) of a policy as rationals, for its exact values."""
     mdp, earned = chain.mdp, [Fraction(0)] * chain.mdp.n_states
     for state in np.flatnonzero(~mdp.terminal).tolist():
-        taken = [pair for pair in mdp.pairs_of(state) if chain.chosen[pair] > 0]
-        total = sum((Fraction(float(chain.chosen[pair])) for pair in taken), Fraction(0))
-        for pair in taken:
-            share = Fraction(float(chain.chosen[pair])) / total
+        for pair, share in chain.exact_weights(state).items():
             earned[state] += share * exactly_per_use(mdp, value, pair)
     return exact_policy(chain, earned).value
 

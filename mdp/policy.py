@@ -29,7 +29,18 @@ from mdp.policy_array import (
     rows_read,
 )
 from mdp.space import StateSpace
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, float_array
+from mdp.table import (
+    EXACT_IN_INT64,
+    FLOAT_ROW_TOLERANCE,
+    Floats,
+    Integers,
+    Numbers,
+    divide,
+    exact,
+    float_array,
+    in_proportion,
+    magnitude,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +54,11 @@ class Policy:
         where the policy is one over all states.
     actions : tuple of str
     table : (K, A) float
-        Rows sum to 1; a row of NaN says nothing, which is an error only where it is asked.
+        Rows sum to 1; a row of NaN says nothing, which is an error only where it is asked. Exact
+        numbers (Fractions, "p/q") are taken as well: they are rounded here and kept in `shares`.
+    shares : (K, A) integers, optional
+        Whole numbers in proportion to the exact probabilities of each row, 0 in rows that say
+        nothing. None where the floats of `table` are what was given.
 
     Examples
     --------
@@ -52,11 +67,15 @@ class Policy:
     >>> policy = Policy.of(mdp, "always:directive")
     >>> policy.weights(mdp)[:4]
     array([0., 0., 0., 1.])
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> Policy.of(mdp, {"0": {"0": "9/10", "1": "1/10"}, "1": "0"}).shares.tolist()
+    [[9, 1], [1, 0]]
     """
 
     space: StateSpace
     actions: tuple[str, ...]
     table: Floats
+    shares: Numbers | None = None
 
     def __post_init__(self) -> None:
         check_names(self.actions, "action", where="policy")
@@ -79,8 +98,34 @@ class Policy:
                 where=f"policy, {self.space.label(row)}",
                 fix="make them at least 0, with sum 1",
             )
+        shares = _rounded_away(self.table, table) if self.shares is None else self.shares
+        if shares is not None:
+            shares = self._checked_shares(shares, table)
         table.setflags(write=False)
         object.__setattr__(self, "table", table)
+        object.__setattr__(self, "shares", shares)
+
+    def _checked_shares(self, given: Numbers, table: Floats) -> Numbers:
+        """Return exact shares, read-only, or raise ModelError where they are not the table's."""
+        shares: Numbers = np.array(given)
+        right = shares.shape == table.shape and shares.dtype.kind in "iuO"
+        if right:
+            # The sums of the rows have to fit as well.
+            narrow = magnitude(shares) * len(self.actions) < EXACT_IN_INT64
+            shares = shares.astype(np.int64 if narrow else object)
+            total = shares.sum(axis=1, keepdims=True)
+            known = np.asarray(total > 0, dtype=bool)
+            ratio = divide(shares, np.broadcast_to(np.where(known, total, 1), shares.shape))
+            same = np.abs(ratio - np.nan_to_num(table)) <= FLOAT_ROW_TOLERANCE
+            right = bool(same.all() and ((shares > 0) == (table > 0)).all())
+        if not right:
+            raise ModelError(
+                "exact shares that are not those of the table",
+                where="policy",
+                fix="give whole numbers in proportion to each row of the table",
+            )
+        shares.setflags(write=False)
+        return shares
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -132,6 +177,33 @@ class Policy:
             )
         return np.asarray(weights, dtype=np.float64)
 
+    def weights_exact(self, mdp: MDP) -> Numbers | None:
+        """Return (L,) whole numbers in proportion to the exact probability of each pair.
+
+        None where the floats of `weights`, divided by their exact sum, are the exact probabilities.
+
+        Raises
+        ------
+        ModelError
+            As `weights` does.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+        >>> Policy.of(mdp, {"0": {"0": "9/10", "1": "1/10"}, "1": "0"}).weights_exact(mdp).tolist()
+        [9, 1, 1, 0]
+        """
+        if self.shares is None:
+            return None
+        taken = self.weights(mdp) > 0
+        numbers = np.array([mdp.action(name) for name in self.actions])
+        by_action = np.zeros((self.space.size, mdp.n_actions), dtype=self.shares.dtype)
+        by_action[:, numbers] = self.shares
+        found = by_action[self._keys(mdp)[mdp.pair_state], mdp.pair_action]
+        # Where there is no choice, or all has ended, the policy is not asked.
+        other = np.logical_or.reduceat((found > 0) != taken, mdp.pair_offsets[:-1])
+        return np.where(other[mdp.pair_state], taken.astype(found.dtype), found)
+
     def choices(self, mdp: MDP) -> Integers:
         """Return (S,) the likeliest action of every state, the lowest number on a tie."""
         weights = self.weights(mdp)
@@ -181,7 +253,8 @@ class Policy:
         table = np.zeros((mdp.n_states, mdp.n_actions))
         counts = np.diff(mdp.pair_offsets)[mdp.pair_state]
         table[mdp.pair_state, mdp.pair_action] = 1 / counts
-        return cls(space=mdp.space, actions=mdp.actions, table=table)
+        shares = (table > 0).astype(np.int64)
+        return cls(space=mdp.space, actions=mdp.actions, table=table, shares=shares)
 
     @classmethod
     def always(cls, mdp: MDP, action: str) -> Policy:
@@ -222,6 +295,7 @@ class Policy:
         ----------
         columns : names of columns of the model's states
         table : (K,) action numbers or (K, A) probabilities, row-major over the columns
+            Exact probabilities (Fractions) stay exact.
         """
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
         array: Numbers = np.asarray(table)
@@ -366,6 +440,20 @@ def _refuse_two_meanings(mdp: MDP, array: Numbers) -> None:
 
 def _made(found: ArrayPolicy) -> Policy:
     return Policy(space=found.space, actions=found.actions, table=found.table)
+
+
+def _rounded_away(given: ArrayLike, table: Floats) -> Numbers | None:
+    """Return (K, A) exact shares of the numbers given; None where the floats are these numbers."""
+    array: Numbers = np.asarray(given)
+    if array.dtype.kind in "biu" or (array.dtype.kind == "f" and array.dtype.itemsize <= 8):
+        return None
+    said = np.flatnonzero(~np.isnan(table).all(axis=1)).tolist()
+    chances = {row: [exact(number) for number in array[row]] for row in said}
+    if all(table[row].tolist() == numbers for row, numbers in chances.items()):
+        return None
+    rows = [in_proportion(chances[k]) if k in chances else None for k in range(len(table))]
+    none = [0] * table.shape[1]
+    return np.array([row or none for row in rows], dtype=object).reshape(table.shape)
 
 
 def check_action(name: str, actions: Sequence[str], where: str) -> int:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.space import StateSpace
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
+from mdp.table import FLOAT_ROW_TOLERANCE, Integers, Numbers
 
 Flags = NDArray[np.bool_]
 ReadAs = Literal["q", "policy"]
@@ -43,7 +43,7 @@ class ArrayPolicy:
     space, actions : StateSpace, tuple of str
         What the rows and columns are over.
     table : (K, A)
-        Probabilities of actions; NaN in rows that say nothing.
+        Probabilities of actions, none of them rounded; NaN in rows that say nothing.
     values : (K, A), optional
         The array as it is, where it is a Q-table.
     """
@@ -51,7 +51,7 @@ class ArrayPolicy:
     read_as: ReadAs
     space: StateSpace
     actions: tuple[str, ...]
-    table: Floats
+    table: Numbers
     values: Numbers | None = None
 
 
@@ -111,11 +111,14 @@ def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy
             where=f"policy, {layout.space.label(int(mixed[0]))}",
             fix=SAY,
         )
-    table = np.full(array.shape, np.nan)
-    table[fits] = array[fits].astype(np.float64)
-    lost = np.flatnonzero(layout.counts & ((table == 0) & np.asarray(array != 0)).any(axis=1))
+    floats = np.full(array.shape, np.nan)
+    floats[fits] = array[fits].astype(np.float64)
+    lost = np.flatnonzero(layout.counts & ((floats == 0) & np.asarray(array != 0)).any(axis=1))
     if len(lost):
         raise too_small(f"policy, {layout.space.label(int(lost[0]))}")
+    kept = fits & ~((floats == 0) & np.asarray(array != 0)).any(axis=1)
+    table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))
+    table[kept] = array[kept]
     return ArrayPolicy(read_as="policy", space=layout.space, actions=layout.actions, table=table)
 
 

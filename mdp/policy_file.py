@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -57,7 +58,7 @@ def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> Policy:
     """Return a policy from {status: action} or {status: {action: probability}}."""
     names = (mdp.space.untimed or mdp.space).names
     name = "status" if "status" in names else names[0]
-    rows: dict[int, dict[int, float]] = {}
+    rows: dict[int, dict[int, Fraction]] = {}
     space = StateSpace(columns=(mdp.space.column(name),))
     for label, choice in entries.items():
         key = _at(where, partial(space.columns[0].parse, str(label)))
@@ -114,7 +115,7 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
             fix=f"write {','.join([*mdp.space.names, 'action'])}, or status,action",
         )
     space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
-    rows: dict[int, dict[int, float]] = {}
+    rows: dict[int, dict[int, Fraction]] = {}
     for number, line in enumerate(lines[1:], start=2):
         place = f"{where}, line {number}"
         if not line:
@@ -145,16 +146,18 @@ def array_file(path: str | Path, make: Callable[[Numbers], T]) -> T:
 
 
 def _checked(
-    mdp: MDP, space: StateSpace, rows: Mapping[int, Mapping[int, float]], where: str
+    mdp: MDP, space: StateSpace, rows: Mapping[int, Mapping[int, Fraction]], where: str
 ) -> Policy:
     """Return the policy, after looking for combinations that are missing where there is choice."""
-    table = np.full((space.size, mdp.n_actions), np.nan)
+    floats = all(float(chance) == chance for row in rows.values() for chance in row.values())
+    kind = np.float64 if floats else object
+    table: Numbers = np.full((space.size, mdp.n_actions), np.nan, dtype=kind)
     for key, chances in rows.items():
-        table[key] = 0.0
+        table[key] = 0
         for action, chance in chances.items():
             table[key, action] = chance
     policy = _at(where, lambda: Policy(space=space, actions=mdp.actions, table=table))
-    missing = np.isnan(table[policy._keys(mdp)]).any(axis=1) & ~mdp.forced
+    missing = np.isnan(policy.table[policy._keys(mdp)]).any(axis=1) & ~mdp.forced
     if missing.any():
         keys = sorted(set(policy._keys(mdp)[missing].tolist()))
         shown = "; ".join(space.labels(keys[:4])) + (" …" if len(keys) > 4 else "")
@@ -171,12 +174,11 @@ def _values(space: StateSpace, entry: Mapping[str, str]) -> dict[str, int]:
     return {column.name: column.parse(entry[column.name]) for column in space.columns}
 
 
-def _probability(value: object, where: str) -> float:
+def _probability(value: object, where: str) -> Fraction:
     number = _at(where, lambda: exact(value))
-    found = _at(where, lambda: float(number))
-    if number and not found:
+    if number and not _at(where, lambda: float(number)):
         raise too_small(where)
-    return found
+    return number
 
 
 def _at(where: str, make: Callable[[], T]) -> T:
@@ -188,6 +190,17 @@ def _at(where: str, make: Callable[[], T]) -> T:
         raise ModelError(error.what, where=place, fix=error.fix) from error
     except OverflowError as error:
         raise ModelError("a number too large for a float", where=where, fix="check it") from error
+
+
+def _written(policy: Policy, key: int, action: int) -> float | str:
+    """Return a probability as it is written: as a decimal or "p/q", which is read as exact."""
+    rounded = float(policy.table[key, action])
+    if policy.shares is None:
+        return rounded
+    row = policy.shares[key].tolist()
+    share = Fraction(row[action], sum(row))
+    rounded = float(share)
+    return rounded if Fraction(repr(rounded)) == share else str(share)
 
 
 def _as_csv(policy: Policy) -> str:
@@ -204,7 +217,7 @@ def _as_csv(policy: Policy) -> str:
     for key in range(policy.space.regular):
         labels = list(policy.space.as_dict(key).values())
         for action in np.flatnonzero(policy.table[key] > 0):
-            chance = [repr(float(policy.table[key, action]))] if mixed else []
+            chance = [str(_written(policy, key, int(action)))] if mixed else []
             writer.writerow([*labels, policy.actions[action], *chance])
     return out.getvalue()
 
@@ -219,7 +232,8 @@ def _as_json(policy: Policy) -> str:
     entries: dict[str, object] = {}
     for key in range(policy.space.regular):
         row = policy.table[key]
-        chosen = [(policy.actions[a], float(row[a])) for a in np.flatnonzero(row > 0)]
+        taken = np.flatnonzero(row > 0).tolist()
+        chosen = [(policy.actions[action], _written(policy, key, action)) for action in taken]
         if chosen:
             label = policy.space.columns[0].label(key)
             entries[label] = chosen[0][0] if len(chosen) == 1 else dict(chosen)

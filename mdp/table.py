@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import lcm, ulp
+from math import gcd, lcm, ulp
 from typing import Any, Self
 
 import numpy as np
@@ -448,6 +448,20 @@ def integers(values: Iterable[int]) -> Numbers:
     array = np.empty(len(listed), dtype=object)
     array[:] = listed
     return array
+
+
+def in_proportion(numbers: Sequence[Fraction]) -> list[int]:
+    """Return whole numbers in proportion to rationals of at least 0, as small as they can be.
+
+    Examples
+    --------
+    >>> in_proportion([Fraction(9, 10), Fraction(1, 10), Fraction(0)])
+    [9, 1, 0]
+    """
+    shared = lcm(*(number.denominator for number in numbers))
+    whole = [int(number * shared) for number in numbers]
+    divisor = gcd(*whole) or 1
+    return [number // divisor for number in whole]
 
 
 def ones(length: int) -> Numbers:

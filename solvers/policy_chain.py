@@ -4,8 +4,8 @@
 
 together with the outcomes behind it, one entry for each (state, pair, next state, reward), because
 the spread of a return depends on the joint law of next state and reward. Probabilities of actions
-count as the floats that they are, divided by their exact sum. Whether a policy ends is a question
-about its own chain; other policies of the model need not end.
+are the exact numbers given (a float is the number that it is), divided by their exact sum. Whether
+a policy ends is a question about its own chain; other policies of the model need not end.
 
 A state *ends* where a terminal state is reached with probability 1, which is where no state is
 reached from which the terminal ones cannot be (Puterman, Markov Decision Processes, 1994, A.2).
@@ -14,6 +14,7 @@ reached from which the terminal ones cannot be (Puterman, Markov Decision Proces
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
@@ -24,7 +25,15 @@ from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.policy import Policy, taken
 from mdp.policy_array import ReadAs
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, OutcomeTable
+from mdp.table import (
+    FLOAT_ROW_TOLERANCE,
+    Floats,
+    Integers,
+    Numbers,
+    OutcomeTable,
+    divide,
+    exact,
+)
 from solvers.bounds import levels
 from solvers.linear import LinearSystem
 from solvers.solution import Solution
@@ -45,11 +54,14 @@ class PolicyChain:
         state they sum to 1 up to rounding.
     read_as : "q" or "policy"
         What the policy was taken from; see `mdp.policy_array`.
+    policy : Policy, optional
+        Where `chosen` is from, which knows the exact probabilities behind these floats.
     """
 
     mdp: MDP
     chosen: Floats
     read_as: ReadAs = "policy"
+    policy: Policy | None = None
 
     @classmethod
     def of(cls, mdp: MDP, policy: object, *, kind: str = "auto") -> PolicyChain:
@@ -63,15 +75,36 @@ class PolicyChain:
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
             return cls(mdp=mdp, chosen=_checked(mdp, policy))
         found = taken(mdp, policy, kind=kind)
-        return cls(mdp=mdp, chosen=found.policy.weights(mdp), read_as=found.read_as)
+        weights = found.policy.weights(mdp)
+        return cls(mdp=mdp, chosen=weights, read_as=found.read_as, policy=found.policy)
 
     # ---- outcomes ----------------------------------------------------------------------------
 
     @cached_property
     def weights(self) -> Floats:
         """(L,) probability of each pair given its state; sums to 1 over the pairs of a state."""
-        total = np.add.reduceat(self.chosen, self.mdp.pair_offsets[:-1])
-        return np.asarray(self.chosen / total[self.mdp.pair_state])
+        given = self.chosen if self.shares is None else self.shares
+        total = np.add.reduceat(given, self.mdp.pair_offsets[:-1])[self.mdp.pair_state]
+        return np.asarray(given / total) if self.shares is None else divide(given, total)
+
+    @cached_property
+    def shares(self) -> Numbers | None:
+        """(L,) whole numbers in proportion to the exact probabilities; None for floats."""
+        return None if self.policy is None else self.policy.weights_exact(self.mdp)
+
+    def exact_weights(self, state: int) -> dict[int, Fraction]:
+        """Return the exact probability of each pair that is taken in a state.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 3, [[1, 3, 0], [0, 0, 0]])
+        >>> PolicyChain.of(mdp, "random").exact_weights(0)
+        {0: Fraction(1, 3), 1: Fraction(1, 3), 2: Fraction(1, 3)}
+        """
+        given = self.chosen if self.shares is None else self.shares
+        found = {pair: exact(given[pair]) for pair in self.mdp.pairs_of(state) if given[pair]}
+        total = sum(found.values(), Fraction(0))
+        return {pair: weight / total for pair, weight in found.items()}
 
     @cached_property
     def pairs(self) -> Integers:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mdp.errors import ModelError
-from mdp.table import exact, integers
+from mdp.table import integers
 from solvers.returns_flow import SLOW_EDGE, Carried, Flow, too_many, too_slow
 from solvers.rounding import TINY
 
@@ -70,15 +70,12 @@ def carry_exact(flow: Flow) -> tuple[dict[int, int], int]:
 def _odds(flow: Flow) -> list[Fraction]:
     """Return (M,) the exact probabilities of the outcomes in their states."""
     chain, table = flow.chain, flow.chain.table
-    chosen = [exact(weight) for weight in chain.chosen[chain.pairs].tolist()]
-    states = chain.mdp.pair_state[chain.pairs].tolist()
-    total: dict[int, Fraction] = defaultdict(Fraction)
-    for state, weight in zip(states, chosen, strict=True):
-        total[state] += weight
+    chosen: dict[int, Fraction] = {}
+    for state in range(chain.mdp.n_states):
+        chosen |= chain.exact_weights(state)
     weights, denominator = table.integer_weights()
     scale = [
-        weight / (total[state] * int(bottom))
-        for weight, state, bottom in zip(chosen, states, denominator, strict=True)
+        chosen[l] / int(bottom) for l, bottom in zip(chain.pairs.tolist(), denominator, strict=True)
     ]
     pair = table.pair[flow.used].tolist()
     return [scale[l] * int(weights[i]) for l, i in zip(pair, flow.used.tolist(), strict=True)]

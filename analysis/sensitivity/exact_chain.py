@@ -190,10 +190,5 @@ def _rows(mdp: MDP) -> list[list[tuple[int, fmpq]]]:
 
 def _shares(mdp: MDP, chain: PolicyChain) -> list[list[tuple[int, fmpq]]]:
     """Return, for each state, its pairs and their exact probabilities."""
-    found: list[list[tuple[int, fmpq]]] = []
-    chosen = chain.chosen.tolist()
-    for state in range(mdp.n_states):
-        taken = [(pair, Fraction(chosen[pair])) for pair in mdp.pairs_of(state) if chosen[pair]]
-        total = sum((weight for _, weight in taken), Fraction(0))
-        found.append([(pair, rational(weight / total)) for pair, weight in taken])
-    return found
+    states = map(chain.exact_weights, range(mdp.n_states))
+    return [[(pair, rational(weight)) for pair, weight in each.items()] for each in states]
