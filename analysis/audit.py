@@ -25,9 +25,10 @@ from mdp.policy import Policy
 from mdp.policy_array import ReadAs
 from mdp.table import Floats, shown
 from solvers.policy_chain import PolicyChain
-from solvers.solution import Bounded, Certified, Claim
+from solvers.solution import Bounded, Certified, Claim, SolverError
 
 SHOWN = 5
+UNEXPLAINED = "floating point cannot tell what the columns that the policy reads cost"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,10 +221,26 @@ class Audit:
 
     @cached_property
     def representation(self) -> Representation | None:
-        """What the policy's columns cannot express; None where it reads the whole state."""
-        if set(self.policy.columns) == set(self.mdp.space.names):
+        """What the policy's columns cannot express.
+
+        None where it reads the whole state, or where floating point cannot bound the values that
+        the search needs (`unexplained`); the verdict does not depend on it.
+        """
+        if self._reads_all:
             return None
-        return representation(self.mdp, self.policy, self.regret)
+        try:
+            return representation(self.mdp, self.policy, self.regret)
+        except SolverError:
+            return None
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether floating point cannot tell what the policy's columns cannot express."""
+        return not self._reads_all and self.representation is None
+
+    @property
+    def _reads_all(self) -> bool:
+        return set(self.policy.columns) == set(self.mdp.space.names)
 
     def message(self, *, explain: bool = True) -> str:
         """Return in words what was found, the costly states by name.
@@ -256,6 +273,8 @@ class Audit:
             lines.append(f"  and {len(self.disagreements) - SHOWN} more, {rest:.6g} in all")
         if explain and self.representation is not None:
             lines.append(_why(self.representation))
+        elif explain and self.unexplained:
+            lines.append(UNEXPLAINED)
         return "\n".join(lines)
 
 

@@ -78,6 +78,7 @@ def check(
     from time import perf_counter
 
     from analysis import compare
+    from analysis.audit import UNEXPLAINED
     from analysis.cli_common import taken_of
     from mdp.load import load
 
@@ -100,6 +101,8 @@ def check(
     result = {"model": loaded.name, "learned": learned, "perception": perception, "horizon": steps}
     result |= _result(audit)
     result |= _reasons(audit, why)
+    if not no_explain and audit.unexplained:
+        click.echo(f"note: {UNEXPLAINED}", err=True)
     facts = read_as(given) | _facts(result)
     tell_limit(loaded.mdp)
     show(result, as_json=as_json, facts=facts, grids=_grids(result))

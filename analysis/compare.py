@@ -22,6 +22,7 @@ from mdp.model import MDP
 from mdp.policy import Taken, taken
 from mdp.table import LARGEST, exact, shown
 from solvers.policy_chain import PolicyChain
+from solvers.solution import Certified, SolverError
 
 
 def check(
@@ -85,13 +86,13 @@ def check(
     said = None if found.values is None else pair_values(mdp, policy, found.values)
 
     def audit(lost: Regret) -> Audit:
-        visits = own_visits(chain)
+        visits = own_visits(chain, exact=isinstance(lost.at_start, Certified))
         return Audit(
             mdp=mdp,
             policy=policy,
             chain=chain,
             regret=lost,
-            visits=visits,
+            visits=visits.value,
             disagreements=disagreements(mdp, chain, lost, visits),
             said=said,
             read_as=found.read_as,
@@ -99,7 +100,12 @@ def check(
             **limits,
         )
 
-    result = audit(regret(mdp, chain, exact=exact_values))
+    try:
+        result = audit(regret(mdp, chain, exact=exact_values))
+    except SolverError:  # floats cannot bound the answer, which rational arithmetic may give
+        if exact_values is not None or not cheap(mdp, LAST_CYCLE):
+            raise
+        return audit(regret(mdp, chain, exact=True))
     if exact_values is None and result.undecided and cheap(mdp, LAST_CYCLE):
         with suppress(ModelError):  # a cycle that is too ill-conditioned leaves it undecided
             return audit(regret(mdp, chain, exact=True))

@@ -19,17 +19,20 @@ Mathematical Statistics 21, 1950). Without a way back to s the divisor is 1.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
+from analysis.exact_policy import exact_visits
 from analysis.regret import Regret
 from mdp.model import MDP
 from mdp.table import Floats, Integers
 from solvers.bounds import levels
 from solvers.gains import gains
 from solvers.policy_chain import PolicyChain
+from solvers.solution import Certified, SolverError
 from solvers.visits import visits
 
 PRICED = 50  # states in which changes are priced, in large models with cycles
@@ -58,7 +61,8 @@ class Disagreement:
         What the policy's value at the start gains if this state alone is put right.
     loss_if_alone : float or None
         What the optimal value at the start loses if this state alone is got wrong.
-        Both are None beyond the 50 costliest states of a model with cycles and over 500 states.
+        Both are None beyond the 50 costliest states of a model with cycles and over 500 states,
+        and in models where floating point cannot bound the visits.
     """
 
     state: int
@@ -72,14 +76,48 @@ class Disagreement:
     loss_if_alone: float | None
 
 
-def own_visits(chain: PolicyChain) -> Floats:
-    """Return (S,) discounted visits from the start, exactly 0 in states that are not reached."""
-    found = visits(chain.mdp, chain.discounted).value
-    return np.where(chain.reached, found, 0.0)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Visits:
+    """Discounted visits of a policy from the start.
+
+    Attributes
+    ----------
+    value : (S,)
+        Exactly 0 in states that are not reached.
+    floats : bool
+        Whether they are from floating point. Rational arithmetic takes over where this cannot bound
+        them.
+    """
+
+    value: Floats
+    floats: bool
+
+
+def own_visits(chain: PolicyChain, *, exact: bool) -> Visits:
+    """Return the visits of a policy.
+
+    Parameters
+    ----------
+    chain : PolicyChain
+    exact : bool
+        Whether rational arithmetic may be used: where the regret is certified, it is quick enough.
+
+    Raises
+    ------
+    SolverError
+        Where floating point cannot bound the visits, and `exact` is False.
+    """
+    try:
+        found = visits(chain.mdp, chain.discounted).value
+    except SolverError:
+        if not exact:
+            raise
+        return Visits(value=exact_visits(chain), floats=False)
+    return Visits(value=np.where(chain.reached, found, 0.0), floats=True)
 
 
 def disagreements(
-    mdp: MDP, chain: PolicyChain, found: Regret, visited: Floats
+    mdp: MDP, chain: PolicyChain, found: Regret, seen: Visits
 ) -> tuple[Disagreement, ...]:
     """Return every state with a choice in which the policy may not act optimally, costliest first.
 
@@ -89,9 +127,10 @@ def disagreements(
         The model under the policy.
     found : Regret
         Its regret.
-    visited : (S,)
+    seen : Visits
         Its `own_visits`.
     """
+    visited = seen.value
     first = mdp.pair_offsets[:-1]
     gap = np.add.reduceat(chain.weights * found.gap, first)
     wrong = np.add.reduceat(chain.weights * ~found.optimal_pairs, first) > 0
@@ -103,9 +142,12 @@ def disagreements(
     best.chosen[np.minimum.reduceat(number, first)] = 1.0
     cheap = levels(mdp) is not None or mdp.n_states <= LARGE
     priced = states if cheap else states[:PRICED]
-    corrected = _changes(chain, found.learned_value, visited, best, priced)
-    losses = -_changes(best, found.optimal_value, own_visits(best), chain, priced)
-    prices = zip(corrected.tolist(), losses.tolist(), strict=True)
+    other = own_visits(best, exact=isinstance(found.at_start, Certified))
+    prices: Iterator[tuple[float, float]] = iter(())
+    if seen.floats and other.floats:
+        corrected = _changes(chain, found.learned_value, visited, best, priced)
+        losses = -_changes(best, found.optimal_value, other.value, chain, priced)
+        prices = zip(corrected.tolist(), losses.tolist(), strict=True)
     listed = []
     for state in states.tolist():
         gain, loss = next(prices, (None, None))

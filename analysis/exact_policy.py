@@ -111,6 +111,49 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
     )
 
 
+def exact_visits(chain: PolicyChain) -> Floats:
+    """Return (S,) expected discounted visits from the start, each rounded once from a rational.
+
+    These solve the transposed equations d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached.
+    Terminal states count arrivals.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/3", 0, 1), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])]
+    >>> mdp = MDP.from_outcomes(rows)
+    >>> exact_visits(PolicyChain.of(mdp, [0, 0])).tolist()
+    [1.5, 1.0]
+    """
+    mdp = chain.mdp
+    rows = mixed_rows(bellman_rows(mdp), chain)
+    offsets, following = rows.offsets.tolist(), rows.next.tolist()
+    weight, scale = rows.weight.tolist(), rows.scale.tolist()
+    into: list[dict[int, Fraction]] = [{} for _ in range(mdp.n_states)]
+    for state in np.flatnonzero(chain.reached & ~mdp.terminal).tolist():
+        for i in range(offsets[state], offsets[state + 1]):
+            into[following[i]][state] = fraction(weight[i], scale[state])
+    first = [Fraction(0)] * mdp.n_states
+    for state, chance in mdp.start:
+        first[state] += chance
+    parts = zip(first, into, strict=True)
+    scales = [lcm(mu.denominator, *(p.denominator for p in row.values())) for mu, row in parts]
+    every = list(zip(scales, into, strict=True))
+    flow = BellmanRows(
+        pair_offsets=np.arange(mdp.n_states + 1),
+        terminal=np.zeros(mdp.n_states, dtype=bool),
+        scale=integers(scales),
+        constant=integers(int(mu * unit) for mu, unit in zip(first, scales, strict=True)),
+        offsets=np.concatenate([[0], np.cumsum([len(row) for row in into], dtype=np.int64)]),
+        next=np.array([s for row in into for s in sorted(row)], dtype=rows.next.dtype),
+        weight=integers(int(row[s] * unit) for unit, row in every for s in sorted(row)),
+    )
+    found = solve_exactly(flow)
+    if not _holds(flow, found):
+        raise RuntimeError("exact visits of a policy do not solve their equations")
+    below = [found.denominator[group] for group in found.group.tolist()]
+    return divide(np.array(found.numerator, object), np.array(below, object))
+
+
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
     """Return the Bellman rows of the model in which each state has the policy's mixed pair."""
     offsets, following, weight = rows.offsets.tolist(), rows.next.tolist(), rows.weight.tolist()
