@@ -12,9 +12,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from analysis.audit import Audit
-    from analysis.compare import assert_policy_optimal, check
-    from analysis.status_policies import BestPolicy, best_policy, value_of_memory
+    from analysis.gate.audit import Audit
+    from analysis.gate.check import assert_policy_optimal, check
+    from analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
 
 __all__ = [
     "Audit",
@@ -27,12 +27,12 @@ __all__ = [
 
 # Imported when first asked for: `exact-mdp --help` needs none of it.
 _LATER = {
-    "Audit": "analysis.audit",
-    "BestPolicy": "analysis.status_policies",
-    "assert_policy_optimal": "analysis.compare",
-    "best_policy": "analysis.status_policies",
-    "check": "analysis.compare",
-    "value_of_memory": "analysis.status_policies",
+    "Audit": "analysis.gate.audit",
+    "BestPolicy": "analysis.gate.column_policies",
+    "assert_policy_optimal": "analysis.gate.check",
+    "best_policy": "analysis.gate.column_policies",
+    "check": "analysis.gate.check",
+    "value_of_memory": "analysis.gate.column_policies",
 }
 
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pytest
 
 if TYPE_CHECKING:
-    from analysis.audit import Audit
+    from analysis.gate.audit import Audit
     from mdp.model import MDP
 
 SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")
@@ -66,8 +66,8 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         horizon: int | None = None,
     ) -> Audit:
         __tracebackhide__ = True
-        from analysis.compare import check
-        from mdp.load import load_model
+        from analysis.gate.check import check
+        from mdp.io.load import load_model
 
         mdp: MDP
         if isinstance(model, str | Path):

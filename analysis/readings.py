@@ -28,7 +28,7 @@ from mdp.errors import ModelError
 from mdp.table import Floats, Integers
 
 if TYPE_CHECKING:
-    from mdp.scenario import Scenario
+    from mdp.care.scenario import Scenario
 
 FAVOURED, IDENTIFIED, EXCLUDED = 3.0, 20.0, 150.0  # Bayes factors
 

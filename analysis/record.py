@@ -12,8 +12,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from mdp.files import write_atomically
 from mdp.fingerprint import fingerprint
+from mdp.io.files import write_atomically
 from mdp.model import MDP
 
 PACKAGES = ("exact-mdp", "numpy", "scipy", "python-flint", "cvxpy", "clarabel", "highspy", "numba")

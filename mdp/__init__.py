@@ -5,11 +5,11 @@
 MDP(yuan2025: 241 states, 4 actions, 961 pairs, 8065 transitions, discount 1)
 """
 
+from mdp.care.scenario import Scenario
 from mdp.errors import ModelError, ScenarioWarning
 from mdp.model import MDP
-from mdp.parameters import Parameter
-from mdp.policy import Policy
-from mdp.scenario import Scenario
+from mdp.parametric import Parameter
+from mdp.policies.policy import Policy
 from mdp.space import Column, StateSpace
 
 __all__ = [

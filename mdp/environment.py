@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from mdp.care.scenario import Scenario
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.scenario import Scenario
 from mdp.space import StateSpace
 
 try:

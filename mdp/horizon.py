@@ -15,9 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mdp.care.size import MOST_BYTES, NARROW, WIDE
 from mdp.chain import spans
 from mdp.errors import ModelError
-from mdp.explicit_size import MOST_BYTES, NARROW, WIDE
 from mdp.model import MDP
 from mdp.space import TIME, Column, StateSpace
 from mdp.table import Integers, Numbers, OutcomeTable, by_outcome

@@ -29,7 +29,7 @@ from mdp.table import Floats, Integers, OutcomeTable, beside, exact
 from mdp.validate import check_model, counted
 
 if TYPE_CHECKING:
-    from mdp.parameters import Parameter
+    from mdp.parametric import Parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +377,7 @@ class MDP:
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:
         """Build from a Gymnasium environment that exposes its model as `P` (toy-text)."""
-        from mdp.interop.gymnasium import from_gymnasium
+        from mdp.io.gymnasium import from_gymnasium
 
         return from_gymnasium(env, discount, **names)
 

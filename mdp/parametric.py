@@ -1,4 +1,6 @@
-"""Models with named parameters: what a sensitivity analysis needs to know of them.
+"""Named parameters: a value, the range it may take, and where it was stated.
+
+Models with named parameters: what a sensitivity analysis needs to know of them.
 
 A parametric model says which numbers it has, within which ranges, and what the model is at other
 values of them. Along one parameter, the others held, every transition probability and expected
@@ -19,14 +21,55 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from mdp.errors import ModelError, suggest
+from mdp.errors import ModelError, check_names, suggest
 from mdp.model import MDP
-from mdp.names import check_names
-from mdp.parameters import Parameter
-from mdp.table import beside, exact
+from mdp.table import beside, exact, shown
 
 if TYPE_CHECKING:
-    from mdp.scenario import Scenario
+    from mdp.care.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One named number of a model.
+
+    Attributes
+    ----------
+    name : str
+        Such as `base.anger` or `reward.task-complete`.
+    value : Fraction
+    low, high : Fraction or None
+        The range that the number may take; None where it is open.
+
+    Examples
+    --------
+    >>> Parameter(name="base.anger", value=Fraction(3, 2), low=Fraction(0), high=Fraction(1))
+    Traceback (most recent call last):
+    ...
+    mdp.errors.ModelError: base.anger is 1.5, outside [0, 1]
+      where: parameter base.anger
+      fix:   choose a value in that range
+    """
+
+    name: str
+    value: Fraction
+    low: Fraction | None = None
+    high: Fraction | None = None
+
+    def __post_init__(self) -> None:
+        check_names((self.name,), "parameter", where="parameters")
+        below = self.low is not None and self.value < self.low
+        above = self.high is not None and self.value > self.high
+        if below or above:
+            low = "-∞" if self.low is None else shown(self.low)
+            high = "∞" if self.high is None else shown(self.high)
+            ends = [end for end in (self.low, self.high) if end is not None]
+            raise ModelError(
+                f"{self.name} is {beside(self.value, *ends)}, outside [{low}, {high}]",
+                where=f"parameter {self.name}",
+                fix="choose a value in that range",
+            )
+
 
 DISCOUNT = "discount"
 
@@ -138,10 +181,10 @@ def parametric(source: Scenario | MDP | Parametric) -> Parametric:
     >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], [1], "1/2")).parameters]
     ['discount']
     """
-    from mdp.scenario import Scenario
+    from mdp.care.scenario import Scenario
 
     if isinstance(source, Scenario):
-        from mdp.scenario_family import ScenarioFamily
+        from mdp.care.family import ScenarioFamily
 
         return ScenarioFamily(scenario=source)
     return moving(source, {}) if isinstance(source, MDP) else source

@@ -18,10 +18,10 @@ from fractions import Fraction
 import numpy as np
 
 from mdp.bellman import distinct, merged
+from mdp.care.family import ScenarioFamily
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.parametric import Family, Parametric, parameter_of, room_of
-from mdp.scenario_family import ScenarioFamily
 from mdp.symbolic import Degrees, degrees_of
 from mdp.table import Integers, Numbers, shown
 

@@ -14,8 +14,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError, suggest
-from mdp.names import check_names
+from mdp.errors import ModelError, check_names, suggest
 
 Integers = NDArray[np.int64]
 TIME = "time"

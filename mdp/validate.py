@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.names import check_names
+from mdp.errors import ModelError, check_names
 from mdp.table import (
     FLOAT_ROW_TOLERANCE,
     ROW_TOLERANCE,

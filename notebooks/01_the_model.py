@@ -29,7 +29,7 @@ import pandas as pd
 
 from analysis.plots import plot_influence, plot_status_transitions, style
 from mdp import Scenario
-from paper_repro.figures import status_law
+from paper_repro.report.figures import status_law
 
 scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()

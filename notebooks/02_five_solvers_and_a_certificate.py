@@ -29,7 +29,7 @@ import pandas as pd
 from analysis.plots import plot_policy_map, style
 from mdp import MDP, Scenario
 from solvers import SOLVERS, certify, evaluate, solve
-from solvers.certificate import Certificate
+from solvers.proof.certificate import Certificate
 
 scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()

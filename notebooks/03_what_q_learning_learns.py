@@ -26,14 +26,14 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 from analysis import check
-from analysis.learning import outcomes
-from analysis.learning_curves import exact_curves, learning_curve
+from analysis.learning.curves import exact_curves, learning_curve
+from analysis.learning.outcomes import outcomes
 from analysis.plots import plot_distinct, plot_learning_curves, plot_value_bands, style
 from mdp import Scenario
 from solvers import solve
-from solvers.q_learning import QLearning
-from solvers.schedules import PAPER_CONSTANT, PAPER_DECAYING
-from solvers.training import train_many
+from solvers.learning.q_learning import QLearning
+from solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from solvers.learning.training import train_many
 
 mdp = Scenario.load("yuan2025").compile()
 optimum = solve(mdp).start_value

@@ -32,13 +32,13 @@ import pandas as pd
 
 from analysis.plots import style
 from analysis.readings import ReadingSpace
-from mdp.scenario import READINGS
+from mdp.care.scenario import READINGS
 from paper_repro import reported
-from paper_repro.reading_evidence import evidence
-from paper_repro.reading_joint import contradictions, joint
-from paper_repro.reading_search import STARTS, search
-from paper_repro.reading_statements import statements
-from paper_repro.reading_verdict import verdict
+from paper_repro.readings.evidence import evidence
+from paper_repro.readings.joint import contradictions, joint
+from paper_repro.readings.search import STARTS, search
+from paper_repro.readings.statements import statements
+from paper_repro.readings.verdict import verdict
 
 space = ReadingSpace(options={**READINGS, "tasks": ((3,),), "evaluation_discount": (1,)})
 for name, options in space.options.items():

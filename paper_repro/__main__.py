@@ -56,7 +56,7 @@ def main(
 def _one(name: str, quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
     from mdp import ModelError
     from paper_repro.claims import chosen
-    from paper_repro.output import print_claim
+    from paper_repro.report.output import print_claim
     from paper_repro.run import run_claims
     from paper_repro.store import Store
     from paper_repro.view import FULL, QUICK
@@ -82,7 +82,7 @@ def _one(name: str, quick: bool, out: Path, scheduler: str | None, candidates: b
 
 def _all(quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
     from paper_repro import expected
-    from paper_repro.output import print_places, print_table
+    from paper_repro.report.output import print_places, print_table
     from paper_repro.run import run
     from paper_repro.view import FULL, QUICK
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mdp.errors import ModelError
-from mdp.files import SMALL, read_text
-from mdp.structured import toml_of
+from mdp.io.files import SMALL, read_text
+from mdp.io.structured import toml_of
 from paper_repro.claims import Judged
 
 FILE = Path(__file__).parent / "expected.toml"

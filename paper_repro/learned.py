@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.learning import Outcomes, outcomes
-from analysis.learning_curves import LearningCurve, exact_curves, learning_curve, random_curve
+from analysis.learning.curves import LearningCurve, exact_curves, learning_curve, random_curve
+from analysis.learning.outcomes import Outcomes, outcomes
 from mdp.model import MDP
 from mdp.table import Floats, Integers
-from solvers.q_learning import QLearning, TrainingRun
-from solvers.sampler import child
-from solvers.schedules import PAPER_CONSTANT, PAPER_DECAYING
-from solvers.training import train_many
+from solvers.learning.q_learning import QLearning, TrainingRun
+from solvers.learning.sampler import child
+from solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from solvers.learning.training import train_many
 
 SCHEDULES = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
 CONVERGED = 1000  # last epochs, over which a curve is averaged

@@ -23,10 +23,10 @@ from mdp import MDP, Policy, Scenario
 from mdp.model import as_discount
 from mdp.table import Floats
 from paper_repro import reported
-from paper_repro.reading_search import STARTS
-from paper_repro.reading_search import policies as policies_of
+from paper_repro.readings.search import STARTS
+from paper_repro.readings.search import policies as policies_of
 from solvers import evaluate, solve
-from solvers.evaluation import Evaluation
+from solvers.values.evaluate import Evaluation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,7 +146,7 @@ def study(scenario: Scenario) -> Study:
 
 def complete(scenario: Scenario) -> Completions:
     """Evaluate the three reported policies under every completion, side by side."""
-    from solvers.care_batch import policy_values
+    from solvers.care import policy_values
 
     choices = reported.completions()
     rate = [[float(as_discount(scenario.discount))]]

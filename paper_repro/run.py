@@ -16,13 +16,12 @@ from typing import Any
 from tqdm import tqdm
 
 from analysis.record import run_record
-from mdp.files import write_atomically
+from mdp.io.files import write_atomically
 from paper_repro.claims import Judged, PaperClaim, all_claims, judge
 from paper_repro.claims.judge import tried_again, verdicts
 from paper_repro.expected import disagreements, expected
-from paper_repro.output import entry_of, numbers_of
-from paper_repro.reading_study import reading_study
-from paper_repro.readings import Readings
+from paper_repro.readings.study import Readings, reading_study
+from paper_repro.report.output import entry_of, numbers_of
 from paper_repro.store import Store
 from paper_repro.view import SEED, Sizes, View, alternatives, default_view
 
@@ -46,10 +45,10 @@ def run(
     judged : every claim
     off : what differs from the pinned values; nothing where all agree
     """
-    from paper_repro.figures import PICTURES, draw_all
-    from paper_repro.parts import agents_part, readings_part
-    from paper_repro.report import Shown, render
-    from paper_repro.tables import all_tables
+    from paper_repro.report.figures import PICTURES, draw_all
+    from paper_repro.report.parts import agents_part, readings_part
+    from paper_repro.report.report import Shown, render
+    from paper_repro.report.tables import all_tables
 
     started = time.perf_counter()
     store = Store.under(out)

@@ -18,9 +18,9 @@ from shutil import rmtree
 from typing import Any
 
 from mdp.errors import ModelError
-from mdp.files import read_text, write_atomically
-from mdp.structured import json_of
-from solvers.sources import source_digest
+from mdp.io.files import read_text, write_atomically
+from mdp.io.structured import json_of
+from solvers.parallel.sources import source_digest
 
 NAMED = re.compile(r"code-[0-9a-f]{12}")
 

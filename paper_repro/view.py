@@ -13,13 +13,13 @@ from hashlib import sha256
 from typing import Any
 
 from mdp import MDP, ModelError, Scenario
+from mdp.care.scenario import READINGS
 from mdp.fingerprint import fingerprint
-from mdp.scenario import READINGS
 from paper_repro.learned import Learned, learn
 from paper_repro.numbers import Study, study
 from paper_repro.store import Store
 from solvers import certify
-from solvers.certificate import Certificate
+from solvers.proof.certificate import Certificate
 
 SEED = 20250101
 TASKS = ("[3]", "[3, 1]", "[2]", "[4]", "[1, 1, 1]", "[6]")

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 from mdp.chain import numbered_in_order
 from mdp.errors import ModelError, suggest
 from mdp.model import MDP
-from solvers import sources as sources  # notes what its files are while they are being imported
-from solvers.backward_induction import BackwardInduction
-from solvers.bounds import levels
-from solvers.conclusion import Solver
-from solvers.linear_program import LinearProgram
-from solvers.modified_policy_iteration import ModifiedPolicyIteration
-from solvers.policy_iteration import PolicyIteration
+from solvers import sources as sources
+from solvers.bounds.bounds import levels
+from solvers.dynamic.backward_induction import BackwardInduction
+from solvers.dynamic.linear_program import LinearProgram
+from solvers.dynamic.modified import ModifiedPolicyIteration
+from solvers.dynamic.policy_iteration import PolicyIteration
+from solvers.dynamic.stopping import Solver
+from solvers.dynamic.value_iteration import ValueIteration
 from solvers.solution import (
     Bounded,
     Certified,
@@ -34,16 +35,15 @@ from solvers.solution import (
     SolverError,
     Status,
 )
-from solvers.value_iteration import ValueIteration
 
 if TYPE_CHECKING:
-    from mdp.operator import CareOperator
-    from solvers.certificate import BoundedCertificate, Certificate, certify
-    from solvers.evaluation import evaluate
-    from solvers.operator import operator_mean
-    from solvers.returns import return_distribution
-    from solvers.robust import solve_robust
-    from solvers.simulation import simulate
+    from mdp.care.operator import CareOperator
+    from solvers.dynamic.operator import operator_mean
+    from solvers.proof.certificate import BoundedCertificate, Certificate, certify
+    from solvers.robust.robust import solve_robust
+    from solvers.values.evaluate import evaluate
+    from solvers.values.returns import return_distribution
+    from solvers.values.simulate import simulate
 
 __all__ = [
     "SOLVERS",
@@ -80,14 +80,14 @@ SOLVERS: dict[str, type[Solver]] = {
     "linear-program": LinearProgram,
 }
 _LATER = {
-    "BoundedCertificate": "solvers.certificate",
-    "Certificate": "solvers.certificate",
-    "certify": "solvers.certificate",
-    "evaluate": "solvers.evaluation",
-    "operator_mean": "solvers.operator",
-    "return_distribution": "solvers.returns",
-    "simulate": "solvers.simulation",
-    "solve_robust": "solvers.robust",
+    "BoundedCertificate": "solvers.proof.certificate",
+    "Certificate": "solvers.proof.certificate",
+    "certify": "solvers.proof.certificate",
+    "evaluate": "solvers.values.evaluate",
+    "operator_mean": "solvers.dynamic.operator",
+    "return_distribution": "solvers.values.returns",
+    "simulate": "solvers.values.simulate",
+    "solve_robust": "solvers.robust.robust",
 }
 
 
@@ -151,7 +151,7 @@ def _check_name(solver: str) -> None:
 
 
 def _solve_operator(operator: CareOperator, solver: Solver | str | None) -> Solution:
-    from solvers.operator import METHOD, solve_operator
+    from solvers.dynamic.operator import METHOD, solve_operator
 
     if isinstance(solver, str):
         _check_name(solver)

@@ -19,7 +19,7 @@ from mdp.model import MDP
 from mdp.table import Floats, Integers
 
 if TYPE_CHECKING:
-    from solvers.program import ProgramRun
+    from solvers.dynamic.program import ProgramRun
 
 
 class Claim(StrEnum):

@@ -6,7 +6,7 @@ from functools import cache
 from strategies import Row, model_of
 
 from mdp import MDP, Scenario
-from solvers.certificate import Certificate, certify
+from solvers.proof.certificate import Certificate, certify
 
 THIRD = F(1, 3)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 from analysis.readings import ReadingSpace
-from paper_repro.reading_search import DISCOUNTS, ReadingSearch, search
-from paper_repro.reading_study import ReadingStudy, reading_study
+from paper_repro.readings.search import DISCOUNTS, ReadingSearch, search
+from paper_repro.readings.study import ReadingStudy, reading_study
 
 SMALL = ReadingSpace(
     options={

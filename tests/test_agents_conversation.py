@@ -19,19 +19,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mdp import ModelError
-from mdp.perception import perceived
+from mdp.care.perception import perceived
 from paper_repro.agents import DISCLAIMER, recording
 from paper_repro.agents.__main__ import main
 from paper_repro.agents.claims import errors
 from paper_repro.agents.conversation import Conversation, totals
 from paper_repro.agents.measure import bits
 from paper_repro.agents.modules import VARIANTS, Place
-from paper_repro.agents.protocol import BackendError, Reply, Request
+from paper_repro.agents.protocol import BackendError, Reply, Request, Tap
 from paper_repro.agents.recording import Recording
 from paper_repro.agents.scripted import Scripted
 from paper_repro.agents.session import NAME, Recorded, hold, render, replayed
 from paper_repro.agents.setup import conversation, recorded
-from paper_repro.agents.tap import Tap
 from paper_repro.agents.world import choose
 from solvers import evaluate
 

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from mdp import ModelError, Scenario
-from paper_repro.agents.local import LONGEST, Local
-from paper_repro.agents.model_file import MEMBER, unpack
+from paper_repro.agents.local import LONGEST, MEMBER, Local, unpack
 from paper_repro.agents.modules import Place
 from paper_repro.agents.protocol import BackendError
 from paper_repro.agents.setup import modules_of

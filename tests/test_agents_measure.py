@@ -16,7 +16,7 @@ from oracle import STATUSES, Oracle
 from scipy.stats import binom
 
 from mdp import ModelError, Policy, Scenario
-from mdp.perception import perceived
+from mdp.care.perception import perceived
 from paper_repro import reported
 from paper_repro.agents.__main__ import main
 from paper_repro.agents.claims import EXACT, errors, misread, statements

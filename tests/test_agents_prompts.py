@@ -14,15 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mdp import ModelError, Scenario
-from paper_repro.agents.modules import VARIANTS, Modules, Place
-from paper_repro.agents.prompts import COMPONENTS, FOLDER, Prompts, encode
-from paper_repro.agents.protocol import Request
-from paper_repro.agents.schema import (
+from paper_repro.agents.chat import (
     behaviour_schema,
     execution_schema,
     perception_schema,
     violations,
 )
+from paper_repro.agents.modules import VARIANTS, Modules, Place
+from paper_repro.agents.prompts import COMPONENTS, FOLDER, Prompts, encode
+from paper_repro.agents.protocol import Request
 from paper_repro.agents.setup import modules_of
 
 STATUS = {"forgetfulness": 1, "confusion": 0, "anger": 1, "disengagement": 0}

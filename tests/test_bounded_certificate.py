@@ -15,8 +15,8 @@ from strategies import Rows, exact_values, model_of, models
 
 from mdp import MDP, ModelError, Scenario
 from solvers import Claim, SolverError, certify, solve
-from solvers.bounded_checker import gains
-from solvers.certificate import BoundedCertificate
+from solvers.proof.certificate import BoundedCertificate
+from solvers.proof.checker import gains
 
 
 def exact_policy_values(mdp: MDP, found: BoundedCertificate) -> list[F]:

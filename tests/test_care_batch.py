@@ -14,8 +14,7 @@ from oracle import ACTIONS, READINGS, Oracle
 from mdp import MDP, ModelError, Policy, Scenario
 from mdp.space import StateSpace
 from solvers import evaluate, solve
-from solvers.care_batch import _room, optimal, policy_values
-from solvers.care_layout import prepared
+from solvers.care import _room, optimal, policy_values, prepared
 
 YUAN = Scenario.load("yuan2025")
 CHANCES = [p.name for p in YUAN.parameters if p.low is not None]

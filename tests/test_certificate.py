@@ -21,7 +21,7 @@ from strategies import Rows, exact_gains, model_of, models
 from mdp import MDP, ModelError, Scenario
 from mdp.bellman import bellman_rows
 from solvers import Claim, certify
-from solvers.certificate import Certificate
+from solvers.proof.certificate import Certificate
 
 SOLVERS = Path(__file__).parent.parent / "solvers"
 Change = Callable[[Certificate], dict[str, Any]]
@@ -426,5 +426,5 @@ def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver() -> None:
             if isinstance(node, ast.Import | ast.ImportFrom) and node not in typing
         ]
         theirs = {str(module) for module in imported if str(module).startswith("solvers")}
-        assert theirs <= {"solvers.certificate_checker"}
+        assert theirs <= {"solvers.proof.checker"}
         assert "flint" not in text

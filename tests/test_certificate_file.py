@@ -17,7 +17,7 @@ from strategies import model_of
 from mdp import ModelError
 from mdp.fingerprint import fingerprint
 from solvers import certify
-from solvers.certificate import BoundedCertificate, Certificate
+from solvers.proof.certificate import BoundedCertificate, Certificate
 
 NAMES = ["acyclic", "cycle", "cycle of floats"]
 

@@ -15,7 +15,7 @@ from oracle import ACTIONS, END, Oracle, State
 
 from mdp import Policy, Scenario
 from mdp.fingerprint import fingerprint
-from mdp.load import load_model
+from mdp.io.load import load_model
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 COLUMN_TO_ROW = ("--set", "readings.influence_orientation=column-to-row")

@@ -7,7 +7,7 @@ from pathlib import Path
 from cli_runner import run
 
 from mdp.fingerprint import fingerprint
-from mdp.load import load_model
+from mdp.io.load import load_model
 
 
 def test_convert_keeps_the_model(tmp_path: Path) -> None:

@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.cli import COMMANDS
-from analysis.cli_output import at_most, decimal, digits_of, number, ratio, to_json
+from analysis.cli.render import at_most, decimal, digits_of, number, ratio, to_json
 from mdp import MDP
-from mdp.load import save_model
+from mdp.io.load import save_model
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -40,8 +40,8 @@ def test_tables_are_plain_text_without_loss(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_long_distributions_and_values_are_left_to_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.cli_solve.SHOWN_DIGITS", 100)
-    monkeypatch.setattr("analysis.cli_evaluate.LISTED_RETURNS", 7)
+    monkeypatch.setattr("analysis.cli.solve.SHOWN_DIGITS", 100)
+    monkeypatch.setattr("analysis.cli.evaluate.LISTED_RETURNS", 7)
     done = run("solve", "yuan2025", "--certify")
     assert re.search(r"exact start value  a rational of \d+ digits; --json prints it\n", done.out)
     done = run("returns", "yuan2025", "random", "--set", "tasks=[1]")

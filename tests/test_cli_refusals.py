@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from mdp.load import load_model, save_model
+from mdp.io.load import load_model, save_model
 
 # ---- what it refuses -------------------------------------------------------------------------
 
@@ -129,11 +129,11 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
     def broken(*_: object, **__: object) -> None:
         raise ValueError("a mistake")
 
-    monkeypatch.setattr("mdp.load.load", broken)
+    monkeypatch.setattr("mdp.io.load.load", broken)
     done = run("info", "yuan2025")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("ValueError: a fault of the program, not of what you gave it: a mis")
-    assert "where: exact-mdp info, in analysis/cli_model.py, line " in done.err
+    assert "where: exact-mdp info, in analysis/cli/model.py, line " in done.err
     assert "EXACT_MDP_TRACEBACK=1" in done.err
     monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
     assert "Traceback (most recent call last)" in run("info", "yuan2025").err
@@ -171,6 +171,6 @@ def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mdp.load.load", stop)
+    monkeypatch.setattr("mdp.io.load.load", stop)
     done = run("info", "yuan2025")
     assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")

@@ -9,8 +9,8 @@ from cli_runner import launch, run, strict
 
 from mdp import Policy, Scenario
 from solvers import evaluate
-from solvers.q_learning import QLearning
-from solvers.sampler import child
+from solvers.learning.q_learning import QLearning
+from solvers.learning.sampler import child
 
 QUICK = ("train", "yuan2025", "--epochs", "60", "--seeds", "20", "--json")
 

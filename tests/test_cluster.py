@@ -24,18 +24,18 @@ from click.testing import CliRunner
 from pieces_of_work import KEY, WANTED, draws, failing, same
 
 from analysis.readings import ReadingSpace
-from analysis.sensitivity.parameter_uncertainty import uncertainty
-from analysis.sensitivity.psa import psa
+from analysis.sensitivity.psa.psa import psa
+from analysis.sensitivity.psa.uncertainty import uncertainty
 from mdp import MDP, ModelError, Scenario
 from mdp.parametric import moving
-from paper_repro import reading_search
 from paper_repro.__main__ import main as reproduce
-from solvers import cluster as cluster_module
-from solvers import many as many_module
-from solvers import training as training_module
-from solvers.many import many
-from solvers.q_learning import QLearning
-from solvers.training import train_many
+from paper_repro.readings import search as reading_search
+from solvers.learning import training as training_module
+from solvers.learning.q_learning import QLearning
+from solvers.learning.training import train_many
+from solvers.parallel import cluster as cluster_module
+from solvers.parallel import many as many_module
+from solvers.parallel.many import many
 
 pytestmark = pytest.mark.xdist_group("cluster")  # one cluster serves them all
 

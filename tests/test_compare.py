@@ -15,8 +15,8 @@ from oracle import ACTIONS, Oracle, State
 from strategies import Rows, model_of, models
 
 from analysis import Audit, assert_policy_optimal, best_policy, check, value_of_memory
-from analysis.relaxation import Relaxations, one_hot
-from analysis.relaxation import Rows as TableRows
+from analysis.gate.relaxation import Relaxations, one_hot
+from analysis.gate.relaxation import Rows as TableRows
 from mdp import MDP, Column, ModelError, Policy, Scenario
 from mdp.chain import reachable
 from mdp.space import StateSpace

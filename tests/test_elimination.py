@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kernel_twins import band_factors, factor_pattern
 
-from solvers import SolverError, elimination
-from solvers.elimination import TooLarge, band, fill, matrix_of, reach, sparse
+from solvers import SolverError
+from solvers.bounds import elimination
+from solvers.bounds.elimination import TooLarge, band, fill, matrix_of, reach, sparse
 from solvers.kernels import band as kernel
 
 

@@ -15,9 +15,9 @@ from policy_cases import Case, care, careful, cases, directive, policy_of, unifo
 
 from mdp import MDP, ModelError, Policy, Scenario
 from solvers import Claim, PolicyIteration, solve
-from solvers.evaluation import evaluate
 from solvers.solution import Bounded
-from solvers.visits import occupancy
+from solvers.values.evaluate import evaluate
+from solvers.values.visits import occupancy
 
 POLICIES = (careful, uniform, directive)
 SAMPLE = [

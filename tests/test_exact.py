@@ -11,9 +11,9 @@ from strategies import Rows, models
 
 from mdp import MDP, Scenario
 from mdp.bellman import bellman_rows
-from solvers.exact_order import stages
-from solvers.exact_product import RightSides
-from solvers.rationals import fraction, fractions, primes_of
+from solvers.proof.cycle import RightSides
+from solvers.proof.exact import stages
+from solvers.proof.rationals import fraction, fractions, primes_of
 
 
 def check_order(mdp: MDP) -> int:

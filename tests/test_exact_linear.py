@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from mdp import MDP, ModelError, Scenario
 from mdp.bellman import bellman_rows
 from mdp.fingerprint import fingerprint
-from solvers import certify, exact, exact_linear
-from solvers.certificate import Certificate
-from solvers.exact_linear import Equations
+from solvers import certify
+from solvers.proof import exact
+from solvers.proof import linear as exact_linear
+from solvers.proof.certificate import Certificate
+from solvers.proof.linear import Equations
 
 
 @st.composite
@@ -154,7 +156,7 @@ def test_policy_iteration_repairs_a_poor_start(monkeypatch: pytest.MonkeyPatch) 
     mdp = gridworld(5)
     wanted = certify(mdp)
     monkeypatch.setattr(
-        "solvers.exact_cycle.Cycle.policy", lambda cycle: cycle.offsets[1:].astype(np.int64) - 1
+        "solvers.proof.cycle.Cycle.policy", lambda cycle: cycle.offsets[1:].astype(np.int64) - 1
     )
     found = certify(mdp)
     assert found.violations() == []
@@ -164,6 +166,6 @@ def test_policy_iteration_repairs_a_poor_start(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_scenarios_without_cycles_need_no_linear_equations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("solvers.exact_cycle.Cycle.values", None)
+    monkeypatch.setattr("solvers.proof.cycle.Cycle.values", None)
     assert certify(Scenario.load("yuan2025").compile()).unique
     assert bellman_rows(gridworld(2)).scale.tolist() == [1000, 1000, 1000, 100]

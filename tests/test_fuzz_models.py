@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mdp import MDP
-from mdp.interop import npz, umb
+from mdp.io import npz, umb
 
 
 def saved(save: Callable[[MDP, Path], None], name: str, folder: Path, mdp: MDP = TOY) -> bytes:

@@ -19,8 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mdp import MDP, Policy, Scenario
-from mdp.interop import npz
-from mdp.scenario_file import parse
+from mdp.care.toml import parse
+from mdp.io import npz
 
 TOML = (Path(npz.__file__).parent.parent / "scenarios" / "yuan2025.toml").read_bytes()
 AWKWARD_TOML = [

@@ -13,9 +13,9 @@ from cli_runner import launch, run
 from oracle import Oracle, State
 
 from analysis import best_policy, check
-from analysis.junit import Case, junit, write_junit
+from analysis.gate.junit import Case, junit, write_junit
 from mdp import MDP, ModelError, Policy, Scenario
-from mdp.load import save_model
+from mdp.io.load import save_model
 from solvers import certify, solve
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")

@@ -15,7 +15,7 @@ from model_equality import assert_same
 from saved_models import MODELS
 
 from mdp import MDP
-from mdp.interop import npz
+from mdp.io import npz
 
 
 @pytest.mark.parametrize("name", MODELS)

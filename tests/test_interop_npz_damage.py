@@ -16,7 +16,7 @@ from model_equality import assert_same
 from saved_models import MODELS
 
 from mdp import MDP, ModelError
-from mdp.interop import npz
+from mdp.io import npz
 
 
 def saved(mdp: MDP, folder: Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import pytest
 from oracle import Oracle
 
 from mdp import MDP, Scenario
-from mdp.interop import umb
+from mdp.io import umb
 
 pytestmark = [pytest.mark.bench, pytest.mark.storm]
 

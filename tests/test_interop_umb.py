@@ -17,8 +17,8 @@ from umb_files import MODELS, members_of
 from umbi.umb.umb_to_tar import UmbDecoder
 
 from mdp import MDP, ModelError
-from mdp.interop import umb
-from mdp.load import load
+from mdp.io import umb
+from mdp.io.load import load
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -11,7 +11,7 @@ from laws import laws
 from umb_files import MODELS, archive_of, members_of
 
 from mdp import ModelError
-from mdp.interop import umb
+from mdp.io import umb
 
 
 def test_files_cut_short_or_left_out(tmp_path: Path) -> None:

@@ -14,17 +14,16 @@ from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
 from strategies import exact_gains, exact_values
 
-import solvers.bounds as module
+import solvers.bounds.bounds as module
 from mdp import MDP
 from mdp import threads as blocks
 from solvers import ModifiedPolicyIteration, PolicyIteration, SolverError, ValueIteration, solve
-from solvers.bounds import levels, margin_weights
-from solvers.compiled_sweeps import CompiledSweeps
-from solvers.gains import COMPILED, gains
+from solvers.bounds.bounds import levels, margin_weights
+from solvers.bounds.gains import COMPILED, gains
+from solvers.bounds.linear import LinearSystem
+from solvers.bounds.sweeps import CompiledSweeps, Judged, Sweeps, sweeps_of
+from solvers.dynamic.partial_evaluation import Iterate
 from solvers.kernels import bellman
-from solvers.linear import LinearSystem
-from solvers.partial_evaluation import Iterate
-from solvers.sweeps import Judged, Sweeps, sweeps_of
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
 

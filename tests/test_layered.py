@@ -14,15 +14,16 @@ from hypothesis import given
 from own_scenarios import check_own, own_text
 from strategies import Rows, exact_values, models
 
-from mdp import MDP, ModelError, Scenario, blocks
+from mdp import MDP, ModelError, Scenario
+from mdp.care import compile as blocks
+from mdp.care.scenario import READINGS
+from mdp.care.size import Size, check_explicit
+from mdp.care.toml import parse
 from mdp.chain import is_acyclic, numbered_in_order, runs_in_order, topological_levels
-from mdp.explicit_size import Size, check_explicit
-from mdp.scenario import READINGS
-from mdp.scenario_file import parse
 from mdp.table import OutcomeTable
 from mdp.validate import check_model
 from solvers import BackwardInduction, SolverError, solve
-from solvers import backward_induction as layered
+from solvers.dynamic import backward_induction as layered
 
 FIELDS = ("value", "pairs", "level", "above", "below")
 
@@ -122,7 +123,7 @@ def test_large_models_are_solved_by_the_compiled_form() -> None:
 
 def test_the_compiler_is_loaded_once_it_pays() -> None:
     code = (
-        "import sys; from mdp import Scenario; import solvers.backward_induction as b\n"
+        "import sys; from mdp import Scenario; import solvers.dynamic.backward_induction as b\n"
         "mdp = Scenario.load('yuan2025').with_(tasks=[20]).compile()\n"
         "b.COMPILED_FROM = 3 * mdp.n_transitions\n"
         "found = [(b.one_pass(mdp), 'numba' in sys.modules) for _ in range(4)]\n"

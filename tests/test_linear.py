@@ -11,11 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import Rows, exact_values, models
 
-import solvers.linear as linear
+import solvers.bounds.linear as linear
 from mdp.chain import topological_levels
-from solvers import SolverError, elimination, iteration
-from solvers.elimination import TooLarge
-from solvers.linear import LinearSystem, fixed_point, policy_chain
+from solvers import SolverError
+from solvers.bounds import elimination
+from solvers.bounds import linear as iteration
+from solvers.bounds.elimination import TooLarge
+from solvers.bounds.linear import LinearSystem, fixed_point, policy_chain
 from solvers.solution import Status
 
 

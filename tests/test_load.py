@@ -10,8 +10,8 @@ import pytest
 from model_equality import assert_same
 
 from mdp import MDP, ModelError, Scenario
-from mdp.interop import npz
-from mdp.load import load, load_model, load_scenario, save_model
+from mdp.io import npz
+from mdp.io.load import load, load_model, load_scenario, save_model
 
 SMALL = ["tasks=[1]", "max_trial=1"]
 

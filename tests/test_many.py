@@ -13,9 +13,9 @@ import pytest
 from pieces_of_work import KEY, WANTED, draws, failing, same
 
 from mdp import MDP, ModelError
-from solvers.many import many
-from solvers.q_learning import QLearning
-from solvers.training import train_many
+from solvers.learning.q_learning import QLearning
+from solvers.learning.training import train_many
+from solvers.parallel.many import many
 
 
 def draws_that_die(folder: str, index: int) -> dict[str, Any]:

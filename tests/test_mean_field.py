@@ -7,15 +7,15 @@ import numpy as np
 import oracle
 import pytest
 
-from analysis.instability import compare, predict
-from analysis.learning import outcomes
+from analysis.learning.instability import compare, predict
+from analysis.learning.outcomes import outcomes
 from mdp import MDP, ModelError, Scenario
 from solvers import solve
-from solvers.mean_field import MeanField, mean_field, settle
-from solvers.q_learning import QLearning
-from solvers.sampler import rows_of
-from solvers.schedules import Constant
-from solvers.training import train_many
+from solvers.learning.mean_field import MeanField, mean_field, settle
+from solvers.learning.q_learning import QLearning
+from solvers.learning.sampler import rows_of
+from solvers.learning.schedules import Constant
+from solvers.learning.training import train_many
 
 CARE = Scenario.load("yuan2025")
 SETTLED = [2, 1, 1, 1, 3, 1, 1, 1, 3, 1, 1, 1, 3, 1, 1, 1]

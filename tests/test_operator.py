@@ -15,13 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import own_text
 
-import mdp.operator as operators
-from analysis.compare import check
+import mdp.care.operator as operators
+from analysis.gate.check import check
 from mdp import ModelError, Scenario
-from mdp.operator import CareOperator
-from mdp.operator_law import Law
-from mdp.scenario import READINGS
-from mdp.scenario_file import parse
+from mdp.care.operator import CareOperator, Law
+from mdp.care.scenario import READINGS
+from mdp.care.toml import parse
 from solvers import (
     BackwardInduction,
     LinearProgram,
@@ -34,7 +33,7 @@ from solvers import (
     simulate,
     solve,
 )
-from solvers import operator as solving
+from solvers.dynamic import operator as solving
 
 READ = st.fixed_dictionaries({name: st.sampled_from(o) for name, o in READINGS.items()})
 TASKS = st.sampled_from([[1], [2], [2, 1], [1, 2, 1]])

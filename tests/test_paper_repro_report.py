@@ -19,14 +19,14 @@ from click.testing import CliRunner
 from mdp import ModelError
 from paper_repro.__main__ import main
 from paper_repro.claims import Judged, Verdict, all_claims, judge
-from paper_repro.figures import PICTURES, draw_all
-from paper_repro.places import FIGURES
-from paper_repro.ranking import ranked, sums
-from paper_repro.report import Part, Shown, number, render
-from paper_repro.summary import counted, counts, plain
-from paper_repro.tables import all_tables
+from paper_repro.readings.ranking import ranked, sums
+from paper_repro.report.figures import PICTURES, draw_all
+from paper_repro.report.places import FIGURES
+from paper_repro.report.report import Part, Shown, number, render
+from paper_repro.report.summary import counted, counts, plain
+from paper_repro.report.tables import all_tables
 from paper_repro.view import QUICK, View, default_view
-from solvers.returns import ReturnDistribution, return_distribution
+from solvers.values.returns import ReturnDistribution, return_distribution
 
 DRAWN = ("three_policies", "trial_flow")  # the figures that are drawn here: the quickest ones
 RECORD = {"seconds": 1.5, "quick": True, "reused": "from nothing", "shown": {"seed": 7}}

@@ -13,7 +13,7 @@ from cli_runner import run
 from oracle import Oracle
 
 from mdp import MDP, ModelError, Policy, Scenario
-from mdp.perception import independent, perceived, read
+from mdp.care.perception import independent, perceived, read
 from solvers import evaluate
 
 LABELS = [f"{status:04b}" for status in range(16)]

@@ -12,8 +12,7 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from analysis.perception import error_costs, price_of_perception
-from analysis.perception_accuracy import (
+from analysis.perception.accuracy import (
     Hedging,
     accuracy_curves,
     accuracy_needed,
@@ -21,9 +20,10 @@ from analysis.perception_accuracy import (
     hedging,
     prices,
 )
-from analysis.perception_policies import best_perceived_policy
+from analysis.perception.cost import error_costs, price_of_perception
+from analysis.perception.policies import best_perceived_policy
 from mdp import MDP, ModelError, Scenario
-from mdp.perception import independent, perceived
+from mdp.care.perception import independent, perceived
 from solvers import certify, evaluate
 
 F = Fraction

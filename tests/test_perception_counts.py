@@ -10,10 +10,10 @@ import pytest
 from cli_runner import run
 from scipy.stats import beta, dirichlet
 
-from analysis.perception import value_under_counts
+from analysis.perception.cost import value_under_counts
 from mdp import MDP, ModelError, Scenario
-from mdp.perception import perceived, read
-from mdp.perception_counts import Counted, counted, read_counts
+from mdp.care.counts import Counted, counted, read_counts
+from mdp.care.perception import perceived, read
 from solvers import evaluate
 
 NAMES = ("forgetfulness", "confusion", "anger", "disengagement")

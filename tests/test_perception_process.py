@@ -12,17 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import ACTIONS, Oracle
 
-from analysis.perception_policies import best_perceived_policy, place_by_place
+from analysis.perception.policies import best_perceived_policy, place_by_place
 from mdp import MDP, ModelError, Scenario
-from mdp.perception import independent, perceived
-from mdp.perception_process import Process
+from mdp.care.perception import independent, perceived
+from mdp.care.process import Process
 from mdp.space import Column, StateSpace
 from solvers import evaluate, solve
-from solvers.belief import BeliefController, fib_vectors, qmdp_vectors
-from solvers.belief_simulation import simulate_beliefs
-from solvers.pomdp import solve_beliefs
-from solvers.pomdp_bounds import fast_informed, qmdp
-from solvers.pomdp_values import acting, at_start, rounding, values, visits
+from solvers.pomdp.belief import BeliefController, fib_vectors, qmdp_vectors
+from solvers.pomdp.belief_simulation import simulate_beliefs
+from solvers.pomdp.pomdp import solve_beliefs
+from solvers.pomdp.values import acting, at_start, fast_informed, qmdp, rounding, values, visits
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
@@ -295,7 +294,7 @@ def test_chances_near_nothing_leave_the_bounds_as_they_are(tiny: float) -> None:
 
 
 def test_bounds_that_are_no_numbers_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    from solvers.pomdp_search import Search
+    from solvers.pomdp.search import Search
 
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile()
     monkeypatch.setattr(Search, "upper", np.nan)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from analysis.sensitivity.psa import psa
-from analysis.sensitivity.sampled import sampled
+from analysis.sensitivity.draws.sampled import sampled
+from analysis.sensitivity.psa.psa import psa
 from mdp import MDP, ModelError, Policy, Scenario
+from mdp.care.perception import independent, perceived
 from mdp.parametric import parametric
-from mdp.perception import independent, perceived
 from solvers import evaluate, solve
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
@@ -125,8 +125,8 @@ def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
 
 @pytest.mark.parametrize("form", ["optimal", "plan"])
 def test_psa_sobol_and_morris_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
-    from analysis.sensitivity.morris import morris
-    from analysis.sensitivity.sobol import sobol
+    from analysis.sensitivity.draws.morris import morris
+    from analysis.sensitivity.draws.sobol import sobol
 
     told, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
     words = ("--policy", told, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")

@@ -7,9 +7,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.instability import Prediction, predict
-from analysis.learning import Outcomes, outcomes
-from analysis.learning_curves import LearningCurve, learning_curve, random_curve
+from analysis.learning.curves import LearningCurve, learning_curve, random_curve
+from analysis.learning.instability import Prediction, predict
+from analysis.learning.outcomes import Outcomes, outcomes
 from analysis.plots import (
     plot_distinct,
     plot_instability,
@@ -19,8 +19,8 @@ from analysis.plots import (
     style,
 )
 from mdp import MDP, Scenario
-from solvers.q_learning import QLearning
-from solvers.training import train_many
+from solvers.learning.q_learning import QLearning
+from solvers.learning.training import train_many
 
 LEARNER = QLearning(epochs=40)
 

@@ -16,8 +16,9 @@ from strategies import Rows, models
 
 from mdp import MDP, ModelError, Policy, Scenario
 from mdp.space import StateSpace
-from solvers import LinearProgram, ModifiedPolicyIteration, certify, policy_iteration, solve
-from solvers import program as programs
+from solvers import LinearProgram, ModifiedPolicyIteration, certify, solve
+from solvers.dynamic import policy_iteration
+from solvers.dynamic import program as programs
 
 
 def garnet(states: int, discount: float, *, seed: int = 0) -> MDP:

@@ -14,8 +14,8 @@ import pytest
 from analysis import assert_policy_optimal, check
 from analysis.cli import main
 from mdp import MDP, Scenario
-from solvers.q_learning import QLearning
-from solvers.schedules import Constant
+from solvers.learning.q_learning import QLearning
+from solvers.learning.schedules import Constant
 
 SEEDS = range(6)
 AS_THE_PAPER = QLearning()

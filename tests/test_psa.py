@@ -11,17 +11,16 @@ from cli_runner import run
 from scipy.special import betainc
 from scipy.stats import binomtest
 
-from analysis.sensitivity.care_draws import CareSolver
-from analysis.sensitivity.draw_solver import solver_of
-from analysis.sensitivity.expected_loss import expected_loss
-from analysis.sensitivity.intervals import mean_loss, mean_of, quantiles, wilson
-from analysis.sensitivity.parameter_uncertainty import uncertainty
-from analysis.sensitivity.psa import psa
-from analysis.sensitivity.psa_result import MISSING, PSA
-from analysis.sensitivity.row_family import row_family
-from analysis.sensitivity.value_of_information import evpi, evppi
+from analysis.sensitivity.draws.solver import CareSolver, solver_of
+from analysis.sensitivity.psa.expected_loss import expected_loss
+from analysis.sensitivity.psa.intervals import mean_loss, mean_of, quantiles, wilson
+from analysis.sensitivity.psa.psa import psa
+from analysis.sensitivity.psa.result import MISSING, PSA
+from analysis.sensitivity.psa.uncertainty import uncertainty
+from analysis.sensitivity.psa.value_of_information import evpi, evppi
+from analysis.sensitivity.robust.row_family import row_family
 from mdp import MDP, ModelError, Scenario
-from mdp.interop.npz import save
+from mdp.io.npz import save
 from mdp.parametric import moving, parametric
 from solvers import evaluate, solve
 

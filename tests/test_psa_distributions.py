@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.distributions import Uncertain, Uncertainty
-from analysis.sensitivity.parameter_uncertainty import uncertainty
-from analysis.sensitivity.row_family import row_family
-from analysis.sensitivity.uncertainty_file import load_uncertainty
+from analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
+from analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
+from analysis.sensitivity.robust.row_family import row_family
 from mdp import MDP, ModelError, Scenario
 from mdp.parametric import parametric
 

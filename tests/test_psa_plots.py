@@ -11,10 +11,10 @@ from analysis.plots.psa import (
     plot_optimal_actions,
     plot_start_values,
 )
-from analysis.sensitivity.expected_loss import expected_loss
-from analysis.sensitivity.parameter_uncertainty import uncertainty
-from analysis.sensitivity.psa import psa
-from analysis.sensitivity.psa_result import PSA
+from analysis.sensitivity.psa.expected_loss import expected_loss
+from analysis.sensitivity.psa.psa import psa
+from analysis.sensitivity.psa.result import PSA
+from analysis.sensitivity.psa.uncertainty import uncertainty
 from mdp import ModelError, Scenario
 from mdp.parametric import parametric
 

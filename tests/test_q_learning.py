@@ -15,11 +15,17 @@ from strategies import models
 
 from mdp import MDP, ModelError, Policy, Scenario
 from solvers import PolicyIteration, evaluate, solve
-from solvers.policy_values import policy_values
-from solvers.q_learning import METHODS, TIES, QLearning, Trainer, distinct
-from solvers.sampler import as_policy, child, rows_of, scores, stream, tables
-from solvers.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant, Exponential, Harmonic
-from solvers.training import train_many
+from solvers.learning.q_learning import METHODS, TIES, QLearning, Trainer, distinct
+from solvers.learning.sampler import as_policy, child, rows_of, scores, stream, tables
+from solvers.learning.schedules import (
+    PAPER_CONSTANT,
+    PAPER_DECAYING,
+    Constant,
+    Exponential,
+    Harmonic,
+)
+from solvers.learning.training import train_many
+from solvers.values.policy_values import policy_values
 
 CARE = Scenario.load("yuan2025")
 OTHERS = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}

@@ -13,10 +13,10 @@ from reading_twin import moments
 from scipy.stats import norm
 
 from mdp import ModelError
-from mdp.scenario import READINGS
+from mdp.care.scenario import READINGS
 from paper_repro import reported
-from paper_repro.reading_evidence import VARIANTS, evidence, variants
-from paper_repro.reading_joint import (
+from paper_repro.readings.evidence import VARIANTS, evidence, variants
+from paper_repro.readings.joint import (
     STATEMENTS,
     Joint,
     contradictions,
@@ -24,7 +24,7 @@ from paper_repro.reading_joint import (
     joint,
     largest_possible,
 )
-from paper_repro.reading_search import STARTS, completions, policies
+from paper_repro.readings.search import STARTS, completions, policies
 
 
 def plain_log_likelihood(

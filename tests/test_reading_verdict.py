@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from reading_cases import small_search, small_study
 
-from analysis.learning import outcomes
+from analysis.learning.outcomes import outcomes
 from mdp import ModelError
 from paper_repro import reported
-from paper_repro.ranking import ranked, sums
-from paper_repro.reading_evidence import evidence
-from paper_repro.reading_learning import SETTINGS, combined, compatible, learning, to_train
-from paper_repro.reading_search import STARTS, completions, policies
-from paper_repro.reading_verdict import AS_FOUND, normal_ranking, verdict
-from solvers.returns import return_distribution
+from paper_repro.readings.evidence import evidence
+from paper_repro.readings.learning import SETTINGS, combined, compatible, learning, to_train
+from paper_repro.readings.ranking import ranked, sums
+from paper_repro.readings.search import STARTS, completions, policies
+from paper_repro.readings.verdict import AS_FOUND, normal_ranking, verdict
+from solvers.learning.training import train_many
 from solvers.solution import Certified
-from solvers.training import train_many
+from solvers.values.returns import return_distribution
 
 
 def test_the_verdict_agrees_with_the_search() -> None:
@@ -192,7 +192,7 @@ def test_every_figure_is_drawn() -> None:
     import matplotlib.pyplot as plt
 
     from analysis.plots import style
-    from paper_repro.reading_figures import FIGURES
+    from paper_repro.readings.figures import FIGURES
 
     study = small_study()
     for draw in FIGURES.values():
@@ -207,7 +207,7 @@ def test_every_figure_is_drawn() -> None:
 def test_the_ranking_figure_marks_the_reported_averages() -> None:
     import matplotlib.pyplot as plt
 
-    from paper_repro.reading_figures import ranking_figure
+    from paper_repro.readings.figures import ranking_figure
 
     figure = ranking_figure(small_study())
     lines = {

@@ -17,7 +17,7 @@ from analysis.readings import (
     support,
 )
 from mdp import ModelError, Scenario
-from mdp.scenario import READINGS
+from mdp.care.scenario import READINGS
 
 SPACE = ReadingSpace(
     options={"status_cost": ("next", "current"), "tasks": ((3,), (6,), (2,)), "discount": (1, 0.9)}

@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
-import solvers.returns
-import solvers.returns_dense
-import solvers.returns_sparse
+import solvers.values.return_mass
+import solvers.values.returns
 from mdp import MDP, ModelError, Scenario
 from solvers import Claim
-from solvers.evaluation import evaluate
-from solvers.returns import ReturnDistribution, return_distribution
+from solvers.values.evaluate import evaluate
+from solvers.values.returns import ReturnDistribution, return_distribution
 
 Law = dict[F, F]
 SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])

@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from strategies import Rows, models
 
-from analysis.cli_output import to_json
-from analysis.plots.robust import plot_robust_curve
-from analysis.sensitivity.robust import SETS, ambiguity_of, robust, robust_curve
-from analysis.sensitivity.robust_report import robust_report
+from analysis.cli.render import to_json
+from analysis.cli.sensitivity.robust import robust_report
+from analysis.plots.sensitivity import plot_robust_curve
+from analysis.sensitivity.robust.robust import SETS, ambiguity_of, robust, robust_curve
 from mdp import MDP, ModelError, Scenario
-from mdp.load import load
+from mdp.io.load import load
 from solvers import PrecisionWarning, SolverError, evaluate, solve
-from solvers.ambiguity import Intervals, L1Ball
-from solvers.divergence import Likelihood, RelativeEntropy
-from solvers.policy_chain import PolicyChain
-from solvers.robust import RobustSolution, solve_robust
+from solvers.robust.divergence import Likelihood, RelativeEntropy
+from solvers.robust.robust import RobustSolution, solve_robust
+from solvers.robust.sets import Intervals, L1Ball
+from solvers.values.policy_chain import PolicyChain
 
 F = Fraction
 GAMES = [(o, n) for o in ("max", "min") for n in ("worst", "best")]
@@ -269,7 +269,7 @@ def test_reports_of_nonsense_are_refused(options: dict) -> None:
 
 
 def test_a_box_needs_a_scenario(tmp_path) -> None:
-    from mdp.load import save_model
+    from mdp.io.load import save_model
 
     save_model(risky(), tmp_path / "model.npz")
     with pytest.raises(ModelError, match="scenario"):

@@ -7,16 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.sensitivity.affine_forms import Forms, mixed
-from analysis.sensitivity.care_box import BoxBounds, CareBox
-from analysis.sensitivity.robust_box import box_extreme, box_optimum, box_ranges, corners
+from analysis.sensitivity.robust.affine import Forms, mixed
+from analysis.sensitivity.robust.box import box_extreme, box_optimum, box_ranges, corners
+from analysis.sensitivity.robust.care import BoxBounds, CareBox
 from mdp import MDP, ModelError, Policy, Scenario
-from mdp.parameters import Parameter
-from mdp.parametric import Family, moving
-from mdp.scenario import READINGS
-from mdp.scenario_family import ScenarioFamily
+from mdp.care.family import ScenarioFamily
+from mdp.care.scenario import READINGS
+from mdp.parametric import Family, Parameter, moving
 from solvers import evaluate, solve
-from solvers.policy_chain import PolicyChain
+from solvers.values.policy_chain import PolicyChain
 
 SMALL = {"tasks": [1, 1], "max_trial": 2}
 F = Fraction

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import distributions, model_of
 
-from analysis.sensitivity.multi_model import multi_model
-from analysis.sensitivity.multi_model_search import restricted
+from analysis.sensitivity.multi_model import multi_model, restricted
 from mdp import MDP, ModelError, Scenario
 from solvers import evaluate, solve
 

@@ -7,8 +7,8 @@ import pytest
 from cases.intervals import INTERVAL_CASES, IntervalCase, total_reward
 
 from mdp import ModelError
-from solvers.ambiguity import interval_model
-from solvers.robust import solve_robust
+from solvers.robust.robust import solve_robust
+from solvers.robust.sets import interval_model
 
 
 @pytest.mark.parametrize("case", INTERVAL_CASES, ids=str)

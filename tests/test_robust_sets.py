@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from mdp import MDP, ModelError
-from solvers.ambiguity import Intervals, L1Ball, interval_model
-from solvers.divergence import Likelihood, RelativeEntropy
-from solvers.robust_rows import blocks_of, inner
+from solvers.robust.divergence import Likelihood, RelativeEntropy
+from solvers.robust.rows import blocks_of, inner
+from solvers.robust.sets import Intervals, L1Ball, interval_model
 
 fewer = settings(max_examples=40)
 WEIGHTS = st.lists(st.integers(1, 50), min_size=1, max_size=7)

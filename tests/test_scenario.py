@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from oracle import END, STATUSES, Oracle, State
 
 from mdp import MDP, Scenario
-from mdp.scenario import READINGS
+from mdp.care.scenario import READINGS
 
 BASE = Scenario.load("yuan2025")
 ALL_READINGS = [

@@ -11,8 +11,8 @@ import pytest
 from own_scenarios import check_own, own_text
 
 from mdp import ModelError, Scenario
-from mdp.scenario import READINGS
-from mdp.scenario_file import parse, shipped
+from mdp.care.scenario import READINGS
+from mdp.care.toml import parse, shipped
 
 BASE = Scenario.load("yuan2025")
 

@@ -6,9 +6,9 @@ import matplotlib as mpl
 import pytest
 
 from mdp import Scenario
-from mdp.perception import perceived
-from paper_repro import section42
+from mdp.care.perception import perceived
 from paper_repro.agents.claims import statements
+from paper_repro.report import section42
 from solvers import evaluate
 
 

@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 from cases import BY_NAME
 
-from analysis.sensitivity.design import inside, problem_of
-from analysis.sensitivity.morris import Morris, morris
+from analysis.sensitivity.draws.design import inside, problem_of
+from analysis.sensitivity.draws.morris import Morris, morris
+from analysis.sensitivity.draws.sampled import sampled, values
+from analysis.sensitivity.draws.sobol import Sobol, sobol
 from analysis.sensitivity.ranges import Range, spans_of
-from analysis.sensitivity.sampled import sampled, values
-from analysis.sensitivity.sobol import Sobol, sobol
 from mdp import MDP, ModelError, Scenario
-from mdp.parameters import Parameter
-from mdp.parametric import Parametric, moving, parametric
+from mdp.parametric import Parameter, Parametric, moving, parametric
 from solvers import evaluate, solve
 
-sampled_module = import_module("analysis.sensitivity.sampled")
+sampled_module = import_module("analysis.sensitivity.draws.sampled")
 F = Fraction
 HALF = F(1, 2)
 

@@ -8,7 +8,7 @@ from cases.toolbox import CASES as TOOLBOX
 from oracle import ACTIONS, END, Oracle, State
 
 from analysis.sensitivity import gradient, moments_gradient, movement_frame
-from analysis.sensitivity.gradient_result import Derivative
+from analysis.sensitivity.gradient import Derivative
 from mdp import MDP, ModelError, Parameter, Scenario
 from mdp.parametric import Family, moving, parametric
 from mdp.row_change import pieces

@@ -10,15 +10,7 @@ import pytest
 from cli_runner import run
 from oracle import Oracle
 
-from analysis.sensitivity import (
-    Range,
-    load_ranges,
-    one_way,
-    thresholds,
-    tornado,
-    two_way,
-    whole,
-)
+from analysis.sensitivity import Range, load_ranges, one_way, thresholds, tornado, two_way, whole
 from mdp import MDP, ModelError, Scenario
 from mdp.parametric import Parametric, moving, parametric
 from mdp.row_change import pieces, row_change, transition_entries

@@ -12,10 +12,15 @@ import pytest
 from oracle import CLEAR, Oracle
 
 from analysis.sensitivity import gradient, joint_radius
-from analysis.sensitivity.structural import CARRIED, structural
+from analysis.sensitivity.structural import (
+    CARRIED,
+    OPTIONS,
+    Structural,
+    combinations,
+    one_at_a_time,
+    structural,
+)
 from analysis.sensitivity.structural_outputs import PRESENT
-from analysis.sensitivity.structural_readings import OPTIONS, combinations, one_at_a_time
-from analysis.sensitivity.structural_result import Structural
 from mdp import ModelError, Scenario
 
 SMALL = {"tasks": [2], "max_trial": 2}

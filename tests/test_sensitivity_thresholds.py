@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from oracle import END, Oracle
 
 from analysis.sensitivity import joint_radius, stability_frame, threshold_frame, thresholds
-from analysis.sensitivity.roots import roots, sign, simple, variations
+from analysis.sensitivity.thresholds.roots import roots, sign, simple, variations
 from mdp import MDP, ModelError, Parameter, Scenario
 from mdp.parametric import Family, moving
 from solvers import certify

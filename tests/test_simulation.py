@@ -13,10 +13,10 @@ from policy_cases import care, careful, policy_of
 
 from mdp import MDP, ModelError, Scenario
 from solvers import Claim
-from solvers.evaluation import evaluate
-from solvers.policy_chain import PolicyChain
-from solvers.returns import return_distribution
-from solvers.simulation import Simulation, _cumulative, simulate
+from solvers.values.evaluate import evaluate
+from solvers.values.policy_chain import PolicyChain
+from solvers.values.returns import return_distribution
+from solvers.values.simulate import Simulation, _cumulative, simulate
 
 EPISODES = 100_000
 

@@ -19,8 +19,7 @@ from analysis.plots.perception import (
     plot_hedging,
     plot_prices,
 )
-from analysis.plots.policy import plot_policy_map
-from analysis.plots.returns import plot_return_distribution
+from analysis.plots.policy import plot_policy_map, plot_return_distribution
 from analysis.plots.sensitivity import (
     plot_thresholds,
     plot_tornado,

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.instability import Prediction
-from analysis.learning import Outcomes, share_interval
-from analysis.learning_curves import LearningCurve
+from analysis.learning.curves import LearningCurve
+from analysis.learning.instability import Prediction
+from analysis.learning.outcomes import Outcomes, share_interval
 from analysis.plots.style import LINES, PALETTE, axes_or_new, plain_text
 from mdp.table import Floats
 
@@ -66,7 +66,7 @@ def plot_value_bands(
     Parameters
     ----------
     values : {label: (R, E)}
-        As `analysis.learning_curves.exact_curves` returns them.
+        As `analysis.learning.curves.exact_curves` returns them.
     window : int
         Epochs to average over.
     """

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from analysis.plots.style import action_styles, axes_or_new, plain_text
 
 if TYPE_CHECKING:
-    from analysis.perception import ErrorCosts, PriceOfPerception
-    from analysis.perception_accuracy import AccuracyCurves, AccuracyNeeded, Hedging
+    from analysis.perception.accuracy import AccuracyCurves, AccuracyNeeded, Hedging
+    from analysis.perception.cost import ErrorCosts, PriceOfPerception
 
 MISSED, SEEN = "#FFFFFF", "#56B4E9"
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")

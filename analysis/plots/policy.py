@@ -1,4 +1,7 @@
-"""The map of a status policy: every status vector in a grid, coloured by its action."""
+"""The exact distribution of the return, as bars.
+
+The map of a status policy: every status vector in a grid, coloured by its action.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,29 @@ from numpy.typing import NDArray
 
 from analysis.plots.style import action_styles, axes_or_new, plain_text
 from mdp import MDP
+from solvers.values.returns import ReturnDistribution
+
+
+@plain_text
+def plot_return_distribution(
+    distribution: ReturnDistribution, *, label: str = "", ax: Axes | None = None
+) -> Axes:
+    """Draw the probability of each return, with the mean as a line.
+
+    Parameters
+    ----------
+    distribution : ReturnDistribution
+    label : what the distribution is of, written into the upper left corner
+    """
+    ax = axes_or_new(ax)
+    values = np.array([float(value) for value in distribution.values])
+    ax.vlines(values, 0, distribution.probabilities, color="0.25", linewidth=1.3)
+    mean, sd = distribution.mean, distribution.sd
+    ax.axvline(mean, color="black", linestyle="--", linewidth=1)
+    ax.set_ylim(bottom=0)
+    ax.set_ylabel("probability")
+    ax.set_title(f"{label}: mean {mean:.2f}, standard deviation {sd:.2f}".lstrip(": "))
+    return ax
 
 
 @plain_text

@@ -1,4 +1,7 @@
-"""Figures of the one-way and two-way analyses and of the thresholds."""
+"""Figures of the one-way and two-way analyses and of the thresholds.
+
+Figures of the robust analysis: values against the radius of the sets.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,14 @@ from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.patches import Patch
 
 from analysis.plots.style import LINES, action_styles, axes_or_new, plain_text
-from analysis.sensitivity.units import unit_of
+from analysis.sensitivity.base import unit_of
 
 if TYPE_CHECKING:
     from analysis.sensitivity.one_way import Curve, Tornado
-    from analysis.sensitivity.threshold_result import Thresholds
-    from analysis.sensitivity.two_way import TwoWay
+    from analysis.sensitivity.robust.robust import RobustCurve
+    from analysis.sensitivity.thresholds.thresholds import Thresholds
+    from analysis.sensitivity.thresholds.two_way import TwoWay
+
 
 BELOW, ABOVE, LINE = "#FFFFFF", "#56B4E9", "#000000"
 
@@ -161,4 +166,45 @@ def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = N
         ax.legend(handles=legend, loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
     else:
         ax.set_title("policies that are optimal, by number; diamond: today")
+    return ax
+
+
+RADIUS = {
+    "interval": "radius: each transition probability p (1 ± x)",
+    "absolute": "radius: each transition probability p ± x",
+    "l1": "radius: L1 distance of each row",
+    "kl": "radius: KL(p‖q) of each row (nats)",
+    "entropy": "radius: KL(q‖p) of each row (nats)",
+}
+
+
+@plain_text
+def plot_robust_curve(curve: RobustCurve, *, ax: Axes | None = None) -> Axes:
+    """Draw the start value of both policies against the radius: tables right, and worst case.
+
+    The distance of the upper lines is the price of robustness, that of the lower ones the gain.
+    """
+    ax = axes_or_new(ax)
+    radii = [radius for radius, _ in curve.points]
+    found = [each for _, each in curve.points]
+    lines = (
+        ("robust policy, tables right", [each.robust_value.value for each in found], "-", "s", "0"),
+        ("nominal policy, tables right", [each.value.value for each in found], "--", "s", "0.55"),
+        ("robust policy, worst case", [each.robust.start.value for each in found], "-", "o", "0"),
+        ("nominal policy, worst case", [each.worst.value for each in found], "--", "o", "0.55"),
+    )
+    for label, values, line, marker, shade in lines:
+        ax.plot(
+            radii,
+            values,
+            line,
+            marker=marker,
+            markersize=4,
+            markerfacecolor="white" if shade != "0" else shade,
+            color=shade,
+            label=label,
+        )
+    ax.set_xlabel(RADIUS[curve.kind])
+    ax.set_ylabel("start value (reward)")
+    ax.legend(frameon=False)
     return ax

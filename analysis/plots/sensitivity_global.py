@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from analysis.plots.style import axes_or_new, plain_text
-from analysis.sensitivity.morris import effects_of
-from analysis.sensitivity.sobol import indices_of
+from analysis.sensitivity.draws.morris import effects_of
+from analysis.sensitivity.draws.sobol import indices_of
 from mdp.errors import ModelError
 
 if TYPE_CHECKING:
-    from analysis.sensitivity.morris import Morris
-    from analysis.sensitivity.sobol import Sobol
+    from analysis.sensitivity.draws.morris import Morris
+    from analysis.sensitivity.draws.sobol import Sobol
     from mdp.table import Floats, Integers
 
 FIRST, TOTAL, LINE = "#56B4E9", "#FFFFFF", "#000000"

@@ -7,37 +7,38 @@
 1 (certified)
 """
 
-from analysis.sensitivity.distributions import Uncertain, Uncertainty
-from analysis.sensitivity.expected_loss import LossCurve, expected_loss
-from analysis.sensitivity.gradient import gradient
-from analysis.sensitivity.gradient_result import Derivative, Gradient
-from analysis.sensitivity.joint import JointRadius, joint_radius
+from analysis.sensitivity.draws.morris import Effects, Morris, morris
+from analysis.sensitivity.draws.sampled import Sampled, sampled
+from analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
+from analysis.sensitivity.gradient import Derivative, Gradient, gradient
 from analysis.sensitivity.moments import Movement, moments_gradient, movement_frame
-from analysis.sensitivity.morris import Effects, Morris, morris
 from analysis.sensitivity.multi_model import MultiModel, multi_model
 from analysis.sensitivity.one_way import Bar, Curve, Point, Tornado, one_way, tornado
-from analysis.sensitivity.parameter_uncertainty import uncertainty
-from analysis.sensitivity.psa import psa
-from analysis.sensitivity.psa_result import PSA
+from analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
+from analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
+from analysis.sensitivity.psa.psa import psa
+from analysis.sensitivity.psa.result import PSA
+from analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
 from analysis.sensitivity.ranges import Range, around, load_ranges, whole
-from analysis.sensitivity.robust import robust_curve
-from analysis.sensitivity.robust_box import BoxExtreme, BoxOptimum, box_extreme, box_optimum
-from analysis.sensitivity.robust_result import Robust, RobustCurve
-from analysis.sensitivity.sampled import Sampled, sampled
-from analysis.sensitivity.sobol import Indices, Sobol, sobol
-from analysis.sensitivity.structural import structural
-from analysis.sensitivity.structural_readings import combinations, one_at_a_time
-from analysis.sensitivity.structural_result import Reading, Structural
-from analysis.sensitivity.threshold_result import (
+from analysis.sensitivity.robust.box import BoxExtreme, BoxOptimum, box_extreme, box_optimum
+from analysis.sensitivity.robust.robust import Robust, RobustCurve, robust_curve
+from analysis.sensitivity.structural import (
+    Reading,
+    Structural,
+    combinations,
+    one_at_a_time,
+    structural,
+)
+from analysis.sensitivity.thresholds.joint import JointRadius, joint_radius
+from analysis.sensitivity.thresholds.thresholds import (
     Switch,
     Threshold,
     Thresholds,
     stability_frame,
     threshold_frame,
+    thresholds,
 )
-from analysis.sensitivity.thresholds import thresholds
-from analysis.sensitivity.two_way import TwoWay, two_way
-from analysis.sensitivity.uncertainty_file import load_uncertainty
+from analysis.sensitivity.thresholds.two_way import TwoWay, two_way
 
 __all__ = [
     "PSA",

@@ -18,7 +18,7 @@ import numpy as np
 from mdp.errors import ModelError
 from mdp.model import MDP
 from mdp.row_change import reward_entries, transition_entries
-from solvers.policy_chain import PolicyChain
+from solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_mat

@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.sensitivity.base import unit_of
+from analysis.sensitivity.derivatives import earnings
 from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from analysis.sensitivity.gradient_exact import earnings
-from analysis.sensitivity.gradient_result import Checked, claimed, floating
+from analysis.sensitivity.gradient import Checked, claimed, floating
 from analysis.sensitivity.rational_rows import by_pair, by_pair_slopes, dot, worth
-from analysis.sensitivity.units import unit_of
+from mdp.care.scenario import Scenario
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.parameters import Parameter
-from mdp.parametric import Parametric, parameter_of, parametric
+from mdp.parametric import Parameter, Parametric, parameter_of, parametric
 from mdp.row_change import (
     Entries,
     Piece,
@@ -39,9 +39,8 @@ from mdp.row_change import (
     sampled,
     square_entries,
 )
-from mdp.scenario import Scenario
 from mdp.table import Numbers
-from solvers.rounding import TINY, UNIT
+from solvers.bounds.gains import TINY, UNIT
 from solvers.solution import Bounded, Certified
 
 if TYPE_CHECKING:

@@ -17,14 +17,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from analysis.sensitivity.base_case import BaseCase
+from analysis.sensitivity.base import BaseCase, unit_of
 from analysis.sensitivity.ranges import Range, admitted, around, checked
-from analysis.sensitivity.units import unit_of
+from mdp.care.scenario import Scenario
 from mdp.errors import ModelError
 from mdp.model import MDP
-from mdp.parameters import Parameter
-from mdp.parametric import Parametric, parameter_of, parametric
-from mdp.scenario import Scenario
+from mdp.parametric import Parameter, Parametric, parameter_of, parametric
 from mdp.table import Floats
 from solvers import evaluate, solve
 from solvers.solution import Bounded

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
+from mdp.care.family import ScenarioFamily
 from mdp.chain import termination
 from mdp.errors import ModelError
-from mdp.files import SMALL, read_text
-from mdp.parameters import Parameter
-from mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
-from mdp.scenario_family import ScenarioFamily
-from mdp.structured import toml_of
+from mdp.io.files import SMALL, read_text
+from mdp.io.structured import toml_of
+from mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of, room_of
 from mdp.table import beside, exact, shown
 
 RELATIVE = Fraction(1, 5)

@@ -1,31 +1,145 @@
-"""What is told of one reading of a scenario: values, optimal actions, and what weighs most."""
+"""Today's optimum under another reading of the text, and whether it is an optimum there as well.
+
+A state of the reading is the state of today's model with the same columns. Where there is none,
+because the tasks are others or because today's model leaves no choice there, it is the state with
+the same status at subtask 0, trial 0. Let A(s) be the actions that are optimal today in the state
+that s is, and B(s) those that are optimal in s. Today's optimum is one under the reading, too,
+where some policy with π(s) ∈ A(s) ∩ B(s) never leaves the states that have such an action: the
+greatest set of states from which that can be kept up contains the start. The policy that is
+carried over takes such actions there, and today's optimal ones elsewhere, so that it loses
+something exactly where the optimum changes.
+
+What is told of one reading of a scenario: values, optimal actions, and what weighs most.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.sensitivity.base_case import digest
-from analysis.sensitivity.carried import Today, best_pairs
+from analysis.sensitivity.base import digest
+from analysis.sensitivity.draws.sampled import values
 from analysis.sensitivity.gradient import gradient
-from analysis.sensitivity.joint import joint_radius
-from analysis.sensitivity.sampled import values
+from analysis.sensitivity.thresholds.joint import joint_radius
+from mdp.care.family import ScenarioFamily
+from mdp.care.perception import perceived
+from mdp.care.scenario import Scenario
 from mdp.errors import ModelError, ScenarioWarning
 from mdp.model import MDP
-from mdp.perception import perceived
-from mdp.policy import Policy
-from mdp.scenario import Scenario
-from mdp.scenario_family import ScenarioFamily
+from mdp.policies.policy import Policy
+from mdp.space import StateSpace
 from mdp.table import Floats, Integers
 from solvers import evaluate, solve
+from solvers.solution import Solution
 
 if TYPE_CHECKING:
     from solvers.solution import Solution
+
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Today:
+    """The optimal actions of the model as it is.
+
+    Attributes
+    ----------
+    tasks : tuple of int
+    space : StateSpace
+    free : (S,) bool
+        Where there is a choice.
+    optimal : (S, A) bool
+        By the scenario's actions; all False where none of them is available.
+    actions : (S,)
+        One of them.
+    """
+
+    tasks: tuple[int, ...]
+    space: StateSpace
+    free: Mask
+    optimal: Mask
+    actions: Integers
+
+    @classmethod
+    def of(cls, scenario: Scenario, mdp: MDP, solution: Solution) -> Today:
+        """Return the optimal actions, those that differ by rounding alone included."""
+        optimal = np.zeros((mdp.n_states, len(scenario.actions)), dtype=bool)
+        number = _numbers(scenario, mdp)
+        mine = number >= 0
+        optimal[mdp.pair_state[mine], number[mine]] = best_pairs(mdp, solution)[mine]
+        of_action = {mdp.action(name): k for k, name in enumerate(scenario.actions)}
+        actions = np.array([of_action.get(each, 0) for each in solution.policy.tolist()])
+        return cls(
+            tasks=scenario.tasks,
+            space=mdp.space,
+            free=~mdp.forced,
+            optimal=optimal,
+            actions=actions,
+        )
+
+    def carried(self, scenario: Scenario, mdp: MDP, solution: Solution) -> tuple[Integers, bool]:
+        """Return today's optimum under a reading, (S,) actions, and whether the optimum changes."""
+        state = self._states(scenario, mdp)
+        number = _numbers(scenario, mdp)
+        alike = self.optimal[state[mdp.pair_state], number] & (number >= 0)
+        alike |= mdp.forced[mdp.pair_state]
+        both = alike & best_pairs(mdp, solution)
+        while True:
+            kept = np.logical_or.reduceat(both, mdp.pair_offsets[:-1])
+            leaves = _can_reach(mdp, ~kept)
+            if not (both & leaves).any():
+                break
+            both &= ~leaves
+        begins = [state for state, weight in mdp.start if weight]
+        changes = not kept[begins].all()
+        names = [mdp.action(name) for name in scenario.actions]
+        choices = np.array(names, dtype=np.int64)[self.actions[state]]
+        forced = mdp.pair_action[mdp.pair_offsets[:-1]]
+        choices = np.where(mdp.forced, forced, choices)
+        pairs = np.flatnonzero(both)[::-1]  # the first of several is written last
+        choices[mdp.pair_state[pairs]] = mdp.pair_action[pairs]
+        return choices, bool(changes)
+
+    def _states(self, scenario: Scenario, mdp: MDP) -> Integers:
+        """Return (S,) the state of today's model that each state of a reading is."""
+        values: Mapping[str, Integers] = {
+            name: np.maximum(mdp.space.values(name), 0) for name in mdp.space.names
+        }
+        nothing = np.zeros(mdp.n_states, dtype=np.int64)
+        fits = np.full(mdp.n_states, self.tasks == scenario.tasks)
+        same, first = nothing, nothing
+        for column in self.space.columns:
+            value = values.get(column.name, nothing)
+            fits &= value < column.size
+            same = same * column.size + np.minimum(value, column.size - 1)
+            first = first * column.size + (value if column.name == "status" else 0)
+        return np.where(fits & self.free[same], same, first)
+
+
+def best_pairs(mdp: MDP, solution: Solution) -> Mask:
+    """Return (L,) whether a pair is optimal, up to rounding."""
+    return np.asarray(solution.q >= solution.value[mdp.pair_state] - 2 * solution.error_bound)
+
+
+def _numbers(scenario: Scenario, mdp: MDP) -> Integers:
+    """Return (L,) which of the scenario's actions a pair takes; -1 for none of them."""
+    place = np.full(mdp.n_actions, -1, dtype=np.int64)
+    for number, name in enumerate(scenario.actions):
+        place[mdp.action(name)] = number
+    return place[mdp.pair_action]
+
+
+def _can_reach(mdp: MDP, states: Mask) -> Mask:
+    """Return (L,) whether a pair may lead to one of the states in one step."""
+    return np.asarray(mdp.transition @ states.astype(np.float64) > 0)
+
 
 STEP = Fraction(1, 10_000)  # of a difference, as a share of the parameter
 MOST_TRIED = 5

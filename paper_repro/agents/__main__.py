@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 
 from analysis.exit_status import Programs
+from paper_repro.agents.cli import fetch_model, prompts, render, replay, run
 from paper_repro.agents.cli_measure import claims, measure, variants
-from paper_repro.agents.cli_run import fetch_model, prompts, render, replay, run
 
 
 class Recording(Programs):

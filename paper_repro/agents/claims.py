@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from mdp import MDP, Policy, Scenario
-from mdp.perception import perceived
+from mdp.care.perception import perceived
 from solvers import evaluate, solve
 
 EXACT, MODEL, PEOPLE = "computed here", "needs the authors' model", "needs people to judge"

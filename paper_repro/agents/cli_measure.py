@@ -9,14 +9,16 @@ from typing import Any
 
 import click
 
-from paper_repro.agents.cli_backend import (
+from paper_repro.agents.cli import (
+    FILE,
+    FOLDER,
     Range,
     backend_of,
     backend_options,
     price_option,
+    scene_options,
     tell_use,
 )
-from paper_repro.agents.cli_run import FILE, FOLDER, scene_options
 
 
 @click.command()
@@ -51,11 +53,11 @@ def measure(
 ) -> None:  # fmt: skip
     """Measure a backend's perception: confusion.csv, intervals, and what it would cost."""
     from paper_repro.agents import measure as measuring
-    from paper_repro.agents.perception_files import Notebook, counted, write
+    from paper_repro.agents.measure import Notebook, counted, write
     from paper_repro.agents.prompts import FOLDER as OWN
+    from paper_repro.agents.protocol import Tap
     from paper_repro.agents.scripted import Scripted
     from paper_repro.agents.setup import conversation
-    from paper_repro.agents.tap import Tap
 
     chosen = Tap(backend_of(kind, **backend) if not recordings else Scripted())
     talk = conversation(
@@ -127,9 +129,8 @@ def variants(
     """Put the four prompts of action execution side by side."""
     from mdp import Scenario
     from mdp.space import Column
-    from paper_repro.agents.compare import side_by_side
     from paper_repro.agents.prompts import FOLDER as OWN
-    from paper_repro.agents.setup import modules_of
+    from paper_repro.agents.setup import modules_of, side_by_side
     from paper_repro.agents.text_view import plain
 
     model = Scenario.load(scenario)

@@ -16,8 +16,8 @@ from fractions import Fraction
 from hashlib import sha256
 from typing import Any
 
+from mdp.care.scenario import SKIP
 from mdp.fingerprint import fingerprint
-from mdp.scenario import SKIP
 from paper_repro.agents import DISCLAIMER
 from paper_repro.agents.modules import Modules, Place
 from paper_repro.agents.protocol import Backend, Reply, Request

@@ -16,8 +16,8 @@ from string import Template
 from typing import Any
 
 from mdp.errors import ModelError, suggest
-from mdp.files import SMALL, read_text
-from mdp.structured import toml_of
+from mdp.io.files import SMALL, read_text
+from mdp.io.structured import toml_of
 from paper_repro.agents.protocol import PURPOSES
 
 FOLDER = Path(__file__).parent / "prompts"

@@ -2,6 +2,8 @@
 
 A backend is anything with `describe` and `answer`. It returns an object that fits the request's
 schema, or raises BackendError; there is no third outcome.
+
+A backend that keeps what passes through it: the requests, and what the answers took.
 """
 
 from __future__ import annotations
@@ -87,3 +89,34 @@ class Backend(Protocol):
     def answer(self, request: Request) -> Reply:
         """Return an answer that fits the request's schema; raises BackendError."""
         ...
+
+
+class Tap:
+    """Passes requests on to another backend; keeps them in `requests` and adds up the answers.
+
+    Attributes
+    ----------
+    requests : list of Request
+    used : {"requests", "attempts", "prompt_tokens", "completion_tokens"}
+    uncounted : answers whose tokens the backend did not count
+    """
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self.requests: list[Request] = []
+        self.uncounted = 0
+        self.used = dict.fromkeys(("requests", "attempts", "prompt_tokens", "completion_tokens"), 0)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description of the backend behind."""
+        return self._backend.describe()
+
+    def answer(self, request: Request) -> Reply:
+        """Keep the request and return the answer of the backend behind."""
+        self.requests.append(request)
+        reply = self._backend.answer(request)
+        self.used["requests"] += 1
+        self.uncounted += reply.prompt_tokens == 0
+        for name in ("attempts", "prompt_tokens", "completion_tokens"):
+            self.used[name] += getattr(reply, name)
+        return reply

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from mdp.errors import ModelError
+from paper_repro.agents.chat import violations
 from paper_repro.agents.prompts import look_up, read_toml
 from paper_repro.agents.protocol import BackendError, Reply, Request
-from paper_repro.agents.schema import violations
 
 FOLDER = Path(__file__).parent / "phrases"
 

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from mdp.errors import ModelError
-from mdp.files import read_bytes, write_atomically
+from mdp.io.files import read_bytes, write_atomically
 from paper_repro.agents import recording, text_view
+from paper_repro.agents.chat import violations
 from paper_repro.agents.conversation import Conversation, totals
 from paper_repro.agents.html_view import page
 from paper_repro.agents.protocol import BackendError, Reply, Request
 from paper_repro.agents.recording import Recorder, Recording
-from paper_repro.agents.schema import violations
 
 NAME = "conversation.jsonl"
 

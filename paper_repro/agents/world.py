@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mdp import MDP, Policy, Scenario
+from mdp.care.scenario import SKIP
 from mdp.errors import ModelError
-from mdp.policy import check_action
-from mdp.scenario import SKIP
+from mdp.policies.policy import check_action
 from paper_repro.agents.protocol import PURPOSES
 
 DRAWS = ("start", "policy", "transition", *PURPOSES)

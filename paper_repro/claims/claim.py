@@ -118,7 +118,7 @@ class PaperClaim:
     id : str
         Its name in `numbers.json` and on the command line.
     places : tuple of str
-        Keys of `paper_repro.places.PLACES`.
+        Keys of `paper_repro.report.places.PLACES`.
     says : str
         The claim in our words.
     rule : str
@@ -207,7 +207,7 @@ def event(count: int, total: int, why: str, *, limit: float = RARE, **details: A
     >>> event(40, 100, "of 100 runs").verdict.value, event(0, 500, "").verdict.value
     ('reproduced', 'not reproduced')
     """
-    from analysis.learning import share_interval
+    from analysis.learning.outcomes import share_interval
 
     low, high = share_interval(count, total)
     verdict = Verdict.NOT_DETERMINED

@@ -1,7 +1,7 @@
 """Working the claims out: under the default reading, and under others where the text is open.
 
 What "under some reading" means depends on the claim. Average returns are known for all 6,912
-readings and every policy that the text may mean (`paper_repro.reading_search`). Other open claims
+readings and every policy that the text may mean (`paper_repro.readings.search`). Other open claims
 are worked out anew under the sixteen readings that differ from the default in one point and under
 the readings that the evidence supports best.
 """
@@ -15,7 +15,7 @@ from mdp.errors import ModelError, suggest
 from paper_repro.claims import interaction, learning, model, policies, returns
 from paper_repro.claims.claim import Finding, PaperClaim, Verdict
 from paper_repro.claims.under import SCOPE_ONE_CHANGE, SCOPE_VIEWS, Under, tally
-from paper_repro.readings import Readings
+from paper_repro.readings.study import Readings
 from paper_repro.view import View
 
 Progress = Callable[[str], None]

@@ -30,7 +30,7 @@ from paper_repro.claims.claim import (
 )
 from paper_repro.claims.policies import ANGRY
 from paper_repro.learned import CONVERGED, SCHEDULES, settings
-from paper_repro.reading_learning import compatible, stated
+from paper_repro.readings.learning import compatible, stated
 from paper_repro.view import View
 from solvers.solution import Bounded, Estimated
 
@@ -91,8 +91,8 @@ def _settings() -> Iterator[PaperClaim]:
 
 def _evaluation() -> Iterator[PaperClaim]:
     """Yield the settings of Section 3.2.5, as the code that uses them holds them."""
-    from analysis import learning_curves
-    from analysis.learning import CANDIDATES
+    from analysis.learning import curves as learning_curves
+    from analysis.learning.outcomes import CANDIDATES
 
     place = ("Section 3.2.5",)
     entries = [

@@ -245,8 +245,8 @@ def _ranking(view: View) -> Finding:
 
 
 def _ranking_by_experiments(view: View) -> Finding:
-    from paper_repro.ranking import ranked, sums
-    from solvers.returns import return_distribution
+    from paper_repro.readings.ranking import ranked, sums
+    from solvers.values.returns import return_distribution
 
     laws = [
         return_distribution(view.mdp, view.study.policies[f"reported.{start}"]) for start in ORDER

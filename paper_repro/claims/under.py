@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mdp.table import Floats
 from paper_repro import reported
 from paper_repro.claims.claim import JOINT_LIMIT, READ_OFF_A_PLOT, STANDARD_ERRORS, Verdict
-from paper_repro.readings import Readings
+from paper_repro.readings.study import Readings
 
 Flags = NDArray[np.bool_]
 

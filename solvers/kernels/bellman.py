@@ -4,11 +4,11 @@ For an iterate V = h + c w, held as h (S,) and the shift c, the loops compute fr
 
     d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - leak(l) h(s),    d_c(l) = d(l) - c m(l)
 
-what pair l of state s would add to V(s); see `solvers.gains` for the form and its rounding errors,
-and `solvers.bounds` for weights w and margins m. Each reads a transition at most once: a sum, its
-flow, the greatest gain, the pair that has it and both bounds come out of one pass. All but `relax`
-write to each state's own place alone, so that blocks of states may run on several threads and give
-the same bits whatever their number.
+what pair l of state s would add to V(s); see `solvers.bounds.gains` for the form and its rounding
+errors, and `solvers.bounds.bounds` for weights w and margins m. Each reads a transition at most
+once: a sum, its flow, the greatest gain, the pair that has it and both bounds come out of one pass.
+All but `relax` write to each state's own place alone, so that blocks of states may run on several
+threads and give the same bits whatever their number.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SLACK = 1 + 2.0**-20
 
 @inlined
 def gamma(terms: float) -> float:
-    """As `solvers.rounding.gamma`."""
+    """As `solvers.bounds.gains.gamma`."""
     count = terms * UNIT
     return count / (1 - count) * (1 + 4 * UNIT)
 

@@ -26,7 +26,7 @@ ALWAYS, LAST_COMPLETED, NONE_SKIPPED = 0, 1, 2
 
 
 class Care(NamedTuple):
-    """How a care model follows from the numbers of its tables; made by `solvers.care_batch`.
+    """How a care model follows from the numbers of its tables; made by `solvers.care`.
 
     A vector of numbers holds the P parameters, 0, and the discount.
 

@@ -1,4 +1,7 @@
-"""The loops of the operator form of the care model; see `mdp.operator` and `solvers.operator`."""
+"""The loops of the operator form of the care model.
+
+See `mdp.care.operator` for the form and `solvers.dynamic.operator` for the algorithm.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ def expect(
     Parameters
     ----------
     chance, ready : (2^n, n), (n, 2)
-        Of one rule; see `mdp.operator.Law`.
+        Of one rule; see `mdp.care.operator.Law`.
     even, odd : (n, 2^(n-1))
         Room for what is folded at each depth.
     kept, places : (n+1, n+1), (n+1, 5) ints
@@ -121,7 +124,7 @@ def induce(
     total: Floats,
     q: Floats,
 ) -> None:
-    """Do what `solvers.operator.induce` does for a model whose law is a small matrix.
+    """Do what `solvers.dynamic.operator.induce` does for a model whose law is a small matrix.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from solvers.kernels.compiling import compiled
 
 
 class Tables(NamedTuple):
-    """A model laid out for sampling; made by `solvers.sampler`.
+    """A model laid out for sampling; made by `solvers.learning.sampler`.
 
     A position is the number of a pair; behind those come the actions that terminal states are
     given where a learner looks beyond the end. An entry is a number in a flat (K·A,) Q-table.

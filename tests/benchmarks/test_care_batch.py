@@ -13,7 +13,7 @@ import pytest
 
 from mdp import MDP, Scenario
 from solvers import solve
-from solvers.care_batch import optimal, policy_values
+from solvers.care import optimal, policy_values
 
 pytestmark = pytest.mark.bench
 

@@ -15,7 +15,7 @@ from strategies import model_of
 from mdp import MDP, Scenario
 from mdp.bellman import bellman_rows
 from solvers import certify
-from solvers.exact import solve_exactly
+from solvers.proof.exact import solve_exactly
 
 pytestmark = pytest.mark.bench
 

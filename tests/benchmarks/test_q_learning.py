@@ -13,9 +13,9 @@ import pytest
 
 from mdp import MDP, Scenario
 from mdp.environment import YUAN2025
-from solvers.q_learning import QLearning, Trainer
-from solvers.sampler import child, rows_of
-from solvers.training import train_many
+from solvers.learning.q_learning import QLearning, Trainer
+from solvers.learning.sampler import child, rows_of
+from solvers.learning.training import train_many
 
 pytestmark = pytest.mark.bench
 

@@ -14,7 +14,7 @@ import pytest
 from mdp import MDP, ModelError
 from mdp.table import OutcomeTable, ones
 from solvers import SolverError, certify, evaluate, solve
-from solvers.certificate import BoundedCertificate, Certificate
+from solvers.proof.certificate import BoundedCertificate, Certificate
 
 
 @pytest.mark.parametrize("stay", [1.0, 1 + 2.0**-52, 1 + 2.0**-40])

@@ -9,14 +9,14 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.compare import check
-from analysis.regret import regret
+from analysis.gate.check import check
+from analysis.gate.regret import regret
 from mdp import MDP
 from mdp.errors import ModelError
-from mdp.load import save_model
-from mdp.policy import Policy
-from solvers.policy_chain import PolicyChain
-from solvers.returns import return_distribution
+from mdp.io.load import save_model
+from mdp.policies.policy import Policy
+from solvers.values.policy_chain import PolicyChain
+from solvers.values.returns import return_distribution
 
 TINY = Fraction(1, 10**30)
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from cli_runner import run
 
-from analysis.compare import check
-from analysis.exact_policy import exact_visits
+from analysis.gate.check import check
+from analysis.gate.exact_policy import exact_visits
 from mdp import MDP
-from mdp.load import save_model
-from solvers.policy_chain import PolicyChain
-from solvers.visits import visits
+from mdp.io.load import save_model
+from solvers.values.policy_chain import PolicyChain
+from solvers.values.visits import visits
 
 HARDLY = Fraction(1, 10**20)
 

@@ -21,7 +21,7 @@ from analysis.sensitivity import (
     tornado,
     two_way,
 )
-from analysis.sensitivity.gradient_result import Checked
+from analysis.sensitivity.gradient import Checked
 from mdp import MDP, ModelError, Parameter, Scenario
 from mdp.parametric import Family, moving, parametric, room_of
 from mdp.row_change import pieces, row_change

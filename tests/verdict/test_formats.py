@@ -17,8 +17,8 @@ from saved_models import MODELS
 
 from analysis.cli import cli
 from mdp import MDP, Column, ModelError, StateSpace
-from mdp.interop import umb
-from mdp.load import load, load_model, save_model
+from mdp.io import umb
+from mdp.io.load import load, load_model, save_model
 from mdp.table import OutcomeTable
 
 FORMATS = ("npz", "umb")

@@ -11,11 +11,11 @@ from cli_runner import run
 
 from analysis import assert_policy_optimal, check
 from mdp import MDP, ModelError, Policy
-from mdp.load import save_model
-from mdp.policy import taken
+from mdp.io.load import save_model
+from mdp.policies.policy import taken
 from solvers import evaluate
-from solvers.returns import return_distribution
-from solvers.simulation import simulate
+from solvers.values.returns import return_distribution
+from solvers.values.simulate import simulate
 
 BOTH = np.array([[0.5, 0.5], [0.1, 0.9]])
 

@@ -10,10 +10,10 @@ from cli_runner import run
 from hypothesis import given, settings
 from strategies import Rows, models
 
-import analysis.compare
+import analysis.gate.check
 from analysis import check
 from mdp import MDP, ModelError
-from mdp.load import save_model
+from mdp.io.load import save_model
 from solvers import Bounded, Certified, Claim
 
 

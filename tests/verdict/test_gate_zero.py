@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis import assert_policy_optimal, check
-from analysis.forgiveness import of_floats
+from analysis.gate.forgiveness import of_floats
 from mdp import MDP
 from solvers import Claim
 

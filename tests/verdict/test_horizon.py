@@ -15,9 +15,9 @@ from cli_runner import run, strict
 from analysis import assert_policy_optimal, check
 from mdp import MDP, ModelError, Policy, Scenario
 from mdp.fingerprint import fingerprint
-from mdp.interop import npz
+from mdp.io import npz
 from solvers import certify, evaluate, return_distribution, simulate, solve
-from solvers.policy_iteration import PolicyIteration
+from solvers.dynamic.policy_iteration import PolicyIteration
 
 LAKE, WIDE = "FrozenLake-v1", "FrozenLake8x8-v1"
 OPTIMA = {LAKE: (100, 0.7441903), WIDE: (200, 0.9132202)}
@@ -377,7 +377,7 @@ def test_an_operator_takes_no_horizon() -> None:
 
 def test_a_file_of_before_has_no_limit(tmp_path: Path) -> None:
     """Files that were written without the field are read as they were."""
-    from mdp.interop.npz_header import as_header, parts_of
+    from mdp.io.npz import as_header, parts_of
 
     mdp = MDP.from_gymnasium(LAKE)
     header = json.loads(json.dumps(as_header(mdp)))

@@ -8,7 +8,7 @@ from cli_runner import run
 
 from mdp import MDP, ModelError
 from mdp.table import beside
-from solvers.pieces import write_piece
+from solvers.parallel.pieces import write_piece
 
 
 @pytest.mark.parametrize(

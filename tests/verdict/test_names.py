@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from analysis import cli
-from analysis.junit import Case, junit
+from analysis.gate.junit import Case, junit
 from analysis.plots.style import plain_text, save, style
 from mdp import MDP, Column, ModelError, Parameter, Policy, Scenario, StateSpace
+from mdp.care.toml import parse
 from mdp.errors import UNSAFE, shown_text
-from mdp.interop import npz, umb
+from mdp.io import npz, umb
 from mdp.parametric import Family
-from mdp.scenario_file import parse
 
 BAD = [
     *map(chr, range(0x20)), *map(chr, range(0x7F, 0xA0)), *map(chr, range(0x202A, 0x202F)),

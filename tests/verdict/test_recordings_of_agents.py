@@ -12,16 +12,15 @@ import pytest
 from click.testing import CliRunner
 
 from mdp import ModelError, Scenario
-from paper_repro.agents import model_file
+from paper_repro.agents import local as model_file
 from paper_repro.agents.__main__ import main
-from paper_repro.agents.activity import FOLDER as ACTIVITIES
-from paper_repro.agents.activity import Activity
-from paper_repro.agents.chat import Style, ask
-from paper_repro.agents.perception_files import Notebook
+from paper_repro.agents.chat import Style, ask, execution_schema
+from paper_repro.agents.measure import Notebook
+from paper_repro.agents.modules import FOLDER as ACTIVITIES
+from paper_repro.agents.modules import Activity
 from paper_repro.agents.prompts import FOLDER, Prompts
 from paper_repro.agents.protocol import Request
 from paper_repro.agents.recording import read
-from paper_repro.agents.schema import execution_schema
 from paper_repro.agents.scripted import Scripted
 from paper_repro.agents.session import NAME, Recorded, hold, replayed
 from paper_repro.agents.setup import conversation, modules_of, recorded
@@ -108,7 +107,7 @@ def test_tokens_that_were_not_counted_are_not_none(usage: object) -> None:
 
 def test_a_cost_without_all_counts_is_a_least_one(capsys: pytest.CaptureFixture[str]) -> None:
     """'at least' stands before tokens and cost where an answer was not counted."""
-    from paper_repro.agents.cli_backend import tell_use
+    from paper_repro.agents.cli import tell_use
 
     used = {"attempts": 3, "prompt_tokens": 200, "completion_tokens": 20}
     tell_use(used, (1.0, 1.0), 1)

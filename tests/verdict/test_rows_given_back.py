@@ -12,15 +12,15 @@ from mixed_numbers import again, rows_of
 
 from analysis import check
 from mdp import MDP, ModelError, Scenario
-from mdp.interop.npz import load, save
-from mdp.perception import independent
+from mdp.care.perception import independent
+from mdp.io.npz import load, save
 from solvers import ValueIteration, certify, evaluate, solve
-from solvers.ambiguity import Intervals
-from solvers.belief import Process
-from solvers.policy_chain import PolicyChain
-from solvers.pomdp import solve_beliefs
-from solvers.returns import return_distribution
-from solvers.robust import solve_robust
+from solvers.pomdp.belief import Process
+from solvers.pomdp.pomdp import solve_beliefs
+from solvers.robust.robust import solve_robust
+from solvers.robust.sets import Intervals
+from solvers.values.policy_chain import PolicyChain
+from solvers.values.returns import return_distribution
 
 
 def dense(seed: int) -> MDP:

@@ -22,9 +22,9 @@ from analysis.sensitivity import (
     tornado,
 )
 from mdp import Scenario, ScenarioWarning
-from mdp.chances import chances, excess
-from mdp.scenario import READINGS
-from solvers.care_batch import optimal, policy_values
+from mdp.care.laws import chances, excess
+from mdp.care.scenario import READINGS
+from solvers.care import optimal, policy_values
 
 SMALL = {"tasks": [1], "max_trial": 2}
 ADDITIVE = {"influence_on_present": "additive"}

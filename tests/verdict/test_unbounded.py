@@ -65,7 +65,7 @@ def test_nothing_earned_is_exactly_nothing() -> None:
 def test_the_command_tells_what_is_unknown(tmp_path: object) -> None:
     from pathlib import Path
 
-    from mdp.interop import npz
+    from mdp.io import npz
 
     path = Path(str(tmp_path)) / "late.npz"
     stay = 1 - F(1, 10**19)

@@ -17,8 +17,8 @@ import scipy.sparse.linalg
 
 from mdp import MDP
 from solvers import BackwardInduction, LinearProgram, certify, evaluate, solve
-from solvers.elimination import substitution
-from solvers.sources import PACKAGES, ROOT
+from solvers.bounds.elimination import substitution
+from solvers.parallel.sources import PACKAGES, ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 LOCKS = ("requirements.lock", "requirements-lowest.lock", "requirements-uv.lock")

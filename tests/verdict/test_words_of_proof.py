@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from cli_runner import run
 
+from analysis.gate.column_policies import best_policy
 from analysis.sensitivity import psa, sobol
-from analysis.status_policies import best_policy
 from mdp import MDP, ModelError, Policy
 from mdp.parametric import moving
 

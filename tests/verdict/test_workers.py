@@ -21,10 +21,10 @@ from cli_runner import run
 from pieces_of_work import KEY, WANTED, draws, same
 
 from mdp import ModelError
-from solvers import cluster as cluster_module
-from solvers import many as many_module
 from solvers import sources
-from solvers.many import many
+from solvers.parallel import cluster as cluster_module
+from solvers.parallel import many as many_module
+from solvers.parallel.many import many
 
 pytestmark = pytest.mark.xdist_group("cluster")
 
@@ -116,8 +116,8 @@ metadata.version = version
 """
 SILENT = """
 import time
-import solvers.sources
-solvers.sources.here = lambda: time.sleep(30)
+import solvers.parallel.sources
+solvers.parallel.sources.here = lambda: time.sleep(30)
 """
 
 
@@ -161,7 +161,7 @@ def test_a_worker_without_the_packages_is_refused(
     (tmp_path / "empty" / "solvers" / "__init__.py").write_text("")
     bad = hire("bad", tmp_path / "empty")
     error = refused(scheduler.scheduler_address)
-    assert f"{bad}: ModuleNotFoundError: No module named 'solvers.sources'" in error.what
+    assert f"{bad}: ModuleNotFoundError: No module named 'solvers.parallel.sources'" in error.what
 
 
 def test_a_worker_that_does_not_answer_is_refused(scheduler: Any, hire: Hire) -> None:
@@ -264,7 +264,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from pieces_of_work import KEY, draws
-from solvers.many import many
+from solvers.parallel.many import many
 from mdp import ModelError, model
 
 if __name__ == "__main__":
@@ -305,4 +305,4 @@ def test_the_digest_covers_every_module() -> None:
         if path.suffix in {".py", ".toml"}
     }
     assert listed == wanted
-    assert Path("solvers/many.py") in listed
+    assert Path("solvers/parallel/many.py") in listed

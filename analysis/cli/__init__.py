@@ -1,0 +1,95 @@
+"""The program `exact-mdp` and its commands; `analysis.exit_status` says how it ends.
+
+A failure is told on standard error as what, where and fix, with nothing on standard output. To add
+a command, write it and name it in COMMANDS.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import click
+
+from analysis.cli.check import check
+from analysis.cli.evaluate import evaluate, returns, simulate
+from analysis.cli.model import convert, info
+from analysis.cli.perception import perception
+from analysis.cli.sensitivity import sensitivity
+from analysis.cli.solve import solve
+from analysis.cli.train import train
+from analysis.cli.verify import verify
+from analysis.exit_status import Told, leave, run
+
+PROGRAM = "exact-mdp"
+COMMANDS = (
+    info,
+    solve,
+    evaluate,
+    returns,
+    simulate,
+    verify,
+    convert,
+    check,
+    train,
+    sensitivity,
+    perception,
+)
+
+
+@click.group(
+    commands=COMMANDS,
+    no_args_is_help=False,
+    epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved .npz or .umb "
+    "model, or gymnasium:ID.",
+)
+@click.version_option(package_name=PROGRAM, message="%(prog)s %(version)s")
+def cli() -> None:
+    """Exact analysis of finite Markov decision processes."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The words after the program's name; those of this process unless given.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    status = run(cli, PROGRAM, words, told=_reporting(words))
+    if arguments is None:
+        leave(status)
+    return status
+
+
+def _reporting(words: list[str]) -> Told | None:
+    """Let the JUnit report of a check say at once that it has not ended, and later why it did not.
+
+    So no report of an earlier run stays, whatever becomes of this one.
+    """
+    if next((word for word in words if not word.startswith("-")), None) != check.name:
+        return None
+    rest = words[words.index(check.name) + 1 :]
+    if {"--help"} & set(rest):
+        return None
+    anything = {"ignore_unknown_options": True, "allow_extra_args": True}
+    with check.make_context(check.name, rest, resilient_parsing=True, **anything) as context:
+        path, model = context.params.get("junit"), context.params.get("model") or "?"
+    if not isinstance(path, str) or not path.lower().endswith(".xml"):
+        return None  # the command refuses it
+    if not Path(path).parent.is_dir():
+        return None
+
+    def write(message: str) -> None:
+        from analysis.gate.junit import Case, write_junit
+
+        first = message.partition("\n")[0]
+        case = Case(name="check", error=first, text=message)
+        with suppress(ValueError, OSError):  # told by the command, or about something worse
+            write_junit(path, f"{PROGRAM} check {model}", [case], seconds=0.0, properties={})
+
+    write("the check did not end: the process was killed, or is still at work")
+    return lambda _, message: write(message)

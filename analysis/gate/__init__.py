@@ -1,0 +1,1 @@
+"""Is a learned policy right? Its regret, where it errs, and why."""

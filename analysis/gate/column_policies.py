@@ -1,0 +1,319 @@
+"""The best policy that reads some columns of the state only, with a proof that it is the best.
+
+A policy over the statuses cannot act differently in different trials. How much is lost by that
+alone, whatever the learning, is
+
+    V*(start) - max over policies π that read the columns of V^π(start),
+
+a combinatorial problem (NP-hard: Littman, Memoryless policies, From Animals to Animats 3, 1994).
+Below: coordinate ascent, every change of one row evaluated. Above: branch and bound (Land and Doig,
+Econometrica 28, 1960). A node allows a set of actions in each row; its bound lets every state
+choose among them knowing the full state (`analysis.gate.relaxation`), and it comes with a policy.
+The node of the greatest bound is split, at the row that costs its policy the most.
+
+Deterministic policies are meant. A mixed one that reads the same columns can be worth more than all
+of them, but never more than V*(start), the bound at the root: `mixed_upper_bound`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import combinations, count
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.policies.policy import Policy
+from mdp.table import Floats, Integers
+from solvers.solution import Bounded
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+WORK = 2**25  # transitions times relaxations, unless a limit is given
+PROVEN = 1e-9  # of |value|; see `is_proven`
+ALL_SETS = 3  # further columns of which every set is tried
+ROWS_TRIED = 64  # rows that one step of the ascent tries to change
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BestPolicy:
+    """The best policy found that reads some columns, and how good any other can be.
+
+    Attributes
+    ----------
+    columns : tuple of str
+    policy : Policy
+    value : Bounded
+        Its value at the start.
+    upper_bound : float
+        No deterministic policy that reads these columns is worth more at the start.
+    mixed_upper_bound : float
+        No policy at all is worth more: the optimal value, which bounds mixed ones, too.
+    proven : bool
+        Whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding; see
+        `is_proven`.
+    nodes : int
+        Relaxations solved.
+    """
+
+    columns: tuple[str, ...]
+    policy: Policy
+    value: Bounded
+    upper_bound: float
+    mixed_upper_bound: float
+    proven: bool
+    nodes: int
+
+
+def best_policy(
+    mdp: MDP,
+    columns: Sequence[str] = ("status",),
+    *,
+    start: Policy | None = None,
+    node_limit: int | None = None,
+) -> BestPolicy:
+    """Return the best deterministic policy that reads `columns`, and an upper bound on all.
+
+    Parameters
+    ----------
+    mdp : MDP
+    columns : names of columns of the model's states; none for one action throughout
+    start : Policy, optional
+        A policy that reads these columns, to begin from as well.
+    node_limit : int, optional
+        Relaxations to solve at most; by the model's size unless given, from 100 to 5,000. Where the
+        search ends there, the upper bound is sound all the same, and `proven` is false.
+
+    Raises
+    ------
+    ModelError
+        For an unknown column, where states that look alike have no action in common, and at
+        discount 1 where not every policy ends.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> best = best_policy(Scenario.load("yuan2025").compile(), ("status",))
+    >>> best.proven, round(best.value.value, 6), best.mixed_upper_bound < 146.2359
+    (True, 146.235871, True)
+    """
+    if node_limit is None:
+        node_limit = max(100, min(5000, WORK // mdp.n_transitions))
+    if node_limit < 1:
+        raise ModelError(f"node_limit is {node_limit}", where="best_policy", fix="give 1 or more")
+    rows = Rows.of(mdp, columns)
+    return searched(rows, Relaxations(rows), start=start, node_limit=node_limit)
+
+
+def searched(
+    rows: Rows, relaxations: Solver, *, start: Policy | None, node_limit: int
+) -> BestPolicy:
+    """Return what branch and bound finds among the policies that read some columns.
+
+    Parameters
+    ----------
+    relaxations : what bounds and evaluates them: `Relaxations(rows)`, or another with its methods
+    start, node_limit : as in `best_policy`
+    """
+    search = _Search(rows, relaxations, start)
+    search.run(node_limit)
+    value = Bounded(value=search.value, error=search.error)
+    upper = max(search.upper, value.interval[0])
+    return BestPolicy(
+        columns=rows.space.names,
+        policy=rows.policy(search.choice),
+        value=value,
+        upper_bound=upper,
+        mixed_upper_bound=search.root_upper,
+        proven=is_proven(value, upper),
+        nodes=search.nodes,
+    )
+
+
+def is_proven(value: Bounded, upper: float) -> bool:
+    """Return whether nothing is worth more than a value, up to 1e-9 of it, or to its own error.
+
+    Small rewards are rewards: the error has to be small by itself, and may count beside a value of
+    0 alone.
+
+    Examples
+    --------
+    >>> is_proven(Bounded(value=1.0, error=1e-15), 1 + 5e-10)
+    True
+    >>> is_proven(Bounded(value=1e-14, error=1e-29), 2e-14)
+    False
+    """
+    left, size = upper - (value.value - value.error), abs(value.value)
+    return left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error)
+
+
+def value_of_memory(
+    mdp: MDP,
+    columns: Sequence[str] = ("status",),
+    *,
+    known: Sequence[BestPolicy] = (),
+    node_limit: int | None = None,
+) -> tuple[BestPolicy, ...]:
+    """Return the best policy for `columns`, and for them with each set of further columns.
+
+    What remembering a counter is worth is the difference between two of the values. Where more than
+    three columns are left, only each of them and all of them are added.
+
+    Parameters
+    ----------
+    known : best policies for some of the sets, optional
+    node_limit : int, optional
+        See `best_policy`.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
+    >>> [best.columns for best in value_of_memory(mdp, ("subtask", "status"))]
+    [('subtask', 'status'), ('subtask', 'trial', 'status')]
+    """
+    names = mdp.space.names
+    for name in columns:
+        mdp.space.column(name)
+    others = [name for name in names if name not in columns]
+    done = {frozenset(best.columns): best for best in known}
+    found = []
+    sizes = range(len(others) + 1) if len(others) <= ALL_SETS else (0, 1, len(others))
+    for size in sizes:
+        for more in combinations(others, size):
+            read = tuple(name for name in names if name in columns or name in more)
+            best = done.get(frozenset(read))
+            found.append(best or best_policy(mdp, read, node_limit=node_limit))
+    return tuple(found)
+
+
+class Solver(Protocol):
+    """Bounds and values of many nodes at once; see `analysis.gate.relaxation.Relaxations`."""
+
+    @property
+    def batch(self) -> int: ...
+
+    def expand(self, allowed: Flags, worth: float = ...) -> Expansion: ...
+
+    def evaluate(self, choices: Integers) -> tuple[Floats, Floats]: ...
+
+
+class _Search:
+    """The best policy so far, and what bounds the others.
+
+    Attributes
+    ----------
+    value, error, choice
+        The best policy: value at the start, bound on its error, actions (K,).
+    upper : float
+        No policy is worth more.
+    """
+
+    def __init__(self, rows: Rows, relaxations: Solver, start: Policy | None) -> None:
+        self.rows = rows
+        self.relaxations = relaxations
+        self.nodes = 0
+        self.value, self.error = -np.inf, 0.0
+        self.choice: Integers = np.zeros(len(rows.asked), dtype=np.int64)
+        # A row that is never asked takes the first action that it has.
+        self.root = rows.available & (
+            rows.asked[:, None] | one_hot(rows.available.argmax(axis=1), rows.mdp.n_actions)
+        )
+        self.cut = -np.inf
+        first, (self.split,) = self._expand(self.root[None])
+        self.root_upper = self.upper = float(first.upper[0])
+        if start is not None:
+            self._offer(rows.choices(start)[None])
+        self._ascend(first.loss[0])
+
+    def run(self, limit: int) -> None:
+        """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
+        from tqdm import tqdm
+
+        with tqdm(desc="policies", unit=" nodes", delay=1, disable=None, leave=False) as bar:
+            self._run(limit, bar)
+
+    def _run(self, limit: int, bar: tqdm[Any]) -> None:
+        heap, number = [(-self.upper, 0, self.root, self.split)], count(1)
+        while heap:
+            children = list[Flags]()
+            while heap and len(children) < self.relaxations.batch:
+                bound, _, node, row = heap[0]
+                done = -bound <= self.worth or node[row].sum() <= 1
+                if not done and self.nodes + len(children) >= limit:
+                    break
+                heappop(heap)
+                if done:
+                    self.cut = max(self.cut, -bound)
+                else:
+                    children += _split(node, row)
+            if not children:
+                break
+            for nodes in _batches(np.array(children), self.relaxations.batch):
+                found, rows = self._expand(nodes)
+                bar.update(len(nodes))
+                for i, row in zip(found.kept.tolist(), rows, strict=True):
+                    heappush(heap, (-found.upper[i], next(number), nodes[i], row))
+        self.upper = min(self.upper, max(self.cut, *(-entry[0] for entry in heap[:1]), -np.inf))
+
+    @property
+    def worth(self) -> float:
+        """What a bound must exceed for its node to be worth splitting."""
+        if self.nodes == 0:
+            return -np.inf
+        return self.value + 4 * self.error + 1e-13 * abs(self.value)
+
+    def _expand(self, nodes: Flags) -> tuple[Expansion, list[int]]:
+        """Return what is known of nodes (N, K, A), and the row to split each that is kept at."""
+        found = self.relaxations.expand(nodes, self.worth)
+        self.nodes += len(nodes)
+        self.cut = max(self.cut, float(np.delete(found.upper, found.kept).max(initial=-np.inf)))
+        self._offer(found.choice[found.value > self.value])
+        open_rows = nodes[found.kept].sum(axis=2) > 1
+        return found, np.where(open_rows, found.loss, -1.0).argmax(axis=1).tolist()
+
+    def _offer(self, choices: Integers) -> bool:
+        """Keep the best of some policies (N, K) if it beats the one at hand by over rounding."""
+        if not len(choices):
+            return False
+        values, errors = self.relaxations.evaluate(choices)
+        best = int(np.argmax(values))
+        if not values[best] > self.value + errors[best] + self.error:
+            return False
+        self.value, self.error = float(values[best]), float(errors[best])
+        self.choice = choices[best]
+        return True
+
+    def _ascend(self, loss: Floats) -> None:
+        """Change one of the rows that cost most, each time for the best, until no change helps."""
+        tried = np.argsort(-loss, kind="stable")[:ROWS_TRIED]
+        tried = tried[loss[tried] > 0]
+        place, action = np.nonzero(self.root[tried])
+        better = len(place) > 0
+        while better:
+            choices = np.repeat(self.choice[None], len(place), axis=0)
+            choices[np.arange(len(place)), tried[place]] = action
+            better = self._offer(choices)
+
+
+def _batches(items: NDArray[Any], size: int) -> Iterator[NDArray[Any]]:
+    for first in range(0, len(items), size):
+        yield items[first : first + size]
+
+
+def _split(node: Flags, row: int) -> list[Flags]:
+    """Return the nodes (K, A) in which one row takes each of its actions."""
+    children = []
+    for action in np.flatnonzero(node[row]):
+        child = node.copy()
+        child[row] = False
+        child[row, action] = True
+        children.append(child)
+    return children

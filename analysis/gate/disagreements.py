@@ -1,0 +1,211 @@
+"""Where a policy does not act optimally, and what each such state costs.
+
+Three prices for a state s, each an expectation from the start (d: discounted visits):
+
+    cost               d_π(s) gap(s, π(s))            these sum to the regret of the policy π
+    gain if corrected  V^π' - V^π at the start        π' acts optimally in s and like π elsewhere
+    loss if alone      V* - V^σ at the start          σ acts like π in s, and optimally elsewhere
+
+The first two vanish where π never comes; the last one may not: it says what the state costs once
+everything else is right. A gain is negative where the optimal action relies on others to come. To
+change a policy in s alone changes the value at the start by
+
+    δ d(s) / (1 - Δ N e_s),    N = (I - γ P)⁻¹
+
+where δ is the advantage of the change under the policy's own values, Δ what it does to the row of s
+of γ P, and N e_s how often s is visited from each state (Sherman and Morrison, Annals of
+Mathematical Statistics 21, 1950). Without a way back to s the divisor is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from analysis.gate.exact_policy import exact_visits
+from analysis.gate.regret import Regret
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers.bounds.bounds import levels
+from solvers.bounds.gains import gains
+from solvers.solution import Certified, SolverError
+from solvers.values.policy_chain import PolicyChain
+from solvers.values.visits import visits
+
+PRICED = 50  # states in which changes are priced, in large models with cycles
+LARGE = 500  # states
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disagreement:
+    """A state in which a policy does something that is not optimal.
+
+    Attributes
+    ----------
+    state : int
+    label : str
+    learned : str
+        The action taken; where the policy mixes, "P ACTION, …" with their probabilities.
+    optimal : tuple of str
+        All optimal actions.
+    gap : float
+        Optimal value of the state less that of doing this once and acting optimally from then on.
+    expected_visits : float
+        Discounted visits of the policy from the start; at discount 1 their expected number.
+    cost : float
+        expected_visits · gap; these sum to the regret.
+    gain_if_corrected : float or None
+        What the policy's value at the start gains if this state alone is put right.
+    loss_if_alone : float or None
+        What the optimal value at the start loses if this state alone is got wrong.
+        Both are None beyond the 50 costliest states of a model with cycles and over 500 states,
+        and in models where floating point cannot bound the visits.
+    """
+
+    state: int
+    label: str
+    learned: str
+    optimal: tuple[str, ...]
+    gap: float
+    expected_visits: float
+    cost: float
+    gain_if_corrected: float | None
+    loss_if_alone: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Visits:
+    """Discounted visits of a policy from the start.
+
+    Attributes
+    ----------
+    value : (S,)
+        Exactly 0 in states that are not reached.
+    floats : bool
+        Whether they are from floating point. Rational arithmetic takes over where this cannot bound
+        them.
+    """
+
+    value: Floats
+    floats: bool
+
+
+def own_visits(chain: PolicyChain, *, exact: bool) -> Visits:
+    """Return the visits of a policy.
+
+    Parameters
+    ----------
+    chain : PolicyChain
+    exact : bool
+        Whether rational arithmetic may be used: where the regret is certified, it is quick enough.
+
+    Raises
+    ------
+    SolverError
+        Where floating point cannot bound the visits, and `exact` is False.
+    """
+    try:
+        found = visits(chain.mdp, chain.discounted).value
+    except SolverError:
+        if not exact:
+            raise
+        return Visits(value=exact_visits(chain), floats=False)
+    return Visits(value=np.where(chain.reached, found, 0.0), floats=True)
+
+
+def disagreements(
+    mdp: MDP, chain: PolicyChain, found: Regret, seen: Visits
+) -> tuple[Disagreement, ...]:
+    """Return every state with a choice in which the policy may not act optimally, costliest first.
+
+    Parameters
+    ----------
+    chain : PolicyChain
+        The model under the policy.
+    found : Regret
+        Its regret.
+    seen : Visits
+        Its `own_visits`.
+    """
+    visited = seen.value
+    first = mdp.pair_offsets[:-1]
+    gap = np.add.reduceat(chain.weights * found.gap, first)
+    wrong = np.add.reduceat(chain.weights * ~found.optimal_pairs, first) > 0
+    states = np.flatnonzero(wrong & ~mdp.terminal)
+    cost = visited * gap
+    states = states[np.lexsort((states, -gap[states], -cost[states]))]
+    number = np.where(found.optimal_pairs, np.arange(mdp.n_pairs), mdp.n_pairs)
+    best = PolicyChain(mdp=mdp, chosen=np.zeros(mdp.n_pairs))
+    best.chosen[np.minimum.reduceat(number, first)] = 1.0
+    cheap = levels(mdp) is not None or mdp.n_states <= LARGE
+    priced = states if cheap else states[:PRICED]
+    other = own_visits(best, exact=isinstance(found.at_start, Certified))
+    prices: Iterator[tuple[float, float]] = iter(())
+    if seen.floats and other.floats:
+        corrected = _changes(chain, found.learned_value, visited, best, priced)
+        losses = -_changes(best, found.optimal_value, other.value, chain, priced)
+        prices = zip(corrected.tolist(), losses.tolist(), strict=True)
+    listed = []
+    for state in states.tolist():
+        gain, loss = next(prices, (None, None))
+        listed.append(
+            Disagreement(
+                state=state,
+                label=mdp.space.label(state),
+                learned=_action(chain, state),
+                optimal=_optimal(mdp, found, state),
+                gap=float(gap[state]),
+                expected_visits=float(visited[state]),
+                cost=float(cost[state]),
+                gain_if_corrected=gain,
+                loss_if_alone=loss,
+            )
+        )
+    return tuple(listed)
+
+
+def _changes(
+    chain: PolicyChain, value: Floats, visited: Floats, other: PolicyChain, states: Integers
+) -> Floats:
+    """Return what the start gains if a policy does in one state as another does, state by state.
+
+    Parameters
+    ----------
+    chain, value, visited : PolicyChain, (S,), (S,)
+        The policy with its values and visits.
+    """
+    mdp = chain.mdp
+    known, used = np.nan_to_num(value), other.pairs
+    shape = (mdp.n_states, mdp.n_pairs)
+    mixing = sp.csr_array((other.weights[used], (mdp.pair_state[used], used)), shape)[states]
+    gain = mixing @ gains(mdp, known).value  # Q - V without taking the difference of large numbers
+    change = np.where(visited[states] > 0, visited[states] * gain, 0.0)
+    if levels(mdp) is not None:
+        return change
+    after = mixing @ mdp.transition - chain.transition[states]
+    for place in np.flatnonzero(change).tolist():
+        unit = np.zeros(mdp.n_states)
+        unit[states[place]] = 1.0
+        returns = chain.discounted.approximate(unit)
+        change[place] /= 1 - mdp.discount * float((after[[place]] @ returns)[0])
+    return change
+
+
+def _action(chain: PolicyChain, state: int) -> str:
+    mdp = chain.mdp
+    taken = [pair for pair in mdp.pairs_of(state) if chain.weights[pair] > 0]
+    names = [mdp.actions[mdp.pair_action[pair]] for pair in taken]
+    if len(names) == 1:
+        return names[0]
+    return ", ".join(f"{chain.weights[p]:.4g} {name}" for p, name in zip(taken, names, strict=True))
+
+
+def _optimal(mdp: MDP, found: Regret, state: int) -> tuple[str, ...]:
+    return tuple(
+        mdp.actions[mdp.pair_action[pair]]
+        for pair in mdp.pairs_of(state)
+        if found.optimal_pairs[pair]
+    )

@@ -1,0 +1,242 @@
+"""What a mixed policy is worth in rational arithmetic, and each pair's exact distance to the best.
+
+A state in which a policy takes pair l with probability π(l) has the row Σ_l π(l) P_l and the reward
+Σ_l π(l) r(l). These are built in integers from the Bellman rows of the model and the exact
+probabilities of the actions. The values that come out are put into their equations. That these have
+one solution is known wherever the optimum has been proven: a rank that falls along every pair, or
+w > γ P w, holds for mixtures of rows, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from math import lcm
+from typing import Protocol
+
+import numpy as np
+
+from mdp.bellman import BellmanRows, bellman_rows
+from mdp.model import MDP
+from mdp.table import Floats, Integers, divide, in_proportion, integers
+from solvers.proof.exact import ExactValues, solve_exactly
+from solvers.proof.rationals import fraction
+from solvers.values.policy_chain import PolicyChain
+
+
+class Values(Protocol):
+    """Exact values V(s) = numerator[s] / denominator[group[s]]."""
+
+    @property
+    def numerator(self) -> Sequence[int]: ...
+    @property
+    def group(self) -> Integers: ...
+    @property
+    def denominator(self) -> Sequence[int]: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExactPolicy:
+    """Exact values of a policy, deterministic or mixed.
+
+    Attributes
+    ----------
+    mdp : MDP
+    numerator, group, denominator : sequences of int
+        V(s) = numerator[s] / denominator[group[s]].
+    """
+
+    mdp: MDP
+    numerator: Sequence[int]
+    group: Integers
+    denominator: Sequence[int]
+
+    @cached_property
+    def value_float(self) -> Floats:
+        """(S,) the values, each rounded once."""
+        below = [self.denominator[group] for group in self.group.tolist()]
+        return divide(np.array(self.numerator, object), np.array(below, object))
+
+    @cached_property
+    def value(self) -> list[Fraction]:
+        """The values of all states."""
+        below = (self.denominator[group] for group in self.group.tolist())
+        return [fraction(a, b) for a, b in zip(self.numerator, below, strict=True)]
+
+    @property
+    def start_value(self) -> Fraction:
+        """The value of the start distribution."""
+        states = ((state, weight) for state, weight in self.mdp.start)
+        return sum(
+            (
+                weight * Fraction(self.numerator[s], self.denominator[self.group[s]])
+                for s, weight in states
+            ),
+            Fraction(0),
+        )
+
+
+def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -> ExactPolicy:
+    """Return the exact values of a policy whose equations are known to have one solution.
+
+    Parameters
+    ----------
+    chain : PolicyChain
+    earned : (S,) Fractions, optional
+        What each state earns, in place of the model's rewards.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> exact_policy(PolicyChain.of(mdp, "random")).start_value
+    Fraction(2, 1)
+    """
+    mdp = chain.mdp
+    rows, times = mixed_rows(bellman_rows(mdp), chain), 1
+    if earned is not None:
+        times = lcm(*(number.denominator for number in earned))
+        scaled = zip(earned, rows.scale.tolist(), strict=True)
+        constant = [int(number * times) * scale for number, scale in scaled]
+        rows = replace(rows, constant=integers(constant))
+    found = solve_exactly(rows)
+    if not _holds(rows, found):
+        raise RuntimeError("exact values of a policy do not solve its equations")
+    return ExactPolicy(
+        mdp=mdp,
+        numerator=found.numerator,
+        group=found.group,
+        denominator=[below * times for below in found.denominator],
+    )
+
+
+def exact_visits(chain: PolicyChain) -> Floats:
+    """Return (S,) expected discounted visits from the start, each rounded once from a rational.
+
+    These solve the transposed equations d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached.
+    Terminal states count arrivals.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/3", 0, 1), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])]
+    >>> mdp = MDP.from_outcomes(rows)
+    >>> exact_visits(PolicyChain.of(mdp, [0, 0])).tolist()
+    [1.5, 1.0]
+    """
+    mdp = chain.mdp
+    rows = mixed_rows(bellman_rows(mdp), chain)
+    offsets, following = rows.offsets.tolist(), rows.next.tolist()
+    weight, scale = rows.weight.tolist(), rows.scale.tolist()
+    into: list[dict[int, Fraction]] = [{} for _ in range(mdp.n_states)]
+    for state in np.flatnonzero(chain.reached & ~mdp.terminal).tolist():
+        for i in range(offsets[state], offsets[state + 1]):
+            into[following[i]][state] = fraction(weight[i], scale[state])
+    first = [Fraction(0)] * mdp.n_states
+    for state, chance in mdp.start:
+        first[state] += chance
+    parts = zip(first, into, strict=True)
+    scales = [lcm(mu.denominator, *(p.denominator for p in row.values())) for mu, row in parts]
+    every = list(zip(scales, into, strict=True))
+    flow = BellmanRows(
+        pair_offsets=np.arange(mdp.n_states + 1),
+        terminal=np.zeros(mdp.n_states, dtype=bool),
+        scale=integers(scales),
+        constant=integers(int(mu * unit) for mu, unit in zip(first, scales, strict=True)),
+        offsets=np.concatenate([[0], np.cumsum([len(row) for row in into], dtype=np.int64)]),
+        next=np.array([s for row in into for s in sorted(row)], dtype=rows.next.dtype),
+        weight=integers(int(row[s] * unit) for unit, row in every for s in sorted(row)),
+    )
+    found = solve_exactly(flow)
+    if not _holds(flow, found):
+        raise RuntimeError("exact visits of a policy do not solve their equations")
+    below = [found.denominator[group] for group in found.group.tolist()]
+    return divide(np.array(found.numerator, object), np.array(below, object))
+
+
+def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
+    """Return the Bellman rows of the model in which each state has the policy's mixed pair."""
+    offsets, following, weight = rows.offsets.tolist(), rows.next.tolist(), rows.weight.tolist()
+    constant, scale = rows.constant.tolist(), rows.scale.tolist()
+    scales, constants, lengths = list[int](), list[int](), list[int]()
+    targets, weights = list[int](), list[int]()
+    for state in range(len(scale)):
+        chances = chain.exact_weights(state)
+        taken, shares = list(chances), in_proportion(list(chances.values()))
+        row: dict[int, int] = {}
+        for share, l in zip(shares, taken, strict=True):
+            for i in range(offsets[l], offsets[l + 1]):
+                row[following[i]] = row.get(following[i], 0) + share * weight[i]
+        scales.append(scale[state] * sum(shares))
+        constants.append(sum(share * constant[l] for share, l in zip(shares, taken, strict=True)))
+        lengths.append(len(row))
+        for target in sorted(row):
+            targets.append(target)
+            weights.append(row[target])
+    return BellmanRows(
+        pair_offsets=np.arange(len(scales) + 1),
+        terminal=rows.terminal,
+        scale=integers(scales),
+        constant=integers(constants),
+        offsets=np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]),
+        next=np.array(targets, dtype=rows.next.dtype),
+        weight=integers(weights),
+    )
+
+
+def exact_gaps(mdp: MDP, best: Values, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:
+    """Return V*(s) - Q*(l) of some pairs as numerator and denominator, both integers.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [["1/3", 3], [0, 0]])
+    >>> from solvers import certify
+    >>> top, bottom = exact_gaps(mdp, certify(mdp), [0])[0]
+    >>> Fraction(top, bottom)
+    Fraction(8, 3)
+    """
+    found: dict[int, tuple[int, int]] = {}
+    asked = list(pairs)
+    if not asked:
+        return found
+    rows = bellman_rows(mdp)
+    for l in asked:
+        state = int(mdp.pair_state[l])
+        part = slice(int(rows.offsets[l]), int(rows.offsets[l + 1]))
+        loss, unit = _loss(
+            best, state, int(rows.scale[state]), int(rows.constant[l]),
+            rows.next[part].tolist(), rows.weight[part].tolist(),
+        )  # fmt: skip
+        found[l] = loss, unit * int(rows.scale[state])
+    return found
+
+
+def _loss(
+    of: Values, state: int, scale: int, constant: int,
+    following: Sequence[int], weight: Sequence[int],
+) -> tuple[int, int]:  # fmt: skip
+    """Return scale · V - constant - Σ weight V' as an integer over a second one."""
+    below = of.denominator
+    own = below[of.group[state]]
+    unit = lcm(own, *{below[of.group[t]] for t in following})
+    later = sum(
+        w * of.numerator[t] * (unit // below[of.group[t]])
+        for t, w in zip(following, weight, strict=True)
+    )
+    return scale * of.numerator[state] * (unit // own) - constant * unit - later, unit
+
+
+def _holds(rows: BellmanRows, found: ExactValues) -> bool:
+    """Return whether values solve the equations of rows with one pair for each state."""
+    offsets, scale, constant = rows.offsets.tolist(), rows.scale.tolist(), rows.constant.tolist()
+    following, weight = rows.next.tolist(), rows.weight.tolist()
+    for state in range(len(scale)):
+        if rows.terminal[state]:
+            if found.numerator[state]:
+                return False
+            continue
+        part = slice(offsets[state], offsets[state + 1])
+        loss, _ = _loss(found, state, scale[state], constant[state], following[part], weight[part])
+        if loss:
+            return False
+    return True

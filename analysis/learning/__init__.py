@@ -1,0 +1,1 @@
+"""What learning ends with, judged by exact values."""

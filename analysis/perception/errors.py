@@ -1,0 +1,178 @@
+"""Which errors of perception cost a policy most.
+
+The policy π reads the perceived status z, drawn from C(s, ·). With the occupancy d and the action
+values Q of the mixed policy π_C that it makes of the true status (`mdp.care.perception`),
+
+    dV / dC(s, z) = Σ_x d(x, s) Σ_a π(a | x, z) Q(x, s, a) = G(s, z),
+
+and moving a small probability from reading s rightly to reading z changes V by G(s, z) - G(s, s)
+for each unit of it. The loss against perfect perception is a sum over what is misread as what,
+
+    V^π - V^π_C = Σ_{s, z} C(s, z) Σ_x d(x, s) Σ_a (π(a | x, s) - π(a | x, z)) Q^π(x, s, a),
+
+where Q^π are the action values of whoever reads rightly from the next step on (performance
+difference: Kakade and Langford, Approximately optimal approximate reinforcement learning, ICML
+2002, lemma 6.1). Sums of products, all of them: with n roundings each is off by at most γ(n) times
+the same sum over absolute values, of which one bound for all is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.perception.policies import chosen_policy, status_names
+from mdp.care.process import Process
+from mdp.model import MDP
+from mdp.table import Floats
+from solvers.bounds.gains import SLACK, gamma
+from solvers.pomdp.values import acting, at_start, largest, rounding, values, visits
+from solvers.solution import Bounded, Claim
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorCosts:
+    """Which errors of perception cost a policy most.
+
+    Attributes
+    ----------
+    statuses : tuple of str
+        Names of the bits, the most significant first.
+    value, perfect : Bounded
+        The policy's value under the perception, and where it sees the truth.
+    derivative : (Z, Z)
+        dV / dC(s, z); only differences within a row have a meaning of their own.
+    loss : (Z, Z)
+        What reading s as z loses; the sum is `perfect` less `value`.
+    rates : {status: (by sensitivity, by specificity)}
+        The value that one unit more of a status's sensitivity or specificity brings, the reading
+        of the other statuses held as it is.
+    error : float
+        No entry of `derivative` or `loss`, and no rate, is off by more than this.
+    """
+
+    statuses: tuple[str, ...]
+    value: Bounded
+    perfect: Bounded
+    derivative: Floats
+    loss: Floats
+    rates: dict[str, tuple[float, float]]
+    error: float
+
+    @property
+    def claim(self) -> Claim:
+        """What is claimed of every number here."""
+        return Claim.BOUNDED
+
+    @property
+    def marginal(self) -> Floats:
+        """(Z, Z) what each unit of probability moved from s read rightly to z loses."""
+        return np.asarray(np.diag(self.derivative)[:, None] - self.derivative)
+
+    @property
+    def by_status(self) -> dict[str, tuple[float, float]]:
+        """Loss by status: missed where present, and seen where absent.
+
+        An error in which several statuses are misread counts for each of them in equal parts, so
+        that these, too, sum to the whole loss.
+        """
+        size, bits = len(self.loss), len(self.statuses)
+        number = np.arange(size)
+        wrong = (number[:, None] ^ number)[:, :, None] >> np.arange(bits - 1, -1, -1) & 1
+        share = wrong / np.maximum(wrong.sum(axis=2, keepdims=True), 1)
+        present = number[:, None] >> np.arange(bits - 1, -1, -1) & 1
+        split = self.loss[:, :, None] * share
+        return {
+            name: (
+                float(split[present[:, bit] == 1, :, bit].sum()),
+                float(split[present[:, bit] == 0, :, bit].sum()),
+            )
+            for bit, name in enumerate(self.statuses)
+        }
+
+    def frame(self) -> DataFrame:
+        """Return one row for each pair of statuses that is confused, the costliest first."""
+        from pandas import DataFrame
+
+        bits = len(self.statuses)
+        rows = [
+            {
+                "true": format(true, f"0{bits}b"),
+                "perceived": format(seen, f"0{bits}b"),
+                "loss (reward)": self.loss[true, seen],
+                "loss per unit of probability (reward)": self.marginal[true, seen],
+                "claim": str(self.claim),
+            }
+            for true, seen in np.ndindex(self.loss.shape)
+            if true != seen
+        ]
+        rows.sort(key=lambda row: -row["loss (reward)"])
+        return DataFrame(rows)
+
+
+def error_costs(mdp: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
+    """Return which errors of perception cost a policy most, at the margin and in all.
+
+    Parameters
+    ----------
+    mdp : MDP with a column `status`
+    policy : "optimal", or anything that `Policy.of` takes; it reads the perceived status
+    confusion : (Z, Z) probabilities of the perceived status (column) given the true one (row)
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> from mdp.care.perception import independent
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> found = error_costs(mdp, "optimal", independent([0.9] * 4, [0.9] * 4))
+    >>> whole = found.perfect.value - found.value.value
+    >>> bool(abs(found.loss.sum() - whole) < 1e-9), max(found.by_status, key=found.by_status.get)
+    (True, 'disengagement')
+    """
+    process = Process.of(mdp, confusion)
+    size, matrix = process.statuses, process.confusion
+    table = process.table(chosen_policy(mdp, policy))
+    weights = acting(process, table)
+    value, q = values(process, weights)
+    met = visits(process, weights)[..., 0]
+    sharp = acting(process, table, np.eye(size))
+    true_value, true_q = values(process, sharp)
+    # (P, Z, Z): what acting by z is worth in s
+    by_seen = q[..., 0] @ table.transpose(0, 2, 1)
+    derivative = np.einsum("ps,psz->sz", met, by_seen)
+    true_by_seen = true_q[..., 0] @ table.transpose(0, 2, 1)
+    short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
+    loss = matrix * np.einsum("ps,psz->sz", met, short)
+    off = rounding(process)
+    rough = float(gamma(process.depth * process.terms + len(process.moves) + 4 * size + 8))
+    # Visits sum to the steps at most, and no difference of values exceeds twice the largest.
+    error = 4 * rough * process.depth * largest(process) * size * SLACK
+    names = status_names(mdp)
+    return ErrorCosts(
+        statuses=names,
+        value=Bounded(value=float(at_start(process, value)[0]), error=off),
+        perfect=Bounded(value=float(at_start(process, true_value)[0]), error=off),
+        derivative=derivative,
+        loss=loss,
+        rates={name: _rate(matrix, derivative, bit, names) for bit, name in enumerate(names)},
+        error=error,
+    )
+
+
+def _rate(
+    matrix: Floats, derivative: Floats, bit: int, names: tuple[str, ...]
+) -> tuple[float, float]:
+    """Return dV by sensitivity and by specificity of one status, other readings held."""
+    number = np.arange(len(matrix))
+    flip = 1 << (len(names) - 1 - bit)
+    right = ((number[:, None] ^ number) & flip) == 0
+    gain = (matrix + matrix[:, number ^ flip]) * (derivative - derivative[:, number ^ flip])
+    gain = (gain * right).sum(axis=1)
+    present = number & flip > 0
+    return float(gain[present].sum()), float(gain[~present].sum())

@@ -1,0 +1,244 @@
+"""The accuracy of perception from which on a policy keeps a share of its value, exactly.
+
+With accuracy x a status is read rightly with probability x where it is present and where it is
+absent, the statuses independently. Every entry of the confusion matrix is then a polynomial in x,
+and so is the value of a policy that takes what it perceives for true, as places never come back:
+
+    V(x) = Σ_k c_k x^k,   c_k rational.
+
+It is computed as it stands, so that the accuracies at which it crosses a target are isolated
+exactly (`analysis.sensitivity.thresholds.roots`): all of them, and whether there is only one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.perception.policies import chosen_policy, status_names
+from analysis.sensitivity.exact_chain import rational
+from analysis.sensitivity.thresholds.roots import Root, roots, sign, simple
+from mdp.care.process import Process
+from mdp.errors import ModelError, suggest
+from mdp.model import MDP
+from mdp.table import Floats, exact
+from solvers.solution import Claim
+
+if TYPE_CHECKING:
+    from flint import fmpq_poly
+
+ALL = "all"
+LOWEST = Fraction(1, 2)  # an accuracy that says nothing
+WIDTH = Fraction(1, 10**12)
+
+
+def confusion_at(mdp: MDP, accuracy: float, status: str = ALL) -> Floats:
+    """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> matrix = confusion_at(Scenario.load("yuan2025").compile(), 0.9, "anger")
+    >>> matrix[0b0000, [0b0000, 0b0010, 0b0100]].round(3).tolist()
+    [0.9, 0.1, 0.0]
+    """
+    if not 0 <= accuracy <= 1:
+        raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
+    found = np.ones((1, 1))
+    for changed in _uncertain(mdp, status):
+        x = accuracy if changed else 1.0
+        found = np.kron(found, np.array([[x, 1 - x], [1 - x, x]]))
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AccuracyNeeded:
+    """The accuracy that keeps a share of what a policy is worth where it sees the truth.
+
+    Attributes
+    ----------
+    status : str
+        The status that is perceived with errors, or "all".
+    share, target : Fraction
+        What is to be kept, as a share of V(1) and as a value.
+    perfect : Fraction
+        V(1), certified.
+    crossings : tuple of (low, high, rising)
+        Every accuracy above 1/2 and below 1 at which V crosses or touches the target, between two
+        rationals at most 1e-12 apart, and whether V goes up there.
+    enough : Fraction
+        From this accuracy on, up to 1, the target is kept: the last crossing's upper end; 1/2 where
+        there is none.
+    monotone : bool
+        Whether V rises all the way from 1/2 to 1.
+    polynomial : tuple of Fraction
+        The coefficients c_k of V.
+    """
+
+    status: str
+    share: Fraction
+    target: Fraction
+    perfect: Fraction
+    crossings: tuple[tuple[Fraction, Fraction, bool], ...]
+    enough: Fraction
+    monotone: bool
+    polynomial: tuple[Fraction, ...]
+
+    @property
+    def claim(self) -> Claim:
+        """What is claimed: roots isolated in rational arithmetic."""
+        return Claim.CERTIFIED
+
+
+def accuracy_needed(
+    mdp: MDP, policy: object = "optimal", *, share: object = "19/20", status: str = ALL
+) -> AccuracyNeeded:
+    """Return the accuracy from which on a policy on perceptions keeps a share of its value.
+
+    Parameters
+    ----------
+    policy : "optimal", or anything that `Policy.of` takes
+    share : of the value where it sees the truth, from 0 to 1
+    status : the status that is perceived with errors, the others perfectly; or "all"
+
+    Raises
+    ------
+    ModelError
+        Where that value is not positive, so that a share of it is no target.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> found = accuracy_needed(Scenario.load("yuan2025").with_(tasks=[1]).compile())
+    >>> f"{float(found.enough):.6f}", found.monotone, len(found.crossings)
+    ('...', True, 1)
+    """
+    part = exact(share)
+    if not 0 <= part <= 1:
+        raise ModelError(f"share is {share}", where="share", fix="choose one from 0 to 1")
+    poly = value_polynomial(mdp, policy, status=status)
+    perfect = _fraction(poly(rational(Fraction(1))))
+    if perfect <= 0:
+        raise ModelError(
+            f"the value with perfect perception is {float(perfect):.6g}, not positive",
+            where="share",
+            fix="ask for curves of the value instead",
+        )
+    target = part * perfect
+    above = poly - rational(target)
+    crossings = tuple(_crossings(above))
+    slope = poly.derivative()
+    # No sign of the slope changes inside, and it is nowhere negative: it rises all the way.
+    turning = [root for root in _inside(slope) if _sides(slope, root) != (1, 1)]
+    return AccuracyNeeded(
+        status=status,
+        share=part,
+        target=target,
+        perfect=perfect,
+        crossings=crossings,
+        enough=crossings[-1][1] if crossings else LOWEST,
+        monotone=not turning and sign(slope, Fraction(3, 4)) >= 0,
+        polynomial=tuple(_fraction(each) for each in poly.coeffs()),
+    )
+
+
+def value_polynomial(mdp: MDP, policy: object = "optimal", *, status: str = ALL) -> fmpq_poly:
+    """Return the value at the start as an exact polynomial of the accuracy."""
+    from flint import fmpq_poly
+
+    process = Process.of(mdp, confusion_at(mdp, 1.0))
+    table = process.table(chosen_policy(mdp, policy))
+    bits = _uncertain(mdp, status)
+    entries = _entries(bits)
+    size, rate = process.statuses, rational(mdp.discount_exact)
+    value: dict[int, fmpq_poly] = {}
+    gain_top, gain_bottom = mdp.table.expected_gain_exact()
+    for place in reversed(process.order):
+        shares = [_exact_shares(row) for row in table[place].tolist()]
+        for true in range(size):
+            state = place * size + true
+            if mdp.terminal[state]:
+                continue
+            done: dict[int, fmpq_poly] = {}
+            for distance, seen in entries[true]:
+                for action, share in shares[seen]:
+                    done[action] = done.get(action, fmpq_poly([])) + distance * share
+            total = fmpq_poly([])
+            for action, weight in done.items():
+                pair = mdp.pair(state, action)
+                ahead = fmpq_poly([])
+                for chance, following, _ in mdp.table.row(pair):
+                    if following in value:
+                        ahead += value[following] * rational(chance)
+                gain = rational(Fraction(int(gain_top[pair]), int(gain_bottom[pair])))
+                total += weight * (ahead * rate + gain)
+            value[state] = total
+    start = fmpq_poly([])
+    for state, weight in mdp.start:
+        start += value.get(state, fmpq_poly([])) * rational(weight)
+    return start
+
+
+def _uncertain(mdp: MDP, status: str) -> list[bool]:
+    names = status_names(mdp)
+    if status != ALL and status not in names:
+        raise ModelError(
+            f"unknown status {status!r}", where="accuracy", fix=suggest(status, [*names, ALL])
+        )
+    return [status in (ALL, name) for name in names]
+
+
+def _entries(bits: Sequence[bool]) -> list[list[tuple[fmpq_poly, int]]]:
+    """Return, for each true status, the polynomials C(s, z) that are not 0, with z."""
+    from flint import fmpq_poly
+
+    right, wrong = fmpq_poly([0, 1]), fmpq_poly([1, -1])
+    count = sum(bits)
+    by_distance = [right ** (count - h) * wrong**h for h in range(count + 1)]
+    mask = sum(1 << (len(bits) - 1 - bit) for bit, on in enumerate(bits) if on)
+    return [
+        [
+            (by_distance[(true ^ seen).bit_count()], seen)
+            for seen in range(2 ** len(bits))
+            if (true ^ seen) & ~mask == 0
+        ]
+        for true in range(2 ** len(bits))
+    ]
+
+
+def _exact_shares(row: Sequence[float]) -> list[tuple[int, object]]:
+    """Return the actions taken with their exact probabilities."""
+    shares = [(action, Fraction(share)) for action, share in enumerate(row) if share]
+    total = sum((share for _, share in shares), Fraction(0))
+    return [(action, rational(share / total)) for action, share in shares]
+
+
+def _crossings(above: fmpq_poly) -> Iterable[tuple[Fraction, Fraction, bool]]:
+    for root in _inside(above):
+        narrow = root.narrowed(WIDTH)
+        yield narrow.low, narrow.high, _sides(above, root) == (-1, 1)
+
+
+def _inside(poly: fmpq_poly) -> list[Root]:
+    """Return the roots between 1/2 and 1, both left out."""
+    if poly.degree() < 1:
+        return []
+    return list(roots(simple(poly), LOWEST, Fraction(1)))
+
+
+def _sides(poly: fmpq_poly, root: Root) -> tuple[int, int]:
+    """Return the signs of a polynomial just below and just above a root."""
+    gap = Fraction(0) if root.low < root.high else Fraction(1, 2**80)
+    # An end of the open interval may be another root: the interval is then made smaller.
+    while root.low < root.high and 0 in (sign(poly, root.low), sign(poly, root.high)):
+        root = root.narrowed((root.high - root.low) / 2)
+        gap = Fraction(0) if root.low < root.high else Fraction(1, 2**80)
+    return sign(poly, root.low - gap), sign(poly, root.high + gap)
+
+
+def _fraction(value: object) -> Fraction:
+    return Fraction(int(value.p), int(value.q))

@@ -1,0 +1,81 @@
+"""The unit of a parameter, for tables and axes.
+
+The base case: a model at today's values, its optimum, and the policies that are held fixed.
+
+A policy is held as the probabilities of the model's (state, action) pairs, so that it can be
+evaluated at other values of the parameters, where the pairs are the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+
+import numpy as np
+
+from mdp.model import MDP
+from mdp.parametric import DISCOUNT, Parameter
+from mdp.table import Floats, Integers
+from solvers import solve
+from solvers.solution import Solution
+from solvers.values.policy_chain import PolicyChain
+
+
+def unit_of(parameter: Parameter) -> str:
+    """Return what a parameter is measured in.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> unit_of(Parameter(name="reward.anger", value=Fraction(-5)))
+    'reward'
+    """
+    if parameter.name == DISCOUNT:
+        return "per step"
+    return "probability" if (parameter.low, parameter.high) == (0, 1) else "reward"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseCase:
+    """A model at today's values.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
+    >>> base = BaseCase(mdp=MDP.from_outcomes(rows, 1))
+    >>> base.held("optimal").tolist(), base.solution.start_value
+    ([0.0, 1.0, 1.0], 2.0)
+    """
+
+    mdp: MDP
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The optimum."""
+        return solve(self.mdp)
+
+    def held(self, policy: object) -> Floats:
+        """Return (L,) probabilities of pairs of a policy that is held fixed.
+
+        Parameters
+        ----------
+        policy : "optimal", which is the optimum today, or anything that `solvers.evaluate` takes
+        """
+        if isinstance(policy, str) and policy == "optimal":
+            weights = np.zeros(self.mdp.n_pairs)
+            weights[self.solution.pairs] = 1.0
+            return weights
+        return PolicyChain.of(self.mdp, policy).chosen
+
+    def taken(self, choice: Integers) -> Floats:
+        """Return (L,) 1 for the pairs that (S,) action numbers take; a state's only pair always."""
+        mdp = self.mdp
+        taken = mdp.pair_action == np.asarray(choice)[mdp.pair_state]
+        return np.where(mdp.forced[mdp.pair_state], 1.0, taken.astype(float))
+
+
+def digest(*policies: Floats) -> str:
+    """Return a hash that tells policies, (L,) probabilities of pairs each, from other ones."""
+    told = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
+    return sha256(told).hexdigest()

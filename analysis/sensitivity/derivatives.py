@@ -1,0 +1,223 @@
+"""Derivatives of the start value in rationals, on either side of a tie.
+
+With V a policy's value and d its discounted occupancy, each pair l earns
+
+    c(l) = ∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s'),        dV/dθ = Σ_l d(l) c(l).
+
+Where several policies are optimal, the derivatives of V* on both sides are the optimum, greatest or
+least, of the model that is left with optimal actions and earns c (see
+`analysis.sensitivity.gradient`).
+
+The same derivatives in floating point, with error bounds, for models too large for rationals.
+
+With V and d each within e_V and e_d of the exact ones,
+
+    |error| ≤ Σ_l [e_d |c| + (d + e_d) (γ Σ |∂P| e_V + |∂γ| Σ P e_V)] + rounding,
+
+c being what a pair earns in `analysis.sensitivity.derivatives`. The derivative is that of the
+optimum only where the policy is the only optimal one; gaps within the error bound count as ties,
+and are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.gate.regret import proven
+from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
+from analysis.sensitivity.gradient import Checked, claimed
+from analysis.sensitivity.rational_rows import worth
+from mdp.chain import reachable
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.row_change import RowChange
+from mdp.table import Floats, Numbers, common, integers
+from solvers import evaluate, solve
+from solvers.bounds.bounds import gains
+from solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from solvers.solution import Bounded, Certified
+from solvers.values.policy_chain import PolicyChain
+from solvers.values.visits import visits
+
+if TYPE_CHECKING:
+    from flint import fmpq
+
+    from solvers.proof.certificate import Certificate
+
+
+class ExactPass:
+    """Value and occupancy of a policy in rationals, and the derivatives that they give."""
+
+    def __init__(self, mdp: MDP, policy: object) -> None:
+        self.mdp = mdp
+        self.certificate: Certificate | None = None
+        if isinstance(policy, str) and policy == "optimal":
+            self.certificate = proven(mdp)
+            policy = self.certificate.policy
+        self.chain = ExactChain(mdp, policy)
+        self.value = self.chain.values(self.chain.reward)
+        self.uses = self.chain.uses(self.chain.visits)
+        self.used = [bool(use) for use in self.uses]
+
+    @property
+    def start_value(self) -> Certified:
+        """The policy's value at the start."""
+        pairs = zip(self.chain.start, self.value, strict=True)
+        return Certified(value=fraction(sum((m * v for m, v in pairs), rational(0))))
+
+    def side(self, change: RowChange, sign: int) -> Certified | Checked:
+        """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
+        return claimed(self._slope(change, sign), change.checked)
+
+    def _slope(self, change: RowChange, sign: int) -> Fraction:
+        if self.certificate is None or self.certificate.unique:
+            earned = earnings(self.chain, change, self.value, self.used)
+            return fraction(worth(self.uses, earned))
+        mdp, optimal = self.mdp, self.certificate.optimal_pairs
+        everything = earnings(self.chain, change, self.value)
+        gains = [sign * fraction(everything.get(pair, rational(0))) for pair in range(mdp.n_pairs)]
+        tied = rewarded(mdp, np.flatnonzero(optimal), gains)
+        return sign * proven(tied).start_value
+
+
+def earnings(
+    chain: ExactChain,
+    change: RowChange,
+    value: Sequence[fmpq],
+    wanted: Sequence[bool] | None = None,
+) -> dict[int, fmpq]:
+    """Return ∂r + γ ∂P V + ∂γ P V of the wanted pairs (L,), where it is not zero by rule."""
+    mdp = chain.mdp
+    wanted = [True] * mdp.n_pairs if wanted is None else wanted
+    found: dict[int, fmpq] = {}
+    zero = rational(0)
+    pair, state = np.divmod(change.transition.key, mdp.n_states)
+    for row, following, slope in zip(
+        pair.tolist(), state.tolist(), change.transition.slope, strict=True
+    ):
+        if wanted[row]:
+            found[row] = found.get(row, zero) + rational(slope) * value[following]
+    found = {row: chain.rate * gain for row, gain in found.items()}
+    for row, slope in zip(change.reward.key.tolist(), change.reward.slope, strict=True):
+        if wanted[row] or mdp.terminal[mdp.pair_state[row]]:
+            found[row] = found.get(row, zero) + rational(slope)
+    if change.discount:
+        rate = rational(change.discount)
+        for row in range(mdp.n_pairs):
+            if wanted[row]:
+                found[row] = found.get(row, zero) + rate * chain.ahead(row, value)
+    if chain.whole:
+        refuse_endless(mdp, [row for row, gain in found.items() if gain], change.name)
+    return found
+
+
+def refuse_endless(mdp: MDP, rows: Sequence[int], name: str) -> None:
+    """Raise ModelError where a parameter makes a terminal state earn, without end at discount 1."""
+    for row in rows:
+        if mdp.terminal[mdp.pair_state[row]]:
+            raise ModelError(
+                "a terminal state would earn for ever",
+                where=f"parameter {name}, {mdp.where(row)}",
+                fix="choose a discount below 1",
+            )
+
+
+def rewarded(mdp: MDP, pairs: np.ndarray, gains: Sequence[Fraction]) -> MDP:
+    """Return the model that offers some of the pairs (K,) only and earns `gains` (L,) on them."""
+    top, bottom = common([gains[pair] for pair in pairs.tolist()])
+    return mdp.with_(
+        table=replace(
+            mdp.table.of_pairs(pairs),
+            gain=integers(top),
+            gain_denominator=integers([bottom] * len(pairs)),
+            event=None,
+            gain_doubt=None,
+        ),
+        pair_state=mdp.pair_state[pairs],
+        pair_action=mdp.pair_action[pairs],
+        events=(),
+    )
+
+
+class BoundedPass:
+    """Value and occupancy of a policy in floats, and the derivatives that they give."""
+
+    certificate = None
+
+    def __init__(self, mdp: MDP, policy: object) -> None:
+        self.mdp = mdp
+        if isinstance(policy, str) and policy == "optimal":
+            solution = solve(mdp)
+            gain = gains(mdp, solution.value)
+            tied = gain.value >= -2 * (solution.error_bound + gain.noise)
+            _refuse_ties(mdp, tied)
+            policy = solution
+        self.found = evaluate(mdp, policy)
+        self.chain: PolicyChain = self.found.chain
+        live = ~np.isnan(self.found.value)
+        self.value = np.where(live, self.found.value, 0.0)
+        self.value_error = np.where(live, self.found.value_error, 0.0)
+        seen = visits(mdp, self.chain.discounted)
+        stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
+        factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * self.chain.weights
+        self.uses = seen.value[mdp.pair_state] * factor
+        rounding = float(gamma(8 + self.chain.roundings)) / max(1 - mdp.discount, UNIT)
+        rounding = rounding if stay else float(gamma(4 + self.chain.roundings))
+        self.doubt = seen.error[mdp.pair_state] * factor * SLACK + rounding * self.uses
+
+    @property
+    def start_value(self) -> Bounded:
+        """The policy's value at the start."""
+        return self.found.numbers["mean"]
+
+    def side(self, change: RowChange, sign: int) -> Bounded | Checked:
+        """Return the derivative; both sides are alike where one policy is optimal."""
+        found = self._slope(change)
+        if change.checked is None:
+            return found
+        return Checked(value=Fraction(found.value), points=change.checked)
+
+    def _slope(self, change: RowChange) -> Bounded:
+        mdp, rate = self.mdp, self.mdp.discount
+        earned, size, off = np.zeros((3, mdp.n_pairs))
+        pair, state = np.divmod(change.transition.key, mdp.n_states)
+        slope = rate * _floats(change.transition.slope)
+        np.add.at(earned, pair, slope * self.value[state])
+        np.add.at(size, pair, np.abs(slope * self.value[state]))
+        np.add.at(off, pair, np.abs(slope) * self.value_error[state])
+        gain = _floats(change.reward.slope)
+        np.add.at(earned, change.reward.key, gain)
+        np.add.at(size, change.reward.key, np.abs(gain))
+        if change.discount:
+            growth = float(change.discount)
+            earned += growth * (mdp.transition @ self.value)
+            size += abs(growth) * (mdp.transition @ np.abs(self.value))
+            off += abs(growth) * (mdp.transition @ self.value_error)
+        if mdp.discount_exact == 1:
+            refuse_endless(mdp, np.flatnonzero(size).tolist(), change.name)
+        terms = int(np.diff(mdp.transition.indptr).max()) * 2 + mdp.n_pairs + 8
+        used = self.uses + self.doubt
+        error = self.doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
+        return Bounded(value=float(self.uses @ earned), error=float(error * SLACK + TINY * terms))
+
+
+def _floats(numbers: Numbers) -> Floats:
+    return np.array([float(number) for number in numbers], dtype=np.float64)
+
+
+def _refuse_ties(mdp: MDP, tied: np.ndarray) -> None:
+    """Raise ModelError unless every state that optimal pairs reach has one of them."""
+    several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
+    seen = reachable(mdp, pairs=tied) & ~mdp.terminal
+    if (several & seen).any():
+        state = int(np.flatnonzero(several & seen)[0])
+        raise ModelError(
+            "several actions are optimal, or floats cannot tell them apart",
+            where=f"state ({mdp.space.label(state)})",
+            fix="ask for exact=True, which gives one-sided derivatives at a tie",
+        )

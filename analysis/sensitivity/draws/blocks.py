@@ -1,0 +1,97 @@
+"""Draws in blocks, each a piece of work: in threads or processes, resumed from a folder.
+
+Blocks have a fixed size, and a stream of random numbers each, so that the same draws give the same
+bytes however many workers there are, and a larger sample begins with the blocks of a smaller one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from analysis.sensitivity.draws.solver import DrawSolver
+from mdp.errors import ModelError
+from solvers.parallel.many import many
+from solvers.parallel.pieces import Arrays
+
+
+def whole_number(value: object, name: str, least: int) -> int:
+    """Return a whole number; raises ModelError for anything else, and where it is too small."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        what = f"{value} draws" if name == "samples" else f"{name} is {value!r}"
+        raise ModelError(what, where=name, fix=f"give a whole number, at least {least}")
+    return int(value)
+
+
+def run(
+    solver: DrawSolver,
+    what: str,
+    work: Callable[[Any], Arrays],
+    pieces: Sequence[Any],
+    key: Mapping[str, object],
+    *,
+    n_jobs: int | None = 1,
+    scheduler: str | None = None,
+    folder: str | Path | None = None,
+    progress: bool = False,
+) -> list[Arrays]:
+    """Do pieces of work: compiled loops in threads, other models in processes."""
+    settings = {
+        "key": dict(key),
+        "n_jobs": n_jobs,
+        "scheduler": scheduler,
+        "folder": None if folder is None else Path(folder) / what,
+        "progress": progress,
+        "what": what,
+    }
+    if solver.compiled and scheduler is None and n_jobs != 1:
+        from joblib import parallel_config
+
+        with parallel_config(backend="threading"):
+            return many(work, pieces, **settings)
+    return many(work, pieces, **settings)
+
+
+def seeded(seed: int, samples: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:
+    """Return blocks, each a stream and how many draws to take from it, and the size of a last one.
+
+    Examples
+    --------
+    >>> pieces, rest = seeded(0, 5, 2)
+    >>> [count for _, count in pieces], rest
+    ([2, 2, 1], 1)
+    """
+    rest = samples % block
+    sizes = [block] * (samples // block) + [rest] * (rest > 0)
+    return list(zip(SeedSequence(seed).spawn(len(sizes)), sizes, strict=True)), rest
+
+
+def in_blocks(
+    solver: DrawSolver,
+    what: str,
+    work: Callable[[Any], Arrays],
+    pieces: Sequence[Any],
+    key: Mapping[str, object],
+    rest: int,
+    how: Mapping[str, Any],
+) -> list[Arrays]:
+    """Do blocks of draws: whole ones in a folder for samples of any size, one of `rest` apart."""
+    full = len(pieces) - (rest > 0)
+    if how["folder"] is None or not rest:
+        return run(solver, what, work, pieces, key, **how)
+    done = run(solver, what, work, pieces[:full], key, **how) if full else []
+    last = {"last block": full, "draws": rest}
+    name = f"{what}-last-{full}-{rest}"
+    return done + run(solver, name, work, pieces[full:], {**key, **last}, **how)
+
+
+def joined(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:
+    """Return arrays of all draws, by name: all of them unless names are given."""
+    return {
+        name: np.concatenate([block[name] for block in blocks])
+        for name in (blocks[0] if names is None else names)
+    }

@@ -1,0 +1,275 @@
+"""The different policies among those of many draws, each a row of small integers.
+
+Optima and policies' values at many draws of any parametric model, one draw after the other.
+
+Optima and policies' values at many draws of a care scenario, by batched loops.
+
+The loops never form the model (`solvers.care`), and take thousands of draws at once.
+
+What a probabilistic analysis asks of a model: optima and policies' values at many draws.
+
+A care scenario goes through the batched loops (`analysis.sensitivity.draws.solver`); any other
+parametric model is built, solved and evaluated draw by draw (`analysis.sensitivity.draws.solver`).
+Both answer with the same arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from analysis.sensitivity.base import BaseCase
+from mdp.care.family import ScenarioFamily
+from mdp.care.scenario import Scenario
+from mdp.model import MDP
+from mdp.parametric import Parametric
+from mdp.table import Floats, Integers
+from solvers import evaluate, solve
+from solvers.bounds.gains import gains
+from solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
+from solvers.parallel.pieces import Arrays
+
+
+def distinct(rows: Integers) -> tuple[Integers, Integers]:
+    """Return the (U, G) different rows of (D, G) small integers, and (D,) which of them each is.
+
+    Rows are told apart by two 64-bit sums of random odd multiples; that two rows which differ have
+    both sums in common is about as likely as guessing a number of 128 bits.
+    """
+    width = rows.shape[1] * rows.dtype.itemsize
+    padded = np.zeros((len(rows), -(-width // 8) * 8), dtype=np.uint8)
+    padded[:, :width] = np.ascontiguousarray(rows).view(np.uint8)
+    words = padded.view(np.uint64)
+    keys = np.random.default_rng(0).integers(0, 2**63, size=(words.shape[1], 2), dtype=np.uint64)
+    sums = words @ (2 * keys + 1)
+    both = np.ascontiguousarray(sums).view([("a", np.uint64), ("b", np.uint64)]).reshape(-1)
+    _, where, inverse = np.unique(both, return_index=True, return_inverse=True)
+    order = np.argsort(where)
+    place = np.empty(len(order), dtype=np.int32)
+    place[order] = np.arange(len(order))
+    return rows[where[order]], place[inverse.reshape(-1)]
+
+
+def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Integers, Integers]:
+    """Return the different rows of several blocks, in order of appearance, and each draw's."""
+    found: dict[bytes, int] = {}
+    rows, which = [], []
+    for block in blocks:
+        places = []
+        for row in np.ascontiguousarray(block["rows"]):
+            places.append(found.setdefault(row.tobytes(), len(found)))
+            if places[-1] == len(rows):
+                rows.append(row)
+        which.append(np.array(places, dtype=np.int64)[block["which"]])
+    return np.stack(rows), np.concatenate(which)
+
+
+class ModelSolver:
+    """One draw after the other; labels are the states in which there is a choice."""
+
+    block, pool = 64, 32
+    compiled = False
+
+    def __init__(self, model: Parametric) -> None:
+        self.model = model
+        mdp = model.at({})
+        self.base = BaseCase(mdp=mdp)
+        self.actions = mdp.actions
+        self.choosing = np.flatnonzero(~mdp.forced)
+        self.labels = tuple(mdp.space.labels(self.choosing))
+
+    def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.solved`."""
+        mdp, count = self.base.mdp, len(draws)
+        start, error = np.empty(count), np.empty(count)
+        best = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
+        first = [state for state, _ in mdp.start]
+        lost = np.full((count, mdp.n_actions if len(first) == 1 else 0), np.nan)
+        policies = np.empty((count, mdp.n_states), dtype=np.int16)
+        for d, row in enumerate(draws.tolist()):
+            drawn = self.model.at(dict(zip(names, row, strict=True)))
+            solution = solve(drawn)
+            start[d], error[d] = solution.start_value, solution.start_error_bound
+            gap = solution.value[mdp.pair_state] - solution.q
+            error_there = solution.state_error
+            doubt = error_there[mdp.pair_state] + drawn.discount * (drawn.transition @ error_there)
+            near = gap <= doubt + gains(drawn, solution.value).noise
+            best[mdp.pair_state[near], mdp.pair_action[near]] += 1
+            policies[d] = solution.policy
+            if len(first) == 1:
+                here = mdp.pair_state == first[0]
+                lost[d, mdp.pair_action[here]] = np.maximum(gap[here], 0.0)
+        rows, which = distinct(policies)
+        return {
+            "start": start,
+            "error": error,
+            "best": best[self.choosing],
+            "lost": lost,
+            "rows": rows,
+            "which": which,
+            "cut": np.zeros(count, dtype=bool),
+        }
+
+    def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.values`."""
+        value = np.empty((len(draws), len(policies)))
+        error = np.empty_like(value)
+        for d, row in enumerate(draws.tolist()):
+            drawn = self.model.at(dict(zip(names, row, strict=True)))
+            for n, weights in enumerate(policies):
+                found = evaluate(drawn, weights)
+                value[d, n], error[d, n] = found.mean, found.error_bound
+        return {"value": value, "error": error}
+
+    def weights(self, row: Integers) -> Floats:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.weights`."""
+        return self.base.taken(row)
+
+    def shown(self, weights: Floats) -> dict[str, str] | None:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.shown`."""
+        mdp, found = self.base.mdp, {}
+        for state, label in zip(self.choosing.tolist(), self.labels, strict=True):
+            pairs = mdp.pairs_of(state)
+            share = weights[list(pairs)]
+            if share.max() != 1:
+                return None
+            found[label] = mdp.actions[int(mdp.pair_action[pairs[int(share.argmax())]])]
+        return found
+
+
+class CareSolver:
+    """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0."""
+
+    block, pool = 4096, 1000
+    compiled = True
+
+    def __init__(self, model: ScenarioFamily) -> None:
+        self.scenario: Scenario = model.scenario
+        self.base = BaseCase(mdp=model.at({}))
+        count = len(self.scenario.statuses)
+        self.actions = self.scenario.actions
+        self.labels = tuple(f"{number:0{count}b}" for number in range(2**count))
+        space = self.base.mdp.space
+        self.sizes = tuple(column.size for column in space.columns)
+        flags = self.sizes[2] if len(self.sizes) == 4 else 1
+        self.shape = (self.sizes[0], self.scenario.trials, flags, 2**count)
+
+    def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.solved`."""
+        found = optimal(self.scenario, names, draws, gaps=True, actions=True, threads=1, warn=False)
+        assert found.gaps is not None
+        assert found.actions is not None
+        best = (found.gaps <= 2 * found.error[:, None, None]).sum(axis=0)
+        rows, which = distinct(found.actions.reshape(len(draws), -1))
+        return {
+            "start": found.start,
+            "error": found.error,
+            "best": best,
+            "lost": found.gaps[:, 0],
+            "rows": rows,
+            "which": which,
+            "cut": cut_off(self.scenario, names, draws),
+        }
+
+    def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.values`."""
+        tables = [by_state(self.base.mdp, self.scenario, weights) for weights in policies]
+        value = np.empty((len(draws), len(tables)))
+        error = np.zeros((len(draws), len(tables)))
+        kinds: dict[tuple[bool, bool], list[int]] = {}
+        for number, table in enumerate(tables):
+            pure = bool((table.max(axis=-1) == 1).all())
+            same = bool((table == table[:1, :1, :1]).all())
+            kinds.setdefault((pure, same), []).append(number)
+        for (pure, same), numbers in kinds.items():
+            chosen = np.stack([tables[number] for number in numbers])
+            chosen = chosen[:, 0, 0, 0] if same else chosen
+            chosen = chosen.argmax(axis=-1) if pure else chosen
+            found = policy_values(self.scenario, names, draws, chosen, threads=1, warn=False)
+            value[:, numbers], error[:, numbers] = found.mean, found.error[:, None]
+        return {"value": value, "error": error}
+
+    def weights(self, row: Integers) -> Floats:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.weights`."""
+        mdp = self.base.mdp
+        whole = np.zeros((self.shape[0], self.sizes[1], *self.shape[2:]), dtype=np.int64)
+        whole[:, : self.shape[1]] = np.reshape(row, self.shape)
+        choice = np.append(whole.reshape(-1), np.zeros(mdp.n_states - whole.size, dtype=np.int64))
+        return self.base.taken(choice)
+
+    def shown(self, weights: Floats) -> dict[str, str] | None:
+        """See `analysis.sensitivity.draws.solver.DrawSolver.shown`."""
+        table = by_state(self.base.mdp, self.scenario, weights)
+        if not ((table == table[:1, :1, :1]).all() and (table.max(axis=-1) == 1).all()):
+            return None
+        chosen = table[0, 0, 0].argmax(axis=-1)
+        return {
+            label: self.actions[number] for label, number in zip(self.labels, chosen, strict=True)
+        }
+
+
+def by_state(mdp: MDP, scenario: Scenario, weights: Floats) -> Floats:
+    """Return (K, trials, flags, V, A) probabilities of actions from (L,) probabilities of pairs.
+
+    K subtasks, V status vectors; flags are two where a reading remembers skips, else one.
+    """
+    sizes = {column.name: column.size for column in mdp.space.columns}
+    shape = (sizes["subtask"], sizes["trial"], sizes.get("skipped", 1), sizes["status"])
+    table = np.zeros((mdp.n_states, mdp.n_actions))
+    table[mdp.pair_state, mdp.pair_action] = weights
+    table = table[: mdp.space.regular].reshape(*shape, mdp.n_actions)
+    numbers = [mdp.action(name) for name in scenario.actions]
+    # A last trial in which a skip is the only action is no trial of the loops.
+    return table[:, : scenario.trials][..., numbers]
+
+
+class DrawSolver(Protocol):
+    """What a probabilistic analysis asks of a model.
+
+    Attributes
+    ----------
+    base : BaseCase
+        The model at today's values, whose pairs policies are told of.
+    block, pool : int
+        Draws in one piece of work, and draws of largest regret in which policies are compared to
+        choose candidates.
+    compiled : bool
+    labels, actions : tuples of X and A words
+        Where choices are told of, and between what.
+    """
+
+    base: BaseCase
+    block: int
+    pool: int
+    compiled: bool
+    labels: tuple[str, ...]
+    actions: tuple[str, ...]
+
+    def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
+        """Return the optima of (D, Q) draws.
+
+        start, error (D,); best (X, A), draws in which an action is optimal up to rounding; lost
+        (D, A), what each first action costs, NaN where it is not offered, (D, 0) where there is
+        more than one first state; rows (U, G), the policies found, and which (D,) of them is a
+        draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
+        """
+
+    def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
+        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
+
+    def weights(self, row: Integers) -> Floats:
+        """Return (L,) probabilities of pairs from a row of `solved`."""
+
+    def shown(self, weights: Floats) -> dict[str, str] | None:
+        """Return the action at each label, where the policy says one and the same there."""
+
+
+def solver_of(model: Parametric) -> DrawSolver:
+    """Return the fastest way to solve a model at many draws."""
+    if isinstance(model, ScenarioFamily):
+        scenario = model.scenario
+        if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:
+            return CareSolver(model)
+    return ModelSolver(model)

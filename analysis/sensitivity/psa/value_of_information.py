@@ -1,0 +1,269 @@
+"""What knowing the parameters would be worth: EVPI, and EVPPI of some of them, from a sample.
+
+With V^c(θ) the value of candidate c at a draw θ, among a finite set of candidates,
+
+    EVPI = E[max_c V^c] - max_c E[V^c],
+    EVPPI(φ) = E_φ[max_c E[V^c | φ]] - max_c E[V^c].
+
+E[V^c | φ] is estimated by regression on φ (Strong, Oakley and Brennan, Medical Decision Making 34,
+2014): least squares of V^c less the best candidate's on cubic splines, whose knots grow with the
+sample, and on pairwise products where φ has several parameters. Two estimates are given.
+
+*regression* takes the maximum of the fitted values, as they do. Noise in a maximum pulls it
+upwards, by an amount that falls as 1/D, and what the regression misses pulls it downwards. It is
+cut at EVPI of the same candidates and draws, above which no EVPPI can be.
+
+*lower* uses the fitted values of four fifths of the draws only to choose the candidate in the
+others, averages what those choices are worth, and takes off the largest mean that a candidate has
+over all draws. For candidates that are chosen beforehand its expectation is at most EVPPI: a choice
+that has not seen the draw it is judged by is worth at most E_φ[max_c E[V^c | φ]], and the largest
+of some sample means is on average at least the largest mean. It may be negative.
+
+Where the fit cannot be relied on, the estimate says so (`doubts`): both estimates are more than a
+standard error apart, or the lower one is less than half of the other; the fit promises half a
+standard error more or less than its own choices earn; few draws carry the value; or the residuals
+of neighbours along a parameter add up. For the last, the largest sum over 8, 16, 32 … neighbouring
+draws is compared with what the greatest of so many normal sums may be: a step at the edge of a
+parameter shows there, which splines round off. Where nothing is doubted, such a sum, the distance
+of the estimates, and twice what the fit promises too much or too little count as errors of their
+own in the standard error, root-sum-square: it is that of the draws and of what the fit may miss.
+
+How often the 95 % interval held the truth where nothing was doubted was counted with 250 samples
+each of 200, 500 and 2,000 draws of 42 problems in closed form: linear, quadratic, without effect, a
+step in the middle or 10, 5 and 2 % from an edge, a corner of two parameters, one parameter of five,
+three candidates, a normal tail, each with noise of sd 0, 0.3 and 1. It did in 97 % of 2,749 samples
+of 200 draws, 97 % of 3,330 of 500 and 97 % of 4,055 of 2,000; in each problem of which 20 samples
+or more were not doubted, in 91 to 100 %. Not doubted were nearly all of the linear ones without
+much noise, a third to none of those in which noise hides the effect, and hardly any of the steps
+that noise does not hide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from analysis.sensitivity.psa.intervals import MeanLoss, mean_loss, mean_of
+from mdp.errors import ModelError
+from mdp.table import Floats
+from solvers.solution import Estimated
+
+FOLDS = 5
+MOST_TERMS = 400  # columns of a regression
+FEWEST = 20  # draws
+MOST_APART = 1.0  # standard errors between the estimates that are not doubted
+MOST_ASTRAY = 0.5  # standard errors between what a fit promises and what its choices earn
+LEAST_MISS = 0.1  # standard errors that a pattern in the residuals must move the estimate by
+ROUNDED = 1e-9  # relative, for what rounding alone makes differ
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartialInformation:
+    """EVPPI of some parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+    regression : Estimated
+        The maximum of the fitted values, at most EVPI of the same candidates. The standard error
+        covers what the fit may miss, too.
+    lower : Estimated
+        What choosing by the fit is worth in other draws; in expectation at most EVPPI.
+    terms : int
+        Columns of the regression.
+    doubts : tuple of str
+        Why the regression's estimate is not to be relied on; none where it is.
+    """
+
+    names: tuple[str, ...]
+    regression: Estimated
+    lower: Estimated
+    terms: int
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def reliable(self) -> bool:
+        """Whether nothing speaks against the regression's estimate."""
+        return not self.doubts
+
+
+def evpi(values: Floats) -> MeanLoss:
+    """Return the EVPI of choosing among the N candidates of values (D, N).
+
+    The largest of the N means is taken, which pulls the estimate down by less than its standard
+    error.
+
+    Examples
+    --------
+    >>> found = evpi(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))
+    >>> found.value
+    0.25
+    """
+    best = int(values.mean(axis=0).argmax())
+    return mean_loss(values.max(axis=1) - values[:, best])
+
+
+def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInformation:
+    """Return the EVPPI of the parameters in the columns of `draws`.
+
+    Parameters
+    ----------
+    values : (D, N)
+        Value of each candidate in each draw.
+    draws : (D, q)
+        The parameters that would be known.
+
+    Raises
+    ------
+    ModelError
+        For fewer than 20 draws.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> known = rng.normal(size=(4000, 1))
+    >>> values = np.hstack([known + rng.normal(size=known.shape), 0 * known])
+    >>> found = evppi(values, known, ("x",))  # E[max(x, 0)] = 0.3989
+    >>> abs(found.regression.value - 0.3989) < 4 * found.regression.standard_error
+    True
+    """
+    count, candidates = values.shape
+    if count < FEWEST:
+        raise ModelError(
+            f"{count} draws for a regression", where="EVPPI", fix=f"ask for at least {FEWEST}"
+        )
+    best = int(values.mean(axis=0).argmax())
+    ahead = values - values[:, best : best + 1]
+    varies = draws.min(axis=0) < draws.max(axis=0)
+    if candidates == 1 or not varies.any():
+        zero = Estimated(value=0.0, standard_error=0.0)
+        return PartialInformation(names=names, regression=zero, lower=zero, terms=0)
+    basis = _basis(draws[:, varies])
+    ends = np.linspace(0, count, FOLDS + 1).astype(int)
+    folds = [slice(first, last) for first, last in pairwise(ends.tolist())]
+    grams = [basis[fold].T @ basis[fold] for fold in folds]
+    sides = [basis[fold].T @ ahead[fold] for fold in folds]
+    gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
+    fitted = basis @ _solved(gram, side)
+    rows = np.arange(count)
+    chosen = fitted.argmax(axis=1)
+    gain = fitted[rows, chosen] - fitted[:, int(fitted.mean(axis=0).argmax())]
+    most = evpi(values).value
+    earned, promised = np.empty(count), float(gain.mean())
+    for k, fold in enumerate(folds):
+        rule = basis[fold] @ _solved(gram - grams[k], side - sides[k])
+        some = ahead[fold]
+        earned[fold] = some[np.arange(len(some)), rule.argmax(axis=1)]
+    taken = np.unique(chosen)
+    run = _longest(draws[:, varies], (ahead - fitted)[:, taken[taken != best]])
+    own, lower = mean_of(ahead[rows, chosen]), mean_of(earned)
+    value, missed = min(promised, most), run.total / count
+    apart, astray = value - lower.value, promised - own.value
+    doubts = _doubts(
+        value,
+        apart=abs(apart) / own.standard_error if own.standard_error else 0.0,
+        astray=abs(astray) / own.standard_error if own.standard_error else 0.0,
+        lost=lower.value < value / 2,
+        gain=mean_loss(gain),
+        patterned=run.surprising and missed > max(LEAST_MISS * own.standard_error, ROUNDED * value),
+        cut=promised > most * (1 + ROUNDED),
+    )
+    error = float(np.sqrt(own.standard_error**2 + apart**2 + missed**2 + (2 * astray) ** 2))
+    return PartialInformation(
+        names=names,
+        regression=Estimated(value=value, standard_error=error),
+        lower=lower,
+        terms=basis.shape[1],
+        doubts=tuple(doubts),
+    )
+
+
+def _doubts(
+    value: float,
+    *,
+    apart: float,
+    astray: float,
+    lost: bool,
+    gain: MeanLoss,
+    patterned: bool,
+    cut: bool,
+) -> Iterator[str]:
+    if value == 0:
+        yield "the fit changes the choice in no draw"
+        return
+    if apart > MOST_APART or lost:
+        yield "the fit's choices earn less or more in draws that it has not seen"
+    if astray > MOST_ASTRAY:
+        yield "the fit promises less or more than its choices earn"
+    if patterned:
+        yield "the fit misses a pattern along a parameter"
+    if gain.few:
+        yield f"{gain.carried:.0f} draws carry it"
+    if cut:
+        yield "cut at EVPI of the candidates"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stretch:
+    """Neighbouring draws whose residuals add up to more than those of any others, for their number.
+
+    `total` is that sum's size, `surprising` whether normal residuals would hardly reach it.
+    """
+
+    total: float
+    surprising: bool
+
+
+def _longest(draws: Floats, residuals: Floats) -> _Stretch:
+    """Return the stretch along one of the parameters (D, q) where residuals (D, N) add up most.
+
+    Of n standard normal sums the greatest is hardly above √(2 ln n); there are about D of each
+    length, and lengths double.
+    """
+    count = len(draws)
+    spread = np.sqrt((residuals**2).mean(axis=0))
+    varying = spread > 0
+    lengths = [8 << k for k in range(count.bit_length()) if 8 << k <= count // 2]
+    size, total = 0.0, 0.0
+    for x in draws.T:
+        sums = residuals[np.argsort(x, kind="stable")][:, varying].cumsum(axis=0)
+        sums = np.vstack([np.zeros((1, sums.shape[1])), sums])
+        for length in lengths:
+            added = np.abs(sums[length:] - sums[:-length]).max(axis=0)
+            scaled = added / (spread[varying] * np.sqrt(length))
+            if scaled.size and scaled.max() > size:
+                size, total = float(scaled.max()), float(added[scaled.argmax()])
+    windows = max(count * len(lengths) * draws.shape[1] * int(varying.sum()), 2)
+    return _Stretch(total=total, surprising=size > float(np.sqrt(2 * np.log(windows))))
+
+
+def _basis(draws: Floats) -> Floats:
+    """Return (D, p): 1, a cubic spline of each parameter, products of pairs of parameters."""
+    count, known = draws.shape
+    # Cubic splines with about D^(1/5) knots balance bias and noise of a smooth function.
+    knots = max(1, min(10, round(count**0.2)))
+    while known * (knots + 3) + 1 > min(MOST_TERMS, count // 10) and knots > 0:
+        knots -= 1
+    scaled = (draws - draws.mean(axis=0)) / draws.std(axis=0)
+    columns = [np.ones(count)]
+    for x in scaled.T:
+        columns += [x, x * x, x * x * x] if known * 3 + 1 <= count // 10 else [x]
+        if knots and known * 3 + 1 <= count // 10:
+            places = np.quantile(x, np.arange(1, knots + 1) / (knots + 1))
+            over = [np.maximum(x - place, 0.0) for place in places]
+            columns += [beyond * beyond * beyond for beyond in over]
+    pairs = list(combinations(range(known), 2))
+    if len(columns) + len(pairs) <= min(MOST_TERMS, count // 10):
+        columns += [scaled[:, i] * scaled[:, j] for i, j in pairs]
+    return np.column_stack(columns)
+
+
+def _solved(gram: Floats, side: Floats) -> Floats:
+    """Return least-squares coefficients from normal equations, scaled, near-null directions out."""
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > 0, size, 1.0)
+    found = np.linalg.lstsq(gram / size / size[:, None], side / size[:, None], rcond=1e-13)[0]
+    return found / size[:, None]

@@ -1,0 +1,1 @@
+"""Worst and best cases over sets of rows and over boxes of parameters."""

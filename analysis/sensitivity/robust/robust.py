@@ -1,0 +1,292 @@
+"""What nature can do to a policy, and to the best policy against it, as it is told.
+
+Four values at the start, the policy re-optimised against the sets (robust) or held as it is
+(nominal), and
+
+    price of robustness = nominal value of the nominal policy - nominal value of the robust one,
+    worst-case gain     = worst case of the robust policy - worst case of the nominal one
+
+(Bertsimas and Sim, Operations Research 52, 2004, for the price).
+
+How much a policy can lose where each row's probabilities may be off, and what hedging costs.
+
+Uncertainty is (s, a)-rectangular: each row has a set of laws around the tables' one, and nature
+picks from each on its own, against the agent or with it. An error in a table is something else:
+many rows share one number; for that see `analysis.sensitivity.robust.box`. The sets are those of
+Iyengar (Mathematics of Operations Research 30, 2005); what is made of the values under them is told
+in `analysis.sensitivity.robust.robust`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mdp.chain import reachable
+from mdp.errors import ModelError, suggest
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers import evaluate, solve
+from solvers.robust.divergence import Likelihood, RelativeEntropy
+from solvers.robust.robust import Nature, Objective, RobustSolution, solve_robust
+from solvers.robust.rows import Ambiguity
+from solvers.robust.sets import Intervals, L1Ball, radius_of
+from solvers.solution import Bounded
+from solvers.values.policy_chain import PolicyChain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Robust:
+    """Values at the start under nominal, worst and best laws, and the policies behind them.
+
+    Attributes
+    ----------
+    mdp : MDP
+    policy : (L,)
+        Probability of each pair under the nominal policy: the optimum of the tables as they are,
+        or one that was given.
+    value, worst, best : Bounded
+        The nominal policy's value with the tables as they are, and at nature's worst and best.
+    robust : RobustSolution
+        The best policy against nature's worst, and its worst case.
+    optimistic : RobustSolution
+        The best policy with nature's best.
+    robust_value, robust_best : Bounded
+        The robust policy's value with the tables as they are, and at nature's best.
+    """
+
+    mdp: MDP
+    policy: Floats
+    value: Bounded
+    worst: Bounded
+    best: Bounded
+    robust: RobustSolution
+    optimistic: RobustSolution
+    robust_value: Bounded
+    robust_best: Bounded
+
+    @property
+    def price(self) -> Bounded:
+        """What the robust policy gives up where the tables are right."""
+        return difference(self.value, self.robust_value)
+
+    @property
+    def gain(self) -> Bounded:
+        """What the robust policy earns more in its worst case than the nominal one in its own."""
+        return difference(self.robust.start, self.worst)
+
+    @property
+    def changed(self) -> Integers:
+        """(K,) states in which the policies differ, of those that either of them reaches."""
+        mdp, pairs = self.mdp, self.robust.pairs
+        assert pairs is not None
+        taken = np.zeros(mdp.n_pairs)
+        taken[pairs] = 1.0
+        apart = np.abs(taken - self.policy) > 1e-12
+        differs = np.logical_or.reduceat(apart, mdp.pair_offsets[:-1])
+        seen = reachable(mdp, pairs=taken > 0) | reachable(mdp, pairs=self.policy > 0)
+        return np.flatnonzero(differs & seen & ~mdp.terminal)
+
+    def frame(self) -> DataFrame:
+        """Return values at the start (reward), one row for each policy and law."""
+        from pandas import DataFrame
+
+        rows = [
+            ("nominal", "nominal", self.value),
+            ("nominal", "worst", self.worst),
+            ("nominal", "best", self.best),
+            ("robust", "nominal", self.robust_value),
+            ("robust", "worst", self.robust.start),
+            ("robust", "best", self.robust_best),
+            ("optimistic", "best", self.optimistic.start),
+        ]
+        return DataFrame(
+            [
+                {
+                    "policy": policy,
+                    "laws": laws,
+                    "value (reward)": found.value,
+                    "error bound (reward)": found.error,
+                }
+                for policy, laws, found in rows
+            ]
+        )
+
+    def changes_frame(self) -> DataFrame:
+        """Return the states in which the robust policy does something else."""
+        from pandas import DataFrame
+
+        mdp, pairs = self.mdp, self.robust.pairs
+        assert pairs is not None
+        return DataFrame(
+            [
+                {
+                    "state": mdp.space.label(state),
+                    "nominal": " or ".join(
+                        mdp.actions[mdp.pair_action[pair]]
+                        for pair in mdp.pairs_of(state)
+                        if self.policy[pair] > 0
+                    ),
+                    "robust": mdp.actions[mdp.pair_action[pairs[state]]],
+                }
+                for state in self.changed.tolist()
+            ],
+            columns=["state", "nominal", "robust"],
+        )
+
+
+def difference(one: Bounded, other: Bounded) -> Bounded:
+    """Return one number less the other, with both errors."""
+    value = one.value - other.value
+    return Bounded(value=value, error=one.error + other.error + 2.0**-52 * abs(value))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobustCurve:
+    """How values move with the radius of the sets.
+
+    Attributes
+    ----------
+    kind : str
+        As in `SETS`.
+    points : tuple of (radius, Robust)
+    """
+
+    kind: str
+    points: tuple[tuple[float, Robust], ...]
+
+    def frame(self) -> DataFrame:
+        """Return values at the start (reward), one row for each radius."""
+        from pandas import DataFrame
+
+        return DataFrame(
+            [
+                {
+                    "set": self.kind,
+                    "radius": radius,
+                    "nominal policy, nominal (reward)": found.value.value,
+                    "nominal policy, worst (reward)": found.worst.value,
+                    "robust policy, nominal (reward)": found.robust_value.value,
+                    "robust policy, worst (reward)": found.robust.start.value,
+                    "price of robustness (reward)": found.price.value,
+                    "worst-case gain (reward)": found.gain.value,
+                    "states changed": len(found.changed),
+                }
+                for radius, found in self.points
+            ]
+        )
+
+
+SETS: MappingProxyType[str, Callable[[MDP, object], Ambiguity]] = MappingProxyType(
+    {
+        "interval": Intervals.relative,
+        "absolute": Intervals.absolute,
+        "l1": lambda mdp, radius: L1Ball(radius=radius),
+        "kl": lambda mdp, radius: Likelihood(radius=radius),
+        "entropy": lambda mdp, radius: RelativeEntropy(radius=radius),
+    }
+)
+"""Sets by name and radius: p (1 ± x), p ± x, L1 distance, KL(p‖q) and KL(q‖p) in nats."""
+
+
+def ambiguity_of(mdp: MDP, kind: str, radius: object) -> Ambiguity:
+    """Return a set of laws by name (see `SETS`); raises ModelError for others."""
+    if kind not in SETS:
+        raise ModelError(f"unknown set {kind!r}", where="robust", fix=suggest(kind, [*SETS]))
+    return SETS[kind](mdp, radius)
+
+
+def robust(
+    mdp: MDP,
+    ambiguity: Ambiguity | None = None,
+    *,
+    policy: object = "optimal",
+    objective: Objective = "max",
+) -> Robust:
+    """Return what nature can do to a policy, and to the best policy against it.
+
+    Parameters
+    ----------
+    ambiguity : Ambiguity, optional
+        Sets of laws; p ± 20 % of itself unless given.
+    policy : "optimal", or anything that `solvers.evaluate` takes
+        The nominal policy.
+    objective : "max" or "min"
+
+    Raises
+    ------
+    ModelError
+        As `solvers.robust.robust.solve_robust` does.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> found = robust(Scenario.load("yuan2025").compile())
+    >>> print(f"{found.value.value:.4f} {found.worst.value:.4f} {found.robust.start.value:.4f}")
+    146.2359 140.7817 140.7817
+    """
+    sets = Intervals.relative(mdp, "1/5") if ambiguity is None else ambiguity
+    if isinstance(policy, str) and policy == "optimal":
+        policy = _optimum(mdp, objective)
+    chain = PolicyChain.of(mdp, policy)
+    kept = chain.weights
+
+    def held(weights: Floats, nature: Nature) -> Bounded:
+        return solve_robust(mdp, sets, nature=nature, objective=objective, policy=weights).start
+
+    best = solve_robust(mdp, sets, objective=objective)
+    assert best.pairs is not None
+    own = np.zeros(mdp.n_pairs)
+    own[best.pairs] = 1.0
+    return Robust(
+        mdp=mdp,
+        policy=kept,
+        value=evaluate(mdp, chain).numbers["mean"],
+        worst=held(kept, "worst"),
+        best=held(kept, "best"),
+        robust=best,
+        optimistic=solve_robust(mdp, sets, nature="best", objective=objective),
+        robust_value=evaluate(mdp, own).numbers["mean"],
+        robust_best=held(own, "best"),
+    )
+
+
+def _optimum(mdp: MDP, objective: Objective) -> object:
+    if objective == "max":
+        return solve(mdp)
+    # The least of all policies: nature has nothing to choose where every radius is 0.
+    found = solve_robust(mdp, L1Ball(radius=0.0), objective="min")
+    assert found.policy is not None
+    return found.policy
+
+
+def robust_curve(
+    mdp: MDP, kind: str, radii: Iterable[object], *, policy: object = "optimal"
+) -> RobustCurve:
+    """Return `robust` at each radius of one kind of set.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> found = robust_curve(Scenario.load("yuan2025").compile(), "l1", [0, 0.1])
+    >>> [round(each.robust.start.value, 3) for _, each in found.points]
+    [146.236, 139.106]
+    """
+    numbers = [radius_of(radius, "a radius") for radius in radii]
+    if not numbers:
+        raise ModelError("no radius", where="robust curve", fix="give some")
+    held = solve(mdp) if isinstance(policy, str) and policy == "optimal" else policy
+    return RobustCurve(
+        kind=kind,
+        points=tuple(
+            (radius, robust(mdp, ambiguity_of(mdp, kind, radius), policy=held))
+            for radius in numbers
+        ),
+    )

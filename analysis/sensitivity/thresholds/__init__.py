@@ -1,0 +1,1 @@
+"""Every value of a parameter at which an optimal action changes."""

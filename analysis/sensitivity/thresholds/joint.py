@@ -1,0 +1,108 @@
+"""How far all parameters of a scenario may move at once before its optimal policy can change.
+
+Let every parameter j move by at most ρ w_j. A chance enters one status's law with coefficient at
+most 1, and next statuses are independent, so that every row of outcomes moves by at most ρ τ in
+the L1 norm, τ = 2 Σ_j d_j w_j over the chances (d_j = 2 where a number is in the laws of a step
+and of a skip). Rewards move by at most ρ R, R = Σ w_j over the weights, each of which is paid at
+most once in a step; an outcome earns between the sums of the negative and of the positive weights,
+G apart. Values of today's policy π span D and are at most M in size, so that one step adds at most
+
+    ρ δ,   δ = R + τ (G + D) / 2 + w_γ M
+
+to the change of V_π, and n(s) steps that are left add n(s) ρ δ. A gap is the difference of two such
+values: π stays optimal, in every state, as long as ρ < gap(s) / (2 n(s) δ) for all s. The bound is
+a proof, and is far from tight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from analysis.gate.regret import proven
+from analysis.sensitivity.ranges import around, checked
+from mdp.care.family import ScenarioFamily
+from mdp.care.scenario import Scenario
+from mdp.errors import ModelError
+from mdp.parametric import DISCOUNT
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRadius:
+    """A box around today's values in which today's optimal policy is optimal.
+
+    Attributes
+    ----------
+    share : Fraction
+        ρ: any move with |θ_j - today_j| < ρ w_j for all j leaves the policy optimal.
+    widths : {name: w}
+    state : str
+        The state whose gap decides.
+    """
+
+    share: Fraction
+    widths: Mapping[str, Fraction]
+    state: str
+
+
+def joint_radius(scenario: Scenario, ranges: Mapping[str, object] | None = None) -> JointRadius:
+    """Return a provable inner radius for joint changes, as a share of the parameters' ranges.
+
+    Parameters
+    ----------
+    ranges : {name: (low, high)}, optional
+        The parameters that move, and how far relative to each other: w is the distance of the
+        farther end from today's value. All of them, ± 20 %, unless given.
+
+    Raises
+    ------
+    ModelError
+        For unknown names, empty ranges, or where nothing moves.
+
+    Examples
+    --------
+    >>> found = joint_radius(Scenario.load("yuan2025"), {"base.anger": (0, 1)})
+    >>> 0 < found.share < 1
+    True
+    """
+    family = ScenarioFamily(scenario=scenario)
+    today = {parameter.name: parameter.value for parameter in family.parameters}
+    if ranges is None:
+        spans = {parameter.name: around(parameter) for parameter in family.parameters}
+    else:
+        spans = checked(family, ranges)
+    widths = {
+        name: max(today[name] - span.low, span.high - today[name]) for name, span in spans.items()
+    }
+    zero = Fraction(0)
+    weights = {name for name in today if name.startswith("reward.")}
+    reward = sum((w for name, w in widths.items() if name in weights), zero)
+    chances = [name for name in widths if name not in weights and name != DISCOUNT]
+    law = 2 * sum((family.degree(name) * widths[name] for name in chances), zero)
+    apart = sum((abs(today[name]) for name in weights), zero)
+    mdp = scenario.compile()
+    certificate = proven(mdp)
+    value = certificate.value
+    span, size = max(value) - min(value), max(abs(v) for v in value)
+    step = reward + law * (apart + span) / 2 + widths.get(DISCOUNT, zero) * size
+    if step <= 0:
+        raise ModelError("nothing moves", where="joint radius", fix="widen a range")
+    trials = mdp.space.column("trial").size
+    places = mdp.space.column("subtask").size * trials
+    subtask, trial = mdp.space.values("subtask"), mdp.space.values("trial")
+    best: tuple[Fraction, int] | None = None
+    single = mdp.forced | mdp.terminal
+    for state in range(mdp.n_states):
+        if single[state]:
+            continue
+        left = places - int(subtask[state]) * trials - int(trial[state])
+        optimal = certificate.optimal_pairs[list(mdp.pairs_of(state))]
+        # Several optimal actions today may part at once.
+        gap = certificate.gaps[state] if optimal.sum() == 1 else zero
+        share = gap / (2 * left * step)
+        if best is None or share < best[0]:
+            best = (share, state)
+    if best is None:
+        raise ModelError("no state with a choice", where="joint radius", fix="add an action")
+    return JointRadius(share=best[0], widths=widths, state=mdp.space.label(best[1]))

@@ -1,0 +1,160 @@
+"""Models by name or file, as the command line takes them.
+
+A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`), a
+model checker's file (`.umb`, or `.umb#NAME` to choose among its reward models), or `gymnasium:ID`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mdp.care.scenario import Scenario
+from mdp.care.toml import load as read_scenario
+from mdp.care.toml import shipped
+from mdp.errors import ModelError, suggest
+from mdp.model import MDP
+
+GYMNASIUM = "gymnasium:"
+FILES = (".toml", ".npz", ".umb")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loaded:
+    """A model with the name it goes by, and the scenario it was compiled from, if any."""
+
+    name: str
+    mdp: MDP
+    scenario: Scenario | None
+
+
+def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None = None) -> Loaded:
+    """Return the model that `spec` names.
+
+    Parameters
+    ----------
+    spec : str or path
+        A shipped scenario, a `.toml`, `.npz` or `.umb` file (`.umb#NAME` chooses a reward model),
+        or `gymnasium:ID`.
+    sets : sequence of "KEY=VALUE"
+        Changes to a scenario, in order; other models have nothing to set.
+    discount : number or "p/q", optional
+        Instead of the model's own; it wins over `sets`. A `.umb` file of another program states
+        none: 1 is taken, with a warning.
+
+    Raises
+    ------
+    ModelError
+        Where there is no such model (the nearest name is suggested), or it is damaged.
+
+    Examples
+    --------
+    >>> load("yuan2025", sets=["tasks=[1]"], discount="9/10").mdp
+    MDP(yuan2025: 81 states, 4 actions, 321 pairs, 2273 transitions, discount 9/10)
+    """
+    text = str(spec)
+    suffix = _suffix(text)
+    if text in shipped() or suffix == ".toml":
+        scenario = load_scenario(text, sets=sets, discount=discount)
+        return Loaded(name=scenario.name, mdp=scenario.compile(), scenario=scenario)
+    if sets and (text.startswith(GYMNASIUM) or suffix in FILES):
+        raise ModelError(
+            f"{sets[0]!r} cannot be set: the model is not a scenario",
+            where=text,
+            fix="set values on a shipped scenario or a .toml file"
+            + ("; the discount has an option of its own" if "discount" in sets[0] else ""),
+        )
+    if text.startswith(GYMNASIUM):
+        mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), 1 if discount is None else discount)
+    elif suffix == ".npz":
+        from mdp.io import npz
+
+        mdp = npz.load(text)
+        mdp = mdp if discount is None else mdp.with_(discount=discount)
+    elif suffix == ".umb":
+        from mdp.io import umb
+
+        file, reward = _umb_parts(text)
+        mdp = umb.load(file, discount=discount, reward=reward)
+    else:
+        raise _unknown(text)
+    return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=None)
+
+
+def load_model(
+    spec: str | Path, *, sets: Sequence[str] = (), discount: object | None = None
+) -> MDP:
+    """Return the model that `spec` names, without its scenario; see `load`."""
+    return load(spec, sets=sets, discount=discount).mdp
+
+
+def load_scenario(
+    spec: str | Path, *, sets: Sequence[str] = (), discount: object | None = None
+) -> Scenario:
+    """Return a shipped scenario or one from a `.toml` file, changed by `sets` in order.
+
+    Examples
+    --------
+    >>> load_scenario("yuan2025", sets=["base.anger=1/10"])["base.anger"]
+    Fraction(1, 10)
+    """
+    text = str(spec)
+    if text not in shipped() and _suffix(text) != ".toml":
+        if text.startswith(GYMNASIUM) or _suffix(text) in FILES:
+            raise ModelError(
+                "the model is not a scenario", where=text, fix="give a scenario or a .toml file"
+            )
+        raise _unknown(text)
+    scenario = read_scenario(text)
+    for assignment in sets:
+        scenario = scenario.set(assignment)
+    return scenario if discount is None else scenario.with_(discount=discount)
+
+
+def save_model(mdp: MDP, path: str | Path) -> None:
+    """Write all of a model as `.npz`, or as `.umb` for model checkers, by its ending.
+
+    Examples
+    --------
+    >>> save_model(load_model("yuan2025", sets=["tasks=[1]"]), "model.txt")
+    Traceback (most recent call last):
+    ...
+    mdp.errors.ModelError: cannot write a model as .txt
+      where: model.txt
+      fix:   name it .npz or .umb
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".npz":
+        from mdp.io import npz
+
+        npz.save(mdp, path)
+    elif suffix == ".umb":
+        from mdp.io import umb
+
+        umb.save(mdp, path)
+    else:
+        raise ModelError(
+            f"cannot write a model as {suffix or 'a file without ending'}",
+            where=str(path),
+            fix="name it .npz or .umb",
+        )
+
+
+def _suffix(text: str) -> str:
+    """Return a file's ending, without the name of a reward model after it."""
+    return Path(_umb_parts(text)[0]).suffix.lower()
+
+
+def _umb_parts(text: str) -> tuple[str, str | None]:
+    """Return the file and the reward model of "file.umb#NAME"; the text itself without one."""
+    place = text.lower().rfind(".umb#")
+    return (text, None) if place < 0 else (text[: place + 4], text[place + 5 :])
+
+
+def _unknown(text: str) -> ModelError:
+    known = f"{', '.join(FILES)} file, or {GYMNASIUM}ID"
+    if Path(text).is_file():
+        return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")
+    fix = f"{suggest(text, shipped())} (or give a {known})"
+    return ModelError(f"unknown model {text!r}", where="model", fix=fix)

@@ -1,0 +1,1 @@
+"""Policies: what to do, from words, arrays and files."""

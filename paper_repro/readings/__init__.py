@@ -1,0 +1,1 @@
+"""Every reading of the paper's text, and what the reported numbers say of it."""

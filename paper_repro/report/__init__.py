@@ -1,0 +1,1 @@
+"""What the reproduction writes: report, tables, figures."""

@@ -1,0 +1,278 @@
+"""Two-sided bounds on the optimal values around any vector V, sound in floating point.
+
+Let d(l) = r(l) + γ P_l V - V(s) be what pair l of state s would add to V(s). Let w be positive in
+all states but the terminal ones, where V and w are 0, and let every other pair leave a margin
+
+    m(l) = w(s) - γ P_l w > 0.
+
+If d(l) ≤ c m(l) for every pair, then U = V + c w satisfies U ≥ r + γ P U for every pair, and
+therefore U ≥ V*. If d(l) ≥ c' m(l) for the pairs of a policy π, then V + c' w ≤ V^π ≤ V*. Both c
+and c' may have either sign. With w = 1 and γ < 1 these are the bounds of MacQueen and Porteus
+(Puterman, Markov Decision Processes, 1994, theorem 6.6.3); a positive margin also proves that T is
+a contraction in the norm weighted by w (Bertsekas and Tsitsiklis, Neuro-Dynamic Programming, 1996,
+proposition 2.2). The weights are the discounted number of steps to the end, the most there can be:
+
+    acyclic models               w(s) = 1 + γ + … + γ^(level(s) - 1)
+    other models at γ < 1        w(s) = 1 + γ + …, where 1 will do as well
+    other models at γ = 1        w(s) ≈ greatest expected number of steps, by policy iteration
+
+and the margins are verified. Every d and m comes with a bound on its rounding error, see
+`solvers.bounds.gains`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from mdp import threads
+from mdp.chain import require_termination, topological_levels
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers.bounds.gains import (
+    COMPILED,
+    SLACK,
+    TINY,
+    UNIT,
+    Gain,
+    gains,
+    gamma,
+    greedy,
+    rounding_facts,
+)
+from solvers.bounds.linear import LinearSystem, policy_chain
+from solvers.bounds.sweeps import sweeps_of
+from solvers.solution import SolverError, Status
+
+__all__ = ["Bounds", "Gain", "Weights", "bounds", "gains", "greedy", "levels", "margin_weights"]
+
+WEIGHT_ITERATIONS = 1000
+LONGEST_WALK = 1000
+_LEVELS: WeakKeyDictionary[MDP, Integers | None] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Weights:
+    """Weights with their verified margins.
+
+    Attributes
+    ----------
+    value : (S,)
+        The weights w.
+    margin : (L,)
+        The margins m, rounded; 1 for pairs of terminal states.
+    error : float
+        The greatest error of any of them.
+    """
+
+    value: Floats
+    margin: Floats
+    error: float
+
+    @property
+    def least(self) -> Floats:
+        """(L,) lower bounds of the margins."""
+        return np.asarray(self.margin - self.error)
+
+    @property
+    def most(self) -> Floats:
+        """(L,) upper bounds of the margins."""
+        return np.asarray(self.margin + self.error)
+
+    def ratio(self, gain: Floats) -> Floats:
+        """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
+        return np.asarray(gain / np.where(gain > 0, self.least, self.most))
+
+
+_WEIGHTS: WeakKeyDictionary[MDP, Weights] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bounds:
+    """value + low · weight ≤ V^π ≤ V* ≤ value + high · weight, for the policy π of `pairs`.
+
+    Attributes
+    ----------
+    value, weight : (S,)
+    pairs : (S,) int64
+    low, high : float
+    """
+
+    value: Floats
+    weight: Floats
+    pairs: Integers
+    low: float
+    high: float
+
+    @property
+    def state_error(self) -> Floats:
+        """(S,) |value - V*| and |value - V^π| are at most this."""
+        return np.asarray(max(abs(self.low), abs(self.high)) * self.weight * SLACK)
+
+    @property
+    def error(self) -> float:
+        """The greatest `state_error`."""
+        return float(self.state_error.max())
+
+    @property
+    def regret(self) -> float:
+        """V* - V^π is at most this in every state."""
+        return float((self.high - self.low) * self.weight.max() * SLACK)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def bounds(mdp: MDP, value: Floats, pairs: Integers | None = None) -> Bounds:
+    """Return bounds on V* and on the values of a policy, around `value`.
+
+    Parameters
+    ----------
+    mdp : MDP
+    value : (S,)
+        Any values, 0 in terminal states.
+    pairs : (S,) ints, optional
+        The policy's pairs; unless given, the first of each state's best pairs, up to rounding.
+
+    Raises
+    ------
+    ModelError
+        At discount 1 where not every policy ends.
+    SolverError
+        Where double precision does not suffice to verify any bound.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [[1], [0]])
+    >>> found = bounds(mdp, np.array([1.5, 0.0]))
+    >>> bool(1.5 + found.low * found.weight[0] <= 2 <= 1.5 + found.high * found.weight[0] < 2.01)
+    True
+    """
+    weights = margin_weights(mdp)
+    live = ~mdp.terminal
+    if np.any(value[~live]):
+        raise ValueError("terminal states are worth 0")
+    found = sweeps_of(mdp, weights).judge(value)
+    low, high = found.low, found.high
+    if pairs is None:
+        pairs = found.pairs
+    elif live.any():
+        gain = gains(mdp, value)
+        low = float((-weights.ratio(gain.error - gain.value)[pairs[live]]).min())
+    # Outward by more than the few roundings of the lines above.
+    low, high = low - 4 * UNIT * abs(low), high + 4 * UNIT * abs(high)
+    return Bounds(value=value, weight=weights.value, pairs=pairs, low=low, high=high)
+
+
+def levels(mdp: MDP) -> Integers | None:
+    """Return `topological_levels`, computed once for each model."""
+    if mdp not in _LEVELS:
+        _LEVELS[mdp] = None if _comes_back(mdp) else topological_levels(mdp)
+    return _LEVELS[mdp]
+
+
+def _comes_back(mdp: MDP) -> bool:
+    """Return whether a short walk meets a state again, which is soon so in most cyclic models."""
+    terminal, matrix = mdp.terminal, mdp.transition
+    if not terminal.any():
+        return True
+    state, seen = int(np.argmin(terminal)), set[int]()
+    while len(seen) < LONGEST_WALK and not terminal[state]:
+        if state in seen:
+            return True
+        seen.add(state)
+        begin, end = mdp.pair_offsets[state], mdp.pair_offsets[state + 1]
+        after = matrix.indices[matrix.indptr[begin] : matrix.indptr[end]]
+        after = after[~terminal[after]]
+        if not len(after):
+            return False
+        state = int(after[0])
+    return False
+
+
+def margin_weights(mdp: MDP) -> Weights:
+    """Return verified weights; computed once for each model.
+
+    Raises
+    ------
+    ModelError, SolverError
+        As `bounds` does.
+    """
+    if mdp not in _WEIGHTS:
+        require_termination(mdp)
+        _WEIGHTS[mdp] = _verified(mdp, _candidate(mdp))
+    return _WEIGHTS[mdp]
+
+
+def _candidate(mdp: MDP) -> Floats:
+    rate = mdp.discount
+    live = ~mdp.terminal
+    level = levels(mdp)
+    if rate == 0 or (level is None and rate < 1):
+        return live.astype(np.float64)
+    if level is None:
+        return _expected_steps(mdp)
+    if rate == 1:
+        return level.astype(np.float64)
+    return np.asarray(-np.expm1(level * np.log(rate)) / (1 - rate))
+
+
+def _expected_steps(mdp: MDP) -> Floats:
+    """Return about the greatest expected number of steps to the end, by policy iteration."""
+    live = ~mdp.terminal
+    pairs = mdp.pair_offsets[:-1].copy()
+    for _ in range(WEIGHT_ITERATIONS):
+        chain, _ = policy_chain(mdp, pairs)
+        steps = LinearSystem(chain).approximate(live.astype(np.float64))
+        gain = gains(mdp, steps, reward=live.astype(np.float64)[mdp.pair_state])
+        # A pair that adds less than half a step leaves a margin of over a half.
+        best = np.maximum.reduceat(gain.value, mdp.pair_offsets[:-1])
+        if not best.max() > 0.5:
+            return steps
+        better = gain.value == best[mdp.pair_state]
+        numbers = np.where(better, np.arange(mdp.n_pairs), mdp.n_pairs)
+        highest = np.minimum.reduceat(numbers, mdp.pair_offsets[:-1])
+        before, pairs = pairs, np.where(best > gain.noise[highest], highest, pairs)
+        if (pairs == before).all():
+            break
+    raise SolverError(Status.NO_BOUND, "the end is too many steps away")
+
+
+def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
+    """Return the margins (L,) w - γ P w, 1 for pairs of terminal states, and their error."""
+    facts, ended = rounding_facts(mdp), mdp.terminal
+    if (weight == 1.0).all():
+        size = max(abs(float(facts.leak.min())), abs(float(facts.leak.max())))
+        return facts.leak, float((gamma(4) * size + facts.leak_error + TINY) * SLACK)
+    if mdp.n_transitions < COMPILED:
+        margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
+        open_pairs = ~ended[mdp.pair_state]
+        error = margin.error[open_pairs].max(initial=0.0)
+        return np.where(open_pairs, -margin.value, 1.0), float(error)
+    from solvers.kernels import bellman
+
+    matrix = mdp.transition
+    rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
+    rounded = (facts.leak, facts.leak_error, facts.merged)
+    tiny = TINY * (1 + float(np.abs(weight).max()))
+    ends, found = threads.block_ends(matrix.indptr), np.empty(mdp.n_pairs)
+    worst = np.zeros(len(ends) - 1)
+
+    def work(number: int, first: int, last: int) -> None:
+        worst[number] = bellman.margins(
+            first, last, *rows, *rounded, mdp.discount, ended, weight, tiny, found
+        )
+
+    threads.run_blocks(ends, work)
+    return found, float(worst.max())
+
+
+def _verified(mdp: MDP, weight: Floats) -> Weights:
+    margin, error = _margins(mdp, weight)
+    if not (
+        np.all(np.isfinite(weight))
+        and (weight[~mdp.terminal] > 0).all()
+        and margin.min() - error > 0
+    ):
+        raise SolverError(Status.NO_BOUND, "the end is too many steps away")
+    return Weights(value=weight, margin=margin, error=error)

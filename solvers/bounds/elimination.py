@@ -1,0 +1,243 @@
+"""Elimination for x = c + γ P x: along an order, within a band, or sparse, where there is room.
+
+    substitution(chain, γ, order)      the chain only falls along the order: nothing to eliminate
+    band(chain, γ, reach)              all transitions are to near numbers: nothing fills outside
+    sparse(chain, γ)                   SuperLU; refused where its factors would be too large
+
+Each returns a function of c (S,). Rows, or columns, dominated by their diagonal need no exchanges
+for the sake of stability. So the fill is known beforehand: it is at most that of the Cholesky
+factor with the pattern of P + Pᵀ in the same order, which is counted, without forming it
+(`solvers.kernels.band.fill`; George and Liu, Computer Solution of Large Sparse Positive Definite
+Systems, 1981, chapter 5). The order is that of COLAMD, read from an incomplete factor that SuperLU
+drops nearly everything from; for very large chains, for which finding it takes minutes, that of
+Reverse Cuthill and McKee.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from mdp.table import Floats, Integers, Numbers
+from solvers.bounds.gains import COMPILED
+from solvers.solution import SolverError, Status
+
+MOST_ENTRIES = 100_000_000  # in each factor: 1.2 GB with their places, 2.4 GB for both
+MOST_OPERATIONS = 1e11  # about a minute or two
+ENTRY = 12  # bytes
+MOST_ORDERED = 1_000_000  # transitions that COLAMD orders within seconds, whatever they are
+NO_FALL = "the chain does not fall along the order given"
+
+Solve = Callable[[Floats], Floats]
+
+
+class TooLarge(SolverError):
+    """Factors that are not made, because they would fill the memory."""
+
+    def __init__(self, detail: str) -> None:
+        super().__init__(Status.TOO_LARGE, detail)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.detail,)
+
+
+def reach(chain: sp.csr_array) -> tuple[int, int]:
+    """Return how far transitions (S, S) lead down and up in number at most.
+
+    Examples
+    --------
+    >>> reach(sp.csr_array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.5], [0.5, 0.0, 0.0]]))
+    (2, 1)
+    """
+    if chain.nnz >= COMPILED:
+        from solvers.kernels import band as kernel
+
+        found = np.zeros(2, dtype=np.int64)
+        kernel.reach(chain.indptr, chain.indices, found)
+        return int(found[0]), int(found[1])
+    row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
+    ahead = chain.indices - row
+    return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
+
+
+def matrix_of(chain: sp.csr_array, discount: float) -> sp.csr_array:
+    """Return I - γ P (S, S)."""
+    return sp.csr_array(sp.eye_array(chain.shape[0], format="csr") - discount * chain)
+
+
+def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve:
+    """Return forward substitution in the given order, by which the matrix is triangular.
+
+    Large chains are read as they are by a compiled loop; small ones are put in order for SciPy's.
+
+    Raises
+    ------
+    ValueError
+        Where some transition does not fall along the order.
+    """
+    sequence = np.argsort(order, kind="stable")
+    if chain.nnz >= COMPILED:
+        return _substitution(chain, discount, order, sequence)
+    from scipy.sparse.linalg import spsolve_triangular
+
+    place = np.empty_like(sequence)
+    place[sequence] = np.arange(len(sequence))
+    rows = chain[sequence]
+    column = place[rows.indices]
+    row = np.repeat(np.arange(len(sequence)), np.diff(rows.indptr))
+    if (column >= row).any():
+        raise ValueError(NO_FALL)
+    flow = sp.csr_array((-discount * rows.data, column, rows.indptr), rows.shape)
+    matrix = _narrow((flow + sp.eye_array(len(sequence), format="csr")).tocsr())
+    matrix.sort_indices()
+
+    def solve(constant: Floats) -> Floats:
+        found = spsolve_triangular(matrix, constant[sequence], lower=True, unit_diagonal=True)
+        return np.asarray(found[place])
+
+    return solve
+
+
+def _narrow(matrix: sp.csr_array) -> sp.csr_array:
+    """Return the matrix with the places that SuperLU takes: C's int.
+
+    `splu` and `spilu` cast them. `spsolve_triangular` does so from SciPy 1.17.1 on, and raises a
+    TypeError before. They fit: what comes here has fewer transitions than `COMPILED`.
+    """
+    places = matrix.indices.astype(np.intc, copy=False), matrix.indptr.astype(np.intc, copy=False)
+    return sp.csr_array((matrix.data, *places), matrix.shape)
+
+
+def _substitution(
+    chain: sp.csr_array, discount: float, order: Integers, sequence: Integers
+) -> Solve:
+    from solvers.kernels import band as kernel
+
+    if not kernel.falls(chain.indptr, chain.indices, order):
+        raise ValueError(NO_FALL)
+
+    def solve(constant: Floats) -> Floats:
+        value, rows = np.empty(len(constant)), (chain.indptr, chain.indices, chain.data)
+        kernel.substitute(*rows, float(discount), sequence, constant, value)
+        return value
+
+    return solve
+
+
+def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve:
+    """Return elimination within the band, from `within` below to above the diagonal.
+
+    Large chains are eliminated by a compiled loop that keeps the band alone: 8 bytes for each of
+    its places. Small ones are left to SciPy, so that no compiler is loaded.
+
+    Raises
+    ------
+    SolverError
+        Where a pivot is not positive: the chain does not leak.
+
+    Examples
+    --------
+    >>> walk = sp.csr_array([[0.5, 0.25], [0.0, 0.0]])
+    >>> band(walk, 1.0, (0, 1))(np.array([1.0, 1.0])).tolist()
+    [2.5, 1.0]
+    """
+    if chain.nnz < COMPILED:
+        return _superlu(matrix_of(chain, discount).tocsc(), permc_spec="NATURAL")
+    from solvers.kernels import band as kernel
+
+    lower = within[0]
+    factors = np.empty((chain.shape[0], sum(within) + 1))
+    state = kernel.factor(chain.indptr, chain.indices, chain.data, float(discount), lower, factors)
+    if state >= 0:
+        raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {state})")
+
+    def solve(constant: Floats) -> Floats:
+        value = np.array(constant, dtype=np.float64)
+        kernel.solve(factors, lower, value)
+        return value
+
+    return solve
+
+
+def sparse(chain: sp.csr_array, discount: float) -> Solve:
+    """Return sparse elimination by SuperLU.
+
+    Raises
+    ------
+    TooLarge
+        Where the factors would have more than `MOST_ENTRIES` entries each, or take more than
+        `MOST_OPERATIONS`. That is found out for `COMPILED` transitions and more; below, factors
+        cannot be large.
+    SolverError
+        Where a pivot is 0: the chain does not leak.
+    """
+    matrix = matrix_of(chain, discount).tocsc()
+    if chain.nnz < COMPILED:
+        return _superlu(matrix)
+    order = _order(matrix)
+    matrix = matrix[order][:, order].tocsc()
+    if fill(matrix) is None:
+        raise TooLarge(
+            f"iteration does not converge, and elimination of {chain.shape[0]:,} equations with "
+            f"{chain.nnz:,} transitions would take factors of more than "
+            f"{2 * MOST_ENTRIES * ENTRY / 1e9:.1f} GB or {MOST_OPERATIONS:.0e} operations"
+        )
+    # The order is kept, but for changes that leave the fill of a symmetric pattern as it is.
+    inner = _superlu(matrix, permc_spec="NATURAL", options={"SymmetricMode": True})
+
+    def solve(constant: Floats) -> Floats:
+        value = np.empty(len(constant))
+        value[order] = inner(constant[order])
+        return value
+
+    return solve
+
+
+def fill(matrix: sp.csc_array) -> int | None:
+    """Return the most entries that a factor of a `matrix` (S, S) may have; None if too many.
+
+    Examples
+    --------
+    >>> fill(sp.csc_array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 1.0]]))
+    4
+    """
+    from solvers.kernels import band as kernel
+
+    states = matrix.shape[0]
+    row = matrix.indices
+    column = np.repeat(np.arange(states, dtype=row.dtype), np.diff(matrix.indptr))
+    # The pattern and its mirror image, below the diagonal.
+    ends = (np.maximum(row, column), np.minimum(row, column))
+    pattern = sp.csr_array((np.ones(len(row), dtype=np.int8), ends), matrix.shape)
+    room = np.empty((3, states), dtype=np.int64)
+    limits = (MOST_ENTRIES, float(MOST_OPERATIONS))
+    found = int(kernel.fill(pattern.indptr, pattern.indices, *limits, room[0], room[1], room[2]))
+    return None if found < 0 else found
+
+
+def _order(matrix: sp.csc_array) -> Numbers:
+    """Return the states (S,) in an order that keeps the fill low."""
+    if matrix.nnz > MOST_ORDERED:
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+        return np.asarray(reverse_cuthill_mckee(matrix + matrix.T, symmetric_mode=True))
+    from scipy.sparse.linalg import spilu
+
+    try:
+        nearly: Any = spilu(matrix, drop_tol=1.0, fill_factor=1.0, permc_spec="COLAMD")
+    except RuntimeError as error:
+        raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
+    return np.argsort(nearly.perm_c)
+
+
+def _superlu(matrix: sp.csc_array, **settings: Any) -> Solve:
+    from scipy.sparse.linalg import splu
+
+    try:
+        factors: Any = splu(matrix, diag_pivot_thresh=0.0, **settings)
+    except RuntimeError as error:
+        raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
+    return lambda constant: np.asarray(factors.solve(constant))

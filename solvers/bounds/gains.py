@@ -1,0 +1,286 @@
+"""Rounding errors of double precision, bounded in advance.
+
+A sum of n products, in any order, each number rounded a few times before, is off by at most
+
+    γ(n + few) Σ |p| |x|,   γ(n) = n u / (1 - n u),   u = 2⁻⁵³
+
+as long as nothing underflows; what does costs at most TINY for each term (Higham, Accuracy and
+Stability of Numerical Algorithms, SIAM 2002, sections 3.1 and 3.4). Bounds are themselves computed
+in double precision, so `SLACK` enlarges each of them by more than that can cost: a bound is a sum
+of nonnegative terms, and these keep a relative error of at most γ(n + few).
+
+What each pair would add to V, with a bound on the rounding error.
+
+    d(l) = r(l) + γ Σ_s' P(l, s') V(s') - V(s)
+         = r(l) + γ Σ_s' P(l, s') (V(s') - V(s)) - (1 - γ Σ_s' P(l, s')) V(s)
+
+The second form is computed. Its rounding errors are set by how values differ between neighbours,
+not by how large they are, and the leak 1 - γ Σ P is known almost exactly. The error is bounded
+against the exact model, of which the floats are a rounding (Higham, Accuracy and Stability of
+Numerical Algorithms, SIAM 2002, section 3.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp import threads
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers.solution import SolverError, Status
+
+UNIT = 2.0**-53
+TINY = 2.0**-1000
+SLACK = 1 + 2.0**-20
+
+
+def gamma(terms: Integers | int) -> Floats:
+    """Return γ(n), a little more than n units of roundoff.
+
+    Examples
+    --------
+    >>> float(gamma(1)) > 2**-53
+    True
+    """
+    count = np.asarray(terms, dtype=np.float64) * UNIT
+    return np.asarray(count / (1 - count) * (1 + 4 * UNIT))
+
+
+COMPILED = 20_000  # transitions from which on loading compiled loops pays
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gain:
+    """What each pair adds to V: d(l) = r(l) + γ P_l V - V(s).
+
+    Attributes
+    ----------
+    value : (L,)
+        d as computed.
+    error : (L,)
+        How far it may be from the exact one.
+    noise : (L,)
+        What rounding V and q to double precision amounts to; gains closer than this are ties.
+    """
+
+    value: Floats
+    error: Floats
+    noise: Floats
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
+    """Return what each pair adds to `value` (S,), with the rounding errors bounded.
+
+    Parameters
+    ----------
+    reward : (L,), optional
+        Exact rewards in place of the model's.
+
+    Raises
+    ------
+    SolverError
+        Where a value is beyond the range of floats.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [[1], [0]])
+    >>> gains(mdp, np.array([1.5, 0.0])).value.tolist()
+    [0.25, 0.0]
+    """
+    facts, found = rounding_facts(mdp), np.empty((3, mdp.n_pairs))
+    still = bool(value.min() == value.max() and np.isfinite(value[0]))
+    tiny = TINY * (1 + float(np.abs(value).max())) * bool(value.any())
+
+    def work(number: int, first: int, last: int) -> None:
+        here = slice(first, last)
+        _differences(mdp, value, first, last, found, still=still)
+        steps, flow = mdp.discount * found[0, here], mdp.discount * found[1, here]
+        own = value[mdp.pair_state[here]]
+        earned = (mdp.reward if reward is None else reward)[here]
+        earned_error = facts.reward_errors(mdp, first, last) if reward is None else 0.0
+        leak, terms = facts.leak[here] * own, facts.terms(mdp, first, last)
+        size = np.abs(earned) + np.abs(leak)
+        rounding = gamma(terms + 8) * flow + gamma(4) * size + facts.leak_error * np.abs(own)
+        error = (rounding + earned_error + tiny * (terms + 1)) * SLACK
+        found[0, here] = earned + (steps - leak)
+        found[1, here] = error
+        found[2, here] = gamma(terms + 8) * (flow + np.abs(own) + np.abs(earned)) + error
+
+    # In parts that stay in the cache: what is worked with on the way takes no memory to speak of.
+    with np.errstate(over="ignore", invalid="ignore"):
+        threads.run_blocks(threads.block_ends(mdp.transition.indptr, most=threads.IN_CACHE), work)
+    if not (np.all(np.isfinite(value)) and np.isfinite(found[2].max())):
+        raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+    return Gain(value=found[0], error=found[1], noise=found[2])
+
+
+def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
+    """Return (S,) the first pair of each state that no other beats by more than rounding.
+
+    Parameters
+    ----------
+    keep : (S,) ints, optional
+        Pairs to keep, too, where no other beats them by more than rounding.
+    """
+    offsets, chosen = mdp.pair_offsets, np.empty(mdp.n_states, dtype=np.int64)
+
+    def work(number: int, first: int, last: int) -> None:
+        here = slice(offsets[first], offsets[last])
+        begin, counts = offsets[first:last], np.diff(offsets[first : last + 1])
+        value, noise = gain.value[here], gain.noise[here]
+        best = np.maximum.reduceat(value - noise, begin - begin[0])
+        good = value + noise >= np.repeat(best, counts)
+        numbers = np.where(good, np.arange(here.start, here.stop), mdp.n_pairs)
+        taken = np.minimum.reduceat(numbers, begin - begin[0])
+        if keep is not None:
+            kept = keep[first:last]
+            taken = np.where(good[kept - begin[0]], kept, taken)
+        chosen[first:last] = taken
+
+    threads.run_blocks(threads.block_ends(offsets, most=threads.IN_CACHE), work)
+    return chosen
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoundingFacts:
+    """What is known of a model's rounding errors before any values are.
+
+    Attributes
+    ----------
+    merged : (L,) int32 or (0,)
+        Roundings in a row where floats of the same next state were added up before; else empty.
+    reward_error : (L,) or (0,)
+        How far each reward may be from the exact one; empty where each was rounded once.
+    leak : (L,)
+        1 - γ Σ p.
+    leak_error : float
+        The greatest error of `leak`.
+    """
+
+    merged: NDArray[np.int32]
+    reward_error: Floats
+    leak: Floats
+    leak_error: float
+
+    def terms(self, mdp: MDP, first: int, last: int) -> Integers:
+        """Return the number of roundings in a row of pairs first … last-1."""
+        if len(self.merged):
+            return np.asarray(self.merged[first:last])
+        return np.diff(mdp.table.offsets[first : last + 1])
+
+    def reward_errors(self, mdp: MDP, first: int, last: int) -> Floats:
+        """Return how far the rewards of pairs first … last-1 may be from the exact ones."""
+        if len(self.reward_error):
+            return self.reward_error[first:last]
+        earning = _earning(mdp, first, last)
+        return np.asarray(UNIT * np.abs(mdp.reward[first:last]) + TINY * earning)
+
+    def reward_error_bound(self, mdp: MDP) -> float:
+        """Return the greatest of them, or a little more."""
+        if len(self.reward_error):
+            return float(self.reward_error.max())
+        return UNIT * max(abs(float(mdp.reward.min())), abs(float(mdp.reward.max()))) + TINY
+
+
+_FACTS: WeakKeyDictionary[MDP, RoundingFacts] = WeakKeyDictionary()
+
+
+def rounding_facts(mdp: MDP) -> RoundingFacts:
+    """Return the facts, computed once for each model."""
+    if mdp not in _FACTS:
+        leak, leak_error = _leak(mdp)
+        merged = np.empty(0, dtype=np.int32)
+        if mdp.table.weight.dtype == np.float64 and mdp.n_transitions < len(mdp.table.next):
+            merged = (2 * np.diff(mdp.table.offsets)).astype(np.int32)
+        _FACTS[mdp] = RoundingFacts(
+            merged=merged,
+            reward_error=_reward_error(mdp),
+            leak=leak,
+            leak_error=leak_error,
+        )
+    return _FACTS[mdp]
+
+
+def _leak(mdp: MDP) -> tuple[Floats, float]:
+    """Return 1 - γ Σ p by pair: exact rows sum to 1, those with floats nearly so."""
+    leak = float(1 - mdp.discount_exact)
+    weight, offsets = mdp.table.weight, mdp.table.offsets
+    if mdp.table.sums_to_one:
+        return np.full(mdp.n_pairs, leak), leak * UNIT
+    if weight.dtype != np.float64:
+        rate, below = mdp.discount_exact, mdp.table.denominator.tolist()
+        totals = mdp.table.row_sums().tolist()
+        found = np.array(
+            [float(1 - rate * Fraction(a, b)) for a, b in zip(totals, below, strict=True)]
+        )
+        return found, float(np.abs(found).max()) * UNIT
+    if len(weight) >= COMPILED:
+        from solvers.kernels import bellman
+
+        found = np.empty(mdp.n_pairs)
+        ends = threads.block_ends(offsets)
+        worst = np.zeros(len(ends) - 1)
+
+        def work(number: int, first: int, last: int) -> None:
+            worst[number] = bellman.leaks(first, last, offsets, weight, mdp.discount, leak, found)
+
+        threads.run_blocks(ends, work)
+        return found, float(worst.max())
+    # Multiples of 2^-40 add up exactly as integers, and what is left of each float is tiny.
+    scaled = np.rint(weight * 2.0**40)
+    whole = np.add.reduceat(scaled.astype(np.int64), offsets[:-1]) - 2**40
+    rest = np.add.reduceat(weight - scaled * 2.0**-40, offsets[:-1])
+    excess = mdp.discount * (whole * 2.0**-40 + rest)
+    terms = np.diff(offsets)
+    error = 2 * UNIT * leak + 8 * UNIT * np.abs(excess) + gamma(terms) * terms * 2.0**-40
+    return leak - excess, float(error.max())
+
+
+def _reward_error(mdp: MDP) -> Floats:
+    """Return how far each expected reward, as a float, may be from the exact one."""
+    table = mdp.table
+    if not (table.joint and np.float64 in (table.weight.dtype, table.gain.dtype)):
+        return np.empty(0)
+    terms = np.diff(table.offsets)
+    size = np.add.reduceat(table.probabilities() * np.abs(table.gains()), table.offsets[:-1])
+    return np.asarray(gamma(2 * terms + 2) * size * SLACK + terms * TINY)
+
+
+def _earning(mdp: MDP, first: int, last: int) -> NDArray[np.bool_]:
+    """Return True where one of the pairs first … last-1 earns anything."""
+    table = mdp.table
+    if len(table.gain) == mdp.n_pairs:
+        return np.asarray(table.gain[first:last] != 0)
+    offsets = table.offsets[first : last + 1]
+    earning = np.asarray(table.gain[offsets[0] : offsets[-1]] != 0)
+    return np.asarray(np.logical_or.reduceat(earning, offsets[:-1] - offsets[0]))
+
+
+def _differences(
+    mdp: MDP, value: Floats, first: int, last: int, found: Floats, *, still: bool
+) -> None:
+    """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `found` (2 or more, L)."""
+    matrix: Any = mdp.transition
+    if still:
+        found[:2, first:last] = 0.0
+        return
+    if mdp.n_transitions >= COMPILED:
+        from solvers.kernels import bellman
+
+        rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
+        bellman.gains(first, last, *rows, value, found[0], found[1])
+        return
+    begin, end = matrix.indptr[first], matrix.indptr[last]
+    term = value[matrix.indices[begin:end]]
+    term -= np.repeat(value[mdp.pair_state[first:last]], np.diff(matrix.indptr[first : last + 1]))
+    term *= matrix.data[begin:end]
+    offsets = matrix.indptr[first:last] - begin
+    found[0, first:last] = np.add.reduceat(term, offsets)
+    found[1, first:last] = np.add.reduceat(np.abs(term, out=term), offsets)

@@ -1,0 +1,1 @@
+"""Dynamic programming and linear programming: one algorithm a module."""

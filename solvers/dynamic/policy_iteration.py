@@ -1,0 +1,97 @@
+"""Policy iteration: evaluate a policy exactly, improve it in every state, repeat.
+
+    V = r_π + γ P_π V,   π(s) ← a pair l of s with the greatest r(l) + γ P_l V
+
+A pair is kept unless another beats it by more than rounding, so that ties cannot make it go round
+in circles (Howard, Dynamic Programming and Markov Processes, 1960; Puterman, Markov Decision
+Processes, 1994, section 6.4). The number of iterations does not depend on how fast the chain mixes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers.bounds.bounds import Bounds, bounds, greedy, levels, margin_weights
+from solvers.bounds.gains import gains
+from solvers.bounds.linear import LinearSystem, policy_chain
+from solvers.dynamic.stopping import check_settings, conclude
+from solvers.solution import Solution, Status
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyIteration:
+    """Howard's policy iteration; the error bound is what rounding leaves.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Policies to evaluate before giving up, with a SolverError.
+
+    Examples
+    --------
+    >>> stay, go = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
+    >>> mdp = MDP.from_arrays([stay, go], [[1, 0], [2, 2]], discount="1/2")
+    >>> solution = PolicyIteration().solve(mdp)
+    >>> solution.value.tolist(), solution.policy.tolist()
+    ([2.0, 4.0], [0, 0])
+    """
+
+    max_iterations: int = 1000
+
+    def __post_init__(self) -> None:
+        check_settings(self, max_iterations=self.max_iterations)
+
+    @property
+    def name(self) -> str:
+        return "policy-iteration"
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def solve(self, mdp: MDP) -> Solution:
+        """Return the optimum up to rounding.
+
+        Raises
+        ------
+        ModelError
+            At discount 1 where not every policy ends.
+        SolverError
+            At the iteration limit, or where double precision cannot bound the error.
+        """
+        started = perf_counter()
+        margin_weights(mdp)
+        pairs = greedy(mdp, gains(mdp, np.zeros(mdp.n_states)))
+        found, iterations, stable = improved(mdp, pairs, self.max_iterations)
+        status = Status.DIRECT if stable else Status.ITERATION_LIMIT
+        return conclude(mdp, self, found, status=status, iterations=iterations, started=started)
+
+
+def improved(
+    mdp: MDP, pairs: Integers, limit: int, *, used: NDArray[np.bool_] | None = None
+) -> tuple[Bounds, int, bool]:
+    """Return bounds around the values reached from `pairs` (S,), the iterations, and if stable.
+
+    Pairs that any policy on the way took are marked in `used` (L,).
+    """
+    seen: set[bytes] = set()
+    for iteration in range(1, limit + 1):
+        if used is not None:
+            used[pairs] = True
+        value = evaluated(mdp, pairs)
+        gain = gains(mdp, value)
+        seen.add(pairs.tobytes())
+        pairs = greedy(mdp, gain, keep=pairs)
+        # A policy that comes back differs from the last by rounding errors alone.
+        if pairs.tobytes() in seen:
+            return bounds(mdp, value, greedy(mdp, gain)), iteration, True
+    return bounds(mdp, value), iteration, False
+
+
+def evaluated(mdp: MDP, pairs: Integers) -> Floats:
+    """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
+    chain, reward = policy_chain(mdp, pairs)
+    return LinearSystem(chain, mdp.discount, order=levels(mdp)).approximate(reward)

@@ -1,0 +1,75 @@
+"""Value iteration, stopped by two-sided bounds.
+
+    V ← T V,   (T V)(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V(s')
+
+until the bounds of `solvers.bounds.bounds` around V are as close as asked for; that the last sweep
+changed little is no reason to stop (Haddad and Monmege, Theoretical Computer Science 735, 2018).
+The answer is the middle between the bounds (MacQueen 1966; Porteus 1971).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from mdp.model import MDP
+from solvers.dynamic.partial_evaluation import Iterate
+from solvers.dynamic.stopping import Watch, check_settings, conclude
+from solvers.solution import Solution, Status
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueIteration:
+    """Improve the values sweep by sweep until their error bound is at most `tol`.
+
+    Parameters
+    ----------
+    tol : float, optional
+        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
+    max_iterations : int
+        Sweeps after which to give up, with a SolverError.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[1]]], [1], discount="9/10")
+    >>> round(ValueIteration(tol=1e-6).solve(mdp).start_value, 6)
+    10.0
+    """
+
+    tol: float | None = None
+    max_iterations: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        check_settings(self, self.tol, max_iterations=self.max_iterations)
+
+    @property
+    def name(self) -> str:
+        return "value-iteration"
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def solve(self, mdp: MDP) -> Solution:
+        """Return the optimum within `tol`.
+
+        Raises
+        ------
+        ModelError
+            At discount 1 where not every policy ends.
+        SolverError
+            At the sweep limit, or where double precision cannot bound the error.
+        """
+        started = perf_counter()
+        watch = Watch(mdp, self.tol)
+        iterate, iteration = Iterate(watch.sweeps, np.zeros(mdp.n_states)), 0
+        while True:
+            iteration += 1
+            found = iterate.improve()
+            if watch.ready(found, iterate) and (end := watch.verdict(found, iterate)):
+                status, reached = end
+                break
+            if iteration == self.max_iterations:
+                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate)
+                break
+            iterate.take(found)
+        return conclude(mdp, self, reached, status=status, iterations=iteration, started=started)

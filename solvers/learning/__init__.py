@@ -1,0 +1,1 @@
+"""Tabular learning from samples, and what it tends to."""

@@ -1,0 +1,299 @@
+"""Tabular learning from samples: Q-learning, SARSA, expected SARSA, double Q-learning.
+
+    Q(k, a) ← Q(k, a) + α (r + γ U - Q(k, a)),   k, k' the rows that s and s' read,
+
+where a is ε-greedy in Q(k, ·) and U is, at the state s' that follows,
+
+    max_b Q(k', b)                                   Q-learning (Watkins and Dayan 1992)
+    Q(k', b) of the action b taken next              SARSA (Rummery and Niranjan 1994)
+    (1-ε) max_b Q(k', b) + ε mean_b Q(k', b)         expected SARSA (van Seijen et al. 2009)
+    Q₂(k', argmax_b Q₁(k', b)), tables by a coin     double Q-learning (van Hasselt 2010)
+
+and 0 at the end, unless `bootstrap_end` is set. Where several states share a row, this is no longer
+the solution of an MDP; see `solvers.learning.mean_field` for what it tends to.
+
+The defaults are those of Yuan et al. (2025), "Learning Algorithm Design and Training": 6,000 epochs
+of 30 episodes, α = 0.05, γ = 0.95, one row for each status, ε = 0.1. Sampling only: nothing here
+looks at a probability except to draw from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from mdp.errors import ModelError, suggest
+from mdp.model import MDP, as_discount
+from mdp.policies.policy import Policy
+from mdp.space import StateSpace
+from mdp.table import Floats, Numbers
+from solvers.learning.sampler import as_policy, as_sequence, rows_of, stream, tables
+from solvers.learning.schedules import PAPER_CONSTANT, PAPER_RATE, Schedule, checked
+
+METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
+TIES = ("first", "last", "random")
+MOST_RECORDED = 2**28
+
+
+@dataclass(frozen=True, kw_only=True)
+class QLearning:
+    """Settings of a learner.
+
+    Attributes
+    ----------
+    method : str
+        One of `METHODS`.
+    epochs, episodes : int
+        Number of epochs, and of episodes in each.
+    discount : number or "p/q"
+        That of the learner; the model's own discount plays no part.
+    rate, exploration : Schedule
+        α and ε of each epoch, from 0 to 1.
+    rate_power : float
+        The n-th update of an entry uses α n^-power.
+    columns : tuple of str, optional
+        Columns of the state that the Q-table reads; unless given, the status alone where there is
+        one, all columns otherwise.
+    initial : float
+        First value of every entry.
+    ties : str
+        Which of several best actions is taken: one of `TIES`.
+    bootstrap_end : bool
+        Look beyond the end as if it went on there: the end of a scenario reads the row of status
+        0000. Where columns are all read, this makes no difference at `initial` = 0.
+    max_steps : int
+        Episodes are cut short after so many timesteps; `TrainingRun.cut_short` counts them.
+    snapshot_episode : int
+        The greedy policy after this episode of each epoch is kept; 0 keeps none.
+    last : int
+        Greedy policies after each of so many last episodes are kept.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> run = QLearning(epochs=20).train(mdp, seed=0)
+    >>> run.q.shape, len(run.snapshots), len(run.last)
+    ((16, 4), 20, 100)
+    """
+
+    method: str = "q-learning"
+    epochs: int = 6000
+    episodes: int = 30
+    discount: object = "19/20"
+    rate: Schedule = PAPER_RATE
+    rate_power: float = 0.0
+    exploration: Schedule = PAPER_CONSTANT
+    columns: tuple[str, ...] | None = None
+    initial: float = 0.0
+    ties: str = "first"
+    bootstrap_end: bool = False
+    max_steps: int = 10_000
+    snapshot_episode: int = 10
+    last: int = 100
+
+    def __post_init__(self) -> None:
+        for name, options in (("method", METHODS), ("ties", TIES)):
+            if getattr(self, name) not in options:
+                raise _refused(
+                    name, getattr(self, name), suggest(str(getattr(self, name)), options)
+                )
+        for name, least in (
+            ("epochs", 1),
+            ("episodes", 1),
+            ("max_steps", 1),
+            ("snapshot_episode", 0),
+            ("last", 1),
+        ):
+            if not _whole(getattr(self, name), least):
+                raise _refused(name, getattr(self, name), f"give a whole number from {least} on")
+        if self.snapshot_episode > self.episodes:
+            raise _refused("snapshot_episode", self.snapshot_episode, "0 keeps no snapshot")
+        if not (np.isfinite(self.initial) and np.isfinite(self.rate_power)):
+            raise _refused("initial or rate_power", self.initial, "give finite numbers")
+        if self.rate_power < 0:
+            raise _refused("rate_power", self.rate_power, "rates must not grow: give 0 or more")
+        object.__setattr__(self, "discount", as_discount(self.discount))
+        checked("exploration", self.exploration, self.epochs)
+        checked("learning rate", self.rate, self.epochs)
+
+    def train(self, mdp: MDP, seed: int | SeedSequence) -> TrainingRun:
+        """Return one run; the same seed gives the same bytes.
+
+        Raises
+        ------
+        ModelError
+            For a seed that is not a whole number, or columns that do not tell apart states which
+            offer different actions.
+        """
+        return Trainer(self, mdp).run(seed)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainingRun:
+    """What a learner ended with and passed through.
+
+    Attributes
+    ----------
+    space : StateSpace
+        What the K rows of the Q-table stand for.
+    q : (K, A)
+        Action values at the end; of double Q-learning, the mean of both tables.
+    policies : (U, K) int16
+        Distinct greedy policies recorded, by action number, as they first appeared.
+    snapshots : (E,) int32
+        Which of them was greedy after episode `snapshot_episode` of each epoch.
+    last : (H,) int32
+        Which of them was greedy after each of the last episodes, the final one last.
+    returns : (E,)
+        Mean undiscounted return of each epoch's training episodes.
+    steps, cut_short : int
+        Timesteps in all, and episodes that reached `max_steps`.
+    """
+
+    space: StateSpace
+    q: Floats
+    policies: Numbers
+    snapshots: Numbers
+    last: Numbers
+    returns: Floats
+    steps: int
+    cut_short: int
+
+    def __post_init__(self) -> None:
+        for array in (self.q, self.policies, self.snapshots, self.last, self.returns):
+            array.setflags(write=False)
+
+    @property
+    def final(self) -> Numbers:
+        """(K,) the greedy action of each row at the end."""
+        return np.asarray(self.policies[self.last[-1]])
+
+    def last_counts(self) -> dict[int, int]:
+        """Return how often each policy was greedy in the last episodes, the most frequent first."""
+        numbers, counts = np.unique(self.last, return_counts=True)
+        order = np.argsort(-counts, kind="stable")
+        return dict(zip(numbers[order].tolist(), counts[order].tolist(), strict=True))
+
+    def policy(self, mdp: MDP) -> Policy:
+        """Return the final greedy policy."""
+        return as_policy(mdp, self.space, self.final)
+
+
+class Trainer:
+    """Settings and a model, laid out once for many runs."""
+
+    def __init__(self, settings: QLearning, mdp: MDP) -> None:
+        self.settings, self.mdp = settings, mdp
+        self.rows = rows_of(mdp, settings.columns)
+        self.tables = tables(mdp, self.rows)
+        kept = settings.last + (settings.epochs if settings.snapshot_episode else 0)
+        if kept * self.rows.space.size > MOST_RECORDED:
+            raise ModelError(
+                f"{kept:,} greedy policies of {self.rows.space.size:,} rows are too many to keep",
+                where="QLearning",
+                fix="set snapshot_episode=0, or keep fewer last policies",
+            )
+
+    def run(self, seed: int | SeedSequence) -> TrainingRun:
+        """Return one run; see `QLearning.train`."""
+        from solvers import kernels
+
+        own, rows = self.settings, self.rows.space.size
+        entries, double = rows * self.mdp.n_actions, own.method == "double-q-learning"
+        both = np.full((2, entries if double else 0), float(own.initial))
+        acting = np.full(entries, float(own.initial)) if not double else both[0] + both[1]
+        counts = np.zeros(entries if own.rate_power else 0, dtype=np.int64)
+        snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int16)
+        last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int16)
+        returns = np.zeros(own.epochs)
+        random = stream(as_sequence(seed))
+        steps, cut_short = kernels.learn(
+            self.tables,
+            random,
+            both,
+            acting,
+            counts,
+            self.mdp.n_actions,
+            checked("exploration", own.exploration, own.epochs),
+            checked("learning rate", own.rate, own.epochs),
+            float(own.rate_power),
+            float(as_discount(own.discount)),
+            own.episodes,
+            METHODS.index(own.method),
+            TIES.index(own.ties),
+            bool(own.bootstrap_end),
+            own.max_steps,
+            own.snapshot_episode,
+            snapshots,
+            last,
+            returns,
+        )
+        policies, numbers = distinct(np.concatenate([snapshots, last]))
+        return TrainingRun(
+            space=self.rows.space,
+            q=(acting / (1 + double)).reshape(rows, self.mdp.n_actions),
+            policies=policies,
+            snapshots=numbers[: len(snapshots)],
+            last=numbers[len(snapshots) :],
+            returns=returns,
+            steps=int(steps),
+            cut_short=int(cut_short),
+        )
+
+    def possible(self, run: TrainingRun) -> bool:
+        """Return whether a run that was read from a file can be one of these settings.
+
+        Compiled code takes its numbers as they are: an action that there is not would be read from
+        beyond an array.
+        """
+        own, (rows, actions) = self.settings, self.rows.offered.shape
+        recorded = {
+            "q": (np.float64, (rows, actions)),
+            "policies": (np.int16, (len(run.policies), rows)),
+            "snapshots": (np.int32, (own.epochs if own.snapshot_episode else 0,)),
+            "last": (np.int32, (min(own.last, own.epochs * own.episodes),)),
+            "returns": (np.float64, (own.epochs,)),
+        }
+        for name, (kind, shape) in recorded.items():
+            array = getattr(run, name)
+            if array.dtype != kind or array.shape != shape:
+                return False
+        numbers, taken = np.concatenate([run.snapshots, run.last]), run.policies.astype(np.int64)
+        within = (numbers >= 0).all() and (numbers < len(taken)).all()
+        known = (taken >= 0).all() and (taken < actions).all()
+        counts = isinstance(run.steps, int) and isinstance(run.cut_short, int)
+        finite = np.isfinite(run.returns).all()
+        return bool(within and known and counts and finite and len(taken))
+
+
+def distinct(policies: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the distinct rows of (n, K) as they first appear, and which of them each row is.
+
+    Examples
+    --------
+    >>> distinct(np.array([[1, 2], [1, 2], [0, 5]], dtype=np.int16))[1].tolist()
+    [0, 0, 1]
+    """
+    fresh = np.ones(len(policies), dtype=bool)
+    fresh[1:] = (policies[1:] != policies[:-1]).any(axis=1)
+    changes = np.flatnonzero(fresh)
+    known: dict[bytes, int] = {}
+    first: list[int] = []
+    numbers: list[int] = []
+    for place in changes.tolist():
+        number = known.setdefault(policies[place].tobytes(), len(known))
+        if number == len(first):
+            first.append(place)
+        numbers.append(number)
+    return policies[first], np.array(numbers, dtype=np.int32)[np.cumsum(fresh) - 1]
+
+
+def _whole(value: object, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _refused(name: str, value: object, fix: str) -> ModelError:
+    return ModelError(f"{name} is {value!r}", where="QLearning", fix=fix)

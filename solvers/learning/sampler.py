@@ -1,0 +1,167 @@
+"""A model laid out for the compiled loops, and which rows of a Q-table its states read.
+
+A learner that reads only some of the state's columns shares one row of its Q-table among all states
+that agree in them. The end of a scenario has no columns and reads the first row: that of status
+0000, in which a completed subtask ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.random import SeedSequence
+from numpy.typing import NDArray
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.policies.policy import Policy
+from mdp.space import StateSpace
+from mdp.table import Floats, Integers, Numbers
+
+if TYPE_CHECKING:
+    from solvers.kernels import Tables
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """Rows of a Q-table, by the columns of the state that it reads.
+
+    Attributes
+    ----------
+    space : StateSpace
+        What a row stands for.
+    key : (S,) int64
+        The row that each state reads.
+    offered : (K, A) bool
+        Actions to be compared in each row: those of its states with a choice, or, where it has
+        none, of all its states.
+    """
+
+    space: StateSpace
+    key: Integers
+    offered: NDArray[np.bool_]
+
+
+def default_columns(mdp: MDP) -> tuple[str, ...]:
+    """Return the status alone where the model has one, all columns otherwise."""
+    return ("status",) if "status" in mdp.space.names else mdp.space.names
+
+
+def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
+    """Return the rows of a Q-table that reads `columns` (see `default_columns` where None).
+
+    Raises
+    ------
+    ModelError
+        For an unknown column; where states with a choice share a row and offer different actions.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> rows = rows_of(Scenario.load("yuan2025").compile(), ("trial", "status"))
+    >>> rows.offered.shape, rows.space.label(20)
+    ((80, 4), 'trial 1, status 0100')
+    """
+    chosen = default_columns(mdp) if columns is None else tuple(columns)
+    if set(chosen) >= set(mdp.space.names):
+        space, key = mdp.space, np.arange(mdp.n_states)
+    else:
+        space = StateSpace(columns=tuple(mdp.space.column(name) for name in chosen))
+        key = np.zeros(mdp.n_states, dtype=np.int64)
+        for column in space.columns:
+            key = key * column.size + np.maximum(mdp.space.values(column.name), 0)
+    mine: Numbers = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
+    mine[mdp.pair_state, mdp.pair_action] = True
+    offered = np.zeros((space.size, mdp.n_actions), dtype=bool)
+    free: NDArray[np.bool_] = np.logical_not(mdp.forced)
+    np.logical_or.at(offered, key[free], mine[free])
+    unlike = free & np.logical_xor(mine, offered[key]).any(axis=1)
+    if unlike.any():
+        raise ModelError(
+            "states that share a row of the Q-table offer different actions",
+            where=f"state ({mdp.space.label(int(np.flatnonzero(unlike)[0]))})",
+            fix=f"read more columns: {', '.join(mdp.space.names)}",
+        )
+    inside = np.logical_not(offered.any(axis=1))[key]
+    np.logical_or.at(offered, key[inside], mine[inside])
+    offered[np.logical_not(offered.any(axis=1)), 0] = True
+    return Rows(space=space, key=key, offered=offered)
+
+
+def tables(mdp: MDP, rows: Rows) -> Tables:
+    """Return the model as flat arrays for `solvers.kernels`."""
+    from solvers import kernels
+
+    table = mdp.table
+    cut = np.empty(len(table.next))
+    alias, small, large = np.empty((3, len(table.next)), dtype=np.int64)
+    offsets = np.ascontiguousarray(table.offsets, dtype=np.int64)
+    kernels.alias_tables(offsets, table.probabilities(), cut, alias, small, large)
+    sides = np.stack([np.arange(len(alias)), alias], axis=1).reshape(-1)
+    low, high = mdp.pair_offsets[:-1].copy(), mdp.pair_offsets[1:].copy()
+    row, action = np.nonzero(rows.offered)
+    row_offsets = np.searchsorted(row, np.arange(len(rows.offered) + 1))
+    row_entry = row * mdp.n_actions + action
+    entry = [rows.key[mdp.pair_state] * mdp.n_actions + mdp.pair_action]
+    total = mdp.n_pairs
+    for state in np.flatnonzero(mdp.terminal):
+        at = rows.key[state]
+        entry.append(row_entry[row_offsets[at] : row_offsets[at + 1]])
+        low[state], high[state] = total, total + len(entry[-1])
+        total += len(entry[-1])
+    starts = [state for state, weight in mdp.start if weight]
+    weights = [float(weight) for _, weight in mdp.start if weight]
+    return kernels.Tables(
+        low=low,
+        high=high,
+        entry=np.concatenate(entry),
+        offsets=offsets,
+        cut=cut,
+        next=table.next[sides].astype(np.int64),
+        gain=table.gains()[sides],
+        terminal=np.array(mdp.terminal),
+        start=np.array(starts, dtype=np.int64),
+        start_total=np.cumsum(weights),
+        row_offsets=row_offsets.astype(np.int64),
+        row_entry=row_entry.astype(np.int64),
+    )
+
+
+def as_policy(mdp: MDP, space: StateSpace, choices: Sequence[int] | Numbers) -> Policy:
+    """Return the policy of (K,) action numbers over the rows of a Q-table."""
+    table = np.eye(mdp.n_actions)[np.asarray(choices, dtype=np.int64)]
+    return Policy(space=space, actions=mdp.actions, table=table)
+
+
+def stream(seed: int | SeedSequence) -> Numbers:
+    """Return the (4,) uint64 state of a random stream; 0 is a seed like any other."""
+    return as_sequence(seed).generate_state(4, np.uint64)
+
+
+def as_sequence(seed: int | SeedSequence) -> SeedSequence:
+    """Return the seed sequence of a whole number at least 0, or the sequence given."""
+    if isinstance(seed, SeedSequence):
+        return seed
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ModelError(f"seed is {seed!r}", where="seed", fix="give a whole number, 0 or greater")
+    return SeedSequence(int(seed))
+
+
+def child(seed: int | SeedSequence, number: int) -> SeedSequence:
+    """Return what `SeedSequence.spawn` would give as child `number`, without counting children.
+
+    Examples
+    --------
+    >>> child(0, 2).spawn_key == SeedSequence(0).spawn(3)[2].spawn_key
+    True
+    """
+    parent = as_sequence(seed)
+    return SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number))
+
+
+def scores(policies: Numbers, n_actions: int) -> Floats:
+    """Return (U, K·A) flat tables in which each policy (K,) of (U, K) is greedy."""
+    return np.eye(n_actions)[policies].reshape(len(policies), -1)

@@ -1,0 +1,1 @@
+"""Acting on what is perceived, with memory: beliefs, bounds and their search."""

@@ -1,0 +1,171 @@
+"""Values and visits where a status is perceived, for many policies or perceptions at once.
+
+    Q(x, s, a) = r(x, s, a) + γ Σ_{x', σ, s'} T(s, a; x', σ, s') V(x', s')
+    V(x, s)    = Σ_a w(x, s, a) Q(x, s, a),     w(x, s, a) = Σ_z C(s, z) π(a | x, z)
+
+in one pass from the last place to the first (`mdp.care.process`), and the visits d in one
+pass forward. Every number is a sum of products, so with D steps at most, n roundings in each of
+them and R the greatest reward of an outcome, a start value is off by at most γ(D n) D R (Higham,
+Accuracy and Stability of Numerical Algorithms, SIAM 2002, section 3.1).
+
+Bounds on what can be had where a status is perceived: fully informed, QMDP and fast informed.
+
+Upper bounds that are linear in the belief, one vector for each place x and action a:
+
+    QMDP   α(x, a)(s) = r + γ Σ_{x', σ, s'} T(s, a; x', σ, s') max_a' α(x', a')(s')
+    FIB    α(x, a)(s) = r + γ Σ_{x', σ, z'} max_a' Σ_{s'} T(s, a; x', σ, s') C(s', z') α(x', a')(s')
+
+QMDP lets the actor know the status from the next step on, the fast informed bound only the one
+before. Each is at least the value of every controller that sees perceptions alone, with whatever
+memory, mixed or not: V* ≥ QMDP ≥ FIB ≥ the best (Hauskrecht, Value-function approximations for
+partially observable Markov decision processes, Journal of Artificial Intelligence Research 13,
+2000, sections 4.1 to 4.3). Where only some actions are allowed at each place and perceived status,
+FIB bounds all policies that keep to them, and with one action allowed it is that policy's value.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp.care.process import Move, Process
+from mdp.table import Floats
+from solvers.bounds.gains import SLACK, gamma
+
+
+def acting(process: Process, table: Floats, confusion: Floats | None = None) -> Floats:
+    """Return (P, Z, A, N) what is done in each *true* status.
+
+    Parameters
+    ----------
+    table : (P, Z, A) or (N, P, Z, A)
+        Probability of each action by place and perceived status, as `Process.table` returns it.
+    confusion : (Z, Z) or (N, Z, Z), optional
+        The process's own unless given.
+    """
+    matrix = process.confusion if confusion is None else confusion
+    if table.ndim == 3 and matrix.ndim == 2:
+        found = (matrix @ table)[..., None]
+    elif matrix.ndim == 2:
+        found = np.moveaxis(matrix @ table, 0, -1)
+    else:
+        found = np.moveaxis(matrix[:, None] @ table, 0, -1)
+    return np.ascontiguousarray(found)
+
+
+def values(process: Process, weights: Floats) -> tuple[Floats, Floats]:
+    """Return values (P, Z, N) and action values (P, Z, A, N) of policies (P, Z, A, N).
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> process = Process.of(Scenario.load("yuan2025").compile(), np.eye(16))
+    >>> value, _ = values(process, acting(process, process.table("always:directive")))
+    >>> round(float(at_start(process, value)[0]), 6)
+    64.363644
+    """
+    places, statuses, actions, count = weights.shape
+    value = np.zeros((places, statuses, count))
+    q = np.zeros((places, statuses, actions, count))
+    for place in reversed(process.order):
+        q[place] = process.reward[place][:, :, None]
+        for move in process.moves[place]:
+            ahead = move.chance @ value[move.place][move.reach]
+            q[place] += process.discount * ahead.transpose(1, 0, 2)
+        value[place] = (weights[place] * q[place]).sum(axis=1)
+    return value, q
+
+
+def visits(process: Process, weights: Floats) -> Floats:
+    """Return (P, Z, N) expected discounted visits from the start under policies (P, Z, A, N)."""
+    places, statuses, _, count = weights.shape
+    found = np.zeros((places, statuses, count))
+    found[process.start_place] = process.start[:, None]
+    for place in process.order:
+        flow = (found[place][:, None] * weights[place]).transpose(1, 0, 2)
+        for move in process.moves[place]:
+            step = np.einsum("asr,asn->rn", move.chance, flow)
+            found[move.place][move.reach] += process.discount * step
+    return found
+
+
+def at_start(process: Process, value: Floats) -> Floats:
+    """Return (N,) start values of values (P, Z, N)."""
+    return np.asarray(process.start @ value[process.start_place])
+
+
+def largest(process: Process) -> float:
+    """Return a bound on |V| and |Q| of every policy, at every place."""
+    return process.depth * float(np.abs(process.mdp.table.gains()).max(initial=0.0)) * SLACK
+
+
+def rounding(process: Process) -> float:
+    """Return how far a computed value may be from the exact one, at every place."""
+    return float(gamma(process.depth * process.terms)) * largest(process) * SLACK
+
+
+Flags = NDArray[np.bool_]
+
+
+def qmdp(process: Process) -> Floats:
+    """Return (P, A, Z) vectors of action values for knowing the status from the next step on.
+
+    The greatest entry over the actions is the value of knowing the status already. An action that
+    is not available has -inf.
+    """
+    closed = ~process.offered[:, :, None]
+    vectors = np.where(closed, -np.inf, process.reward.transpose(0, 2, 1))
+    best = np.zeros(vectors.shape[::2])
+    for place in reversed(process.order):
+        for move in process.moves[place]:
+            vectors[place] += process.discount * (move.chance @ best[move.place][move.reach])
+        best[place] = vectors[place].max(axis=0)
+    return vectors
+
+
+def fast_informed(process: Process, allowed: Flags | None = None) -> Floats:
+    """Return (P, A, Z, N) vectors of the fast informed bound.
+
+    Parameters
+    ----------
+    allowed : (P, Z, A, N) bool, optional
+        Actions allowed at each place and perceived status, among those on offer; all of them
+        unless given, with N = 1.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> from mdp.care.perception import independent
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> process = Process.of(mdp, independent([0.9] * 4, [0.9] * 4))
+    >>> known, guessed = qmdp(process)[0, :, 0].max(), fast_informed(process)[0, :, 0, 0].max()
+    >>> f"{known:.3f} {guessed:.3f}"
+    '146.236 145.886'
+    """
+    places, actions = process.offered.shape
+    if allowed is None:
+        allowed = np.repeat(process.offered[:, None, :, None], process.statuses, axis=1)
+    count = allowed.shape[3]
+    vectors = np.zeros((places, actions, process.statuses, count))
+    for place in reversed(process.order):
+        vectors[place] = process.reward[place].T[:, :, None]
+        for move in process.moves[place]:
+            q = informed(process, move, vectors[move.place])
+            q = np.where(allowed[move.place], q, -np.inf)
+            vectors[place] += process.discount * q.max(axis=3).sum(axis=2)
+    return vectors
+
+
+def informed(process: Process, move: Move, vectors: Floats) -> Floats:
+    """Return (A, Z, Z', A', N) what action a' is worth after (a, s), where z' is perceived.
+
+    Parameters
+    ----------
+    vectors : (A', Z, N)
+        At the place that the move leads to.
+    """
+    weights = move.chance[:, :, None, :] * process.confusion[move.reach].T
+    actions, statuses, seen, reached = weights.shape
+    ahead = vectors[:, move.reach].transpose(1, 0, 2).reshape(reached, -1)
+    found = weights.reshape(-1, reached) @ ahead
+    return np.asarray(found.reshape(actions, statuses, seen, len(vectors), -1))

@@ -1,0 +1,295 @@
+"""Proofs of what is optimal: exact ones in rational arithmetic, and bounds in floats.
+
+    certificate = certify(mdp)                  # V, all optimal actions and gaps as rationals
+    certificate = certify(mdp, bounded=True)    # lower ≤ V^π ≤ V ≤ upper, for large models
+
+A certificate claims; `violations` checks every claim against the model, in code that shares nothing
+with the solvers (`solvers.proof.checker`, `solvers.proof.checker`). Floats of a model count
+as the dyadic rationals that they are; `mdp.table` says what rows mean that do not sum to 1 exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from math import lcm
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.table import Floats, Integers, Numbers, divide
+from solvers.proof.rationals import fractions, primes_of
+from solvers.solution import Certified, Claim
+
+if TYPE_CHECKING:
+    from solvers.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Certificate:
+    """Exact optimal values, all optimal actions, and what proves them.
+
+    Numbers are kept as integers over a few shared denominators, because they may have thousands of
+    digits; `value` and `gaps` make rationals of them.
+
+    Attributes
+    ----------
+    model : str
+        `mdp.fingerprint` of the model.
+    numerator : (S,) sequence of int
+    group : (S,) int64
+    denominator : sequence of int
+        V(s) = numerator[s] / denominator[group[s]].
+    policy : (S,) int64
+        An optimal policy: the first optimal action number of each state.
+    optimal_pairs : (L,) bool
+        All pairs that attain the optimal value of their state.
+    gap, gap_scale : (S,) sequence of int, or None in `gap` where all actions are optimal
+        The best other action loses gap[s] / (gap_scale[s] · denominator[group[s]]).
+    unique : bool
+        Whether every state that optimal actions reach from the start has only one optimal action,
+        terminal states aside, in which it does not matter what is done.
+    start_value : Fraction
+        Optimal value of the start distribution.
+    rank : (S,) int64, optional
+        Proof that every policy ends, where the discount alone does not make values unique.
+    weight : (S,) sequence of int, optional
+        Another such proof, for floats on a cycle whose rows sum to more than 1.
+    mdp : MDP, optional
+        The model, unless the certificate was read from a file.
+    """
+
+    model: str
+    numerator: Sequence[int]
+    group: Integers
+    denominator: Sequence[int]
+    policy: Integers
+    optimal_pairs: NDArray[np.bool_]
+    gap: Sequence[int | None]
+    gap_scale: Sequence[int]
+    unique: bool
+    start_value: Fraction
+    rank: Integers | None = None
+    weight: Sequence[int] | None = None
+    mdp: MDP | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for array in (self.group, self.policy, self.optimal_pairs, self.rank):
+            if array is not None:
+                array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        unique = "the only optimal policy" if self.unique else "not the only optimal policy"
+        return (
+            f"Certificate({len(self.numerator)} states, "
+            f"start value ≈ {_rounded(self.start_value):.12g}, {unique})"
+        )
+
+    @property
+    def claim(self) -> Claim:
+        """`Claim.CERTIFIED`."""
+        return Claim.CERTIFIED
+
+    @property
+    def start(self) -> Certified:
+        """The optimal value of the start distribution as a claim."""
+        return Certified(value=self.start_value)
+
+    @cached_property
+    def value(self) -> Numbers:
+        """(S,) the optimal values as Fractions."""
+        return fractions(self.numerator, self._below, primes_of(self.denominator))
+
+    @cached_property
+    def gaps(self) -> Numbers:
+        """(S,) what the best action that is not optimal loses, as Fractions; None without one."""
+        below = [own * scale for own, scale in zip(self._below, self.gap_scale, strict=True)]
+        primes = lcm(primes_of(self.denominator), *set(self.gap_scale))
+        return fractions(self.gap, below, primes)
+
+    @cached_property
+    def value_float(self) -> Floats:
+        """(S,) the optimal values as floats, each correctly rounded.
+
+        Raises ModelError where one is beyond the floats.
+        """
+        top, bottom = np.array(self.numerator, object), np.array(self._below, object)
+        return divide(top, bottom)
+
+    @property
+    def _below(self) -> list[int]:
+        return [self.denominator[group] for group in self.group.tolist()]
+
+    def violations(self, mdp: MDP | None = None) -> list[str]:
+        """Return what does not hold of this certificate, in words: nothing where it is sound.
+
+        Parameters
+        ----------
+        mdp : MDP, optional
+            The model; needed where the certificate was read from a file.
+        """
+        from solvers.proof.checker import exact_violations
+
+        return exact_violations(self, _model(mdp, self.mdp))
+
+    def save(self, path: str | Path) -> None:
+        """Write the certificate as JSON; see `solvers.proof.file` for the format."""
+        from solvers.proof.file import save
+
+        save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Certificate:
+        """Read a certificate; raises ModelError where the file is not an exact certificate."""
+        from solvers.proof.file import load_exact
+
+        return load_exact(path)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundedCertificate:
+    """Floats that the optimal values, and those of a policy, are proven to lie between.
+
+    Attributes
+    ----------
+    model : str
+        `mdp.fingerprint` of the model.
+    lower, upper : (S,)
+        lower ≤ V^π ≤ V ≤ upper in every state, for the policy π given here.
+    policy : (S,) int64
+        Action numbers.
+    weight : (S,)
+        Proof that values are unique: w > γ P w for all pairs.
+    mdp : MDP, optional
+        The model, unless the certificate was read from a file.
+    """
+
+    model: str
+    lower: Floats
+    upper: Floats
+    policy: Integers
+    weight: Floats
+    mdp: MDP | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for array in (self.lower, self.upper, self.policy, self.weight):
+            array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        return f"BoundedCertificate({len(self.lower)} states, error ≤ {self.error_bound:.2g})"
+
+    @property
+    def claim(self) -> Claim:
+        """`Claim.BOUNDED`."""
+        return Claim.BOUNDED
+
+    @property
+    def value(self) -> Floats:
+        """(S,) the middle between the bounds."""
+        return self.lower + (self.upper - self.lower) / 2
+
+    @property
+    def error_bound(self) -> float:
+        """|value - V| and |value - V^π| are at most this in every state."""
+        widest = float((self.upper - self.lower).max(initial=0.0))
+        largest = float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
+        return widest / 2 * (1 + 1e-12) + 2.0**-51 * largest
+
+    def violations(self, mdp: MDP | None = None) -> list[str]:
+        """Return what does not hold of this certificate, in words: nothing where it is sound."""
+        from solvers.proof.checker import bounded_violations
+
+        return bounded_violations(self, _model(mdp, self.mdp))
+
+    def save(self, path: str | Path) -> None:
+        """Write the certificate as JSON; see `solvers.proof.file` for the format."""
+        from solvers.proof.file import save
+
+        save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> BoundedCertificate:
+        """Read a certificate; raises ModelError where the file is not a bounded certificate."""
+        from solvers.proof.file import load_bounded
+
+        return load_bounded(path)
+
+
+@overload
+def certify(mdp: MDP, *, bounded: Literal[False] = ...) -> Certificate: ...
+@overload
+def certify(
+    mdp: MDP, *, bounded: Literal[True], tol: float | None = ..., solution: Solution | None = ...
+) -> BoundedCertificate: ...
+def certify(
+    mdp: MDP, *, bounded: bool = False, tol: float | None = None, solution: Solution | None = None
+) -> Certificate | BoundedCertificate:
+    """Return a proof of the optimal values: exact, or as bounds in floats.
+
+    Parameters
+    ----------
+    mdp : MDP
+        Any finite model with discount below 1, or with discount 1 where every policy ends.
+    bounded : bool
+        Prove floats that the values lie between, at once for a million states, instead of the
+        values themselves.
+    tol : float, optional
+        Only with `bounded`: the greatest `error_bound` to accept.
+    solution : Solution, optional
+        Only with `bounded`: a solution of this model to prove bounds around; solved unless given.
+
+    Raises
+    ------
+    ModelError
+        Where values are not unique: at discount 1, a policy that never ends; rows of floats on a
+        cycle that sum to more than 1, too much for the discount. Where a cycle has too many states
+        to be solved exactly.
+    SolverError
+        Only with `bounded`: where double precision does not suffice.
+
+    Examples
+    --------
+    >>> stop, on = ["1/3", "2/3", 0], [0, 0, 1]
+    >>> mdp = MDP.from_arrays([[stop, on, on], [on, on, on]], [[3, 4], [0, 0], [0, 0]])
+    >>> certificate = certify(mdp)
+    >>> certificate.value[0], certificate.gaps[0], certificate.unique
+    (Fraction(9, 2), Fraction(1, 2), False)
+    >>> certificate.policy.tolist(), certificate.optimal_pairs.tolist()
+    ([0, 0, 0], [True, False, True, True, True, True])
+    >>> certificate.violations()
+    []
+    """
+    if bounded:
+        from solvers.proof.certify import certify_bounded
+
+        return certify_bounded(mdp, tol=tol, solution=solution)
+    if tol is not None or solution is not None:
+        raise ModelError("tol and solution are for bounds", where="certify", fix="add bounded=True")
+    from solvers.proof.certify import certify_exact
+
+    return certify_exact(mdp)
+
+
+def _model(given: MDP | None, own: MDP | None) -> MDP:
+    mdp = own if given is None else given
+    if mdp is None:
+        raise ModelError(
+            "a certificate read from a file does not contain the model",
+            where="violations",
+            fix="give the model: certificate.violations(mdp)",
+        )
+    return mdp
+
+
+def _rounded(value: Fraction) -> float:
+    """Return a float, infinite where the number is beyond the floats."""
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf if value > 0 else -np.inf

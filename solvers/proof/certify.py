@@ -1,0 +1,140 @@
+"""Make an exact certificate: prove that values are unique, solve, and say what is optimal.
+
+Make a bounded certificate: widen a solution until floats prove that it holds.
+
+Around the values V of a solution, upper = V + c w and lower = V - c' w with the weights w of
+`solvers.bounds.bounds`, c and c' being the least that satisfy the inequalities of
+`bounded_checker`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from fractions import Fraction
+from math import lcm
+
+import numpy as np
+
+from mdp.bellman import BellmanRows, bellman_rows
+from mdp.chain import reachable, require_termination, termination, topological_levels
+from mdp.errors import ModelError
+from mdp.fingerprint import fingerprint
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers.bounds.bounds import levels, margin_weights
+from solvers.dynamic.backward_induction import BackwardInduction
+from solvers.dynamic.modified import ModifiedPolicyIteration
+from solvers.proof.certificate import BoundedCertificate, Certificate
+from solvers.proof.checker import UNIT, gains
+from solvers.proof.exact import solve_exactly
+from solvers.solution import PrecisionWarning, Solution, SolverError, Status
+
+
+def certify_exact(mdp: MDP) -> Certificate:
+    """Return the exact certificate of a model; see `solvers.proof.certificate.certify`."""
+    rows = bellman_rows(mdp)
+    rank, weight = _proof(mdp, rows)
+    found = solve_exactly(rows)
+    optimal, first = found.optimal, mdp.pair_offsets[:-1]
+    reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
+    count = np.add.reduceat(optimal.astype(np.int64), first)
+    numbers = np.where(optimal, np.arange(mdp.n_pairs), mdp.n_pairs)
+    start_value = sum(
+        (
+            weight * Fraction(found.numerator[state], found.denominator[found.group[state]])
+            for state, weight in mdp.start
+        ),
+        Fraction(0),
+    )
+    return Certificate(
+        model=fingerprint(mdp),
+        numerator=found.numerator,
+        group=found.group,
+        denominator=found.denominator,
+        policy=mdp.pair_action[np.minimum.reduceat(numbers, first)],
+        optimal_pairs=optimal,
+        gap=found.gap,
+        gap_scale=found.gap_scale,
+        unique=bool((count[reached] == 1).all()),
+        start_value=start_value,
+        rank=rank,
+        weight=weight,
+        mdp=mdp,
+    )
+
+
+def _proof(mdp: MDP, rows: BellmanRows) -> tuple[Integers | None, list[int] | None]:
+    """Return what proves that values are unique: nothing, a rank, or weights."""
+    slack = rows.slack()[~mdp.terminal[mdp.pair_state]]
+    if (slack > 0).all():
+        return None, None
+    require_termination(mdp)
+    ends = termination(mdp)
+    if ends.proven and (slack >= 0).all():
+        return ends.rank, None
+    level = topological_levels(mdp)
+    if level is not None:
+        return level, None
+    # The greatest expected number of steps: w = 1 + γ P w for the pairs that take longest.
+    ones = np.where(mdp.terminal[mdp.pair_state], 0, rows.scale[rows.pair_state])
+    steps = solve_exactly(replace(rows, constant=ones), positive=True)
+    common = lcm(*steps.denominator)
+    below = [steps.denominator[group] for group in steps.group.tolist()]
+    return None, [a * (common // b) for a, b in zip(steps.numerator, below, strict=True)]
+
+
+WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the other
+
+
+def certify_bounded(
+    mdp: MDP, *, tol: float | None = None, solution: Solution | None = None
+) -> BoundedCertificate:
+    """Return bounds that floats prove; see `solvers.proof.certificate.certify`."""
+    if solution is None:
+        solution = _solve(mdp, tol)
+    elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
+        raise ModelError("the solution is of another model", where="certify", fix="solve this one")
+    weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
+    loss, error = gains(mdp, weight, earning=False)
+    widen = _Widening(mdp, np.array(solution.value), weight, -(loss + error))
+    live = ~mdp.terminal
+    found = BoundedCertificate(
+        model=fingerprint(mdp),
+        lower=widen(solution.pairs[live], -1),
+        upper=widen(np.flatnonzero(live[mdp.pair_state]), 1),
+        policy=solution.policy,
+        weight=weight,
+        mdp=mdp,
+    )
+    if tol is not None and not found.error_bound <= tol:
+        raise SolverError(Status.PRECISION, f"{found.error_bound:.2g} is the error bound")
+    return found
+
+
+class _Widening:
+    """Moves values (S,) along weights (S,), of which each pair leaves a margin (L,)."""
+
+    def __init__(self, mdp: MDP, value: Floats, weight: Floats, margin: Floats) -> None:
+        self.mdp, self.value, self.weight, self.margin = mdp, value, weight, margin
+        self.gain, error = gains(mdp, value)
+        self.error = error + 8 * UNIT * np.abs(value).max()
+
+    def __call__(self, pairs: Integers, sign: int) -> Floats:
+        """Return values proven not to gain (1), or not to lose (-1), by any of the pairs."""
+        for times in WIDER:
+            surplus = sign * self.gain[pairs] + times * self.error[pairs]
+            step = max(0.0, float((surplus / self.margin[pairs]).max(initial=0.0)))
+            moved = self.value + sign * step * self.weight
+            gain, error = gains(self.mdp, moved)
+            if (sign * gain[pairs] <= -error[pairs]).all():
+                return moved
+        raise SolverError(Status.NO_BOUND)
+
+
+def _solve(mdp: MDP, tol: float | None) -> Solution:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)  # the bounds tell what was reached
+        if levels(mdp) is not None:
+            return BackwardInduction().solve(mdp)
+        return ModifiedPolicyIteration(tol=None if tol is None else tol / 4).solve(mdp)

@@ -1,0 +1,228 @@
+"""Checks an exact certificate against the model alone, in integers, however it was found.
+
+V is the optimal value because it is 0 in terminal states, elsewhere V(s) = max over pairs l of s of
+r(l) + γ P_l V, and this has one solution: where γ Σ P_l < 1 for all pairs; where a rank falls along
+all transitions, or γ Σ P_l ≤ 1 and it falls along one of each pair (Bertsekas and Tsitsiklis,
+Mathematics of Operations Research 16, 1991); or where w > γ P w for some w > 0 (a contraction in
+the norm weighted by w).
+
+Checks a bounded certificate against the model alone, in floats, however it was found.
+
+If w > γ P w in all rows for some w > 0, then the Bellman equations have one solution V. If also
+U ≥ r + γ P U for all pairs and L ≤ r + γ P L for those of a policy π, then L ≤ V^π ≤ V ≤ U: applied
+again and again, the right sides only move the vectors towards V and V^π (Puterman, Markov Decision
+Processes, 1994, theorem 6.2.2). Every rounding error is counted (Higham, Accuracy and Stability of
+Numerical Algorithms, SIAM 2002, section 3.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import pairwise
+from math import lcm
+from operator import mul
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mdp.bellman import BellmanRows, bellman_rows, row_sums
+from mdp.chain import reachable
+from mdp.fingerprint import fingerprint
+from mdp.model import MDP
+from mdp.table import Floats, Integers, Numbers
+
+if TYPE_CHECKING:
+    from solvers.proof.certificate import BoundedCertificate, Certificate
+
+
+def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
+    """Return what does not hold of an exact certificate, in words; nothing where it is sound."""
+    wrong = not_of(mdp, found.model, found.numerator, found.group, found.gap, found.gap_scale)
+    weight = () if found.weight is None else found.weight
+    halves: Any = [getattr(found.start_value, name, None) for name in ("numerator", "denominator")]
+    wrong += [f"its {name} are not all of type int, which holds any integer" for name, values in (
+        ("numerators", found.numerator), ("denominators", found.denominator),
+        ("gaps", [gap for gap in found.gap if gap is not None]), ("gap scales", found.gap_scale),
+        ("weights", weight), ("numbers of the start value", halves),
+    ) if {*map(type, values)} - {int}]  # fmt: skip
+    if not wrong and found.optimal_pairs.shape != (mdp.n_pairs,):
+        wrong.append(f"it marks {found.optimal_pairs.shape} pairs, the model has {mdp.n_pairs}")
+    wrong += [f"its {name} are of type {array.dtype}" for name, array, kind in (
+        ("marks", found.optimal_pairs, "b"), ("groups", found.group, "i"),
+        ("actions", found.policy, "i"), ("ranks", found.rank, "i"),
+    ) if array is not None and array.dtype.kind != kind]  # fmt: skip
+    if not wrong and not set(found.group.tolist()) <= set(range(len(found.denominator))):
+        wrong.append("a state's denominator is missing")
+    if wrong or min(found.denominator) <= 0:
+        return wrong or ["a denominator is not positive"]
+    rows, ends = bellman_rows(mdp), mdp.terminal
+    if not _one_solution(rows, found.rank, found.weight):
+        wrong.append("nothing proves that the Bellman equations have one solution")
+    wrong += [
+        f"terminal state {s} is not worth 0"
+        for s in np.flatnonzero(ends).tolist()
+        if found.numerator[s]
+    ]
+    wrong += _equations(rows, found)
+    pairs = policy_pairs(mdp, found.policy)
+    if pairs is None or not found.optimal_pairs[pairs].all():
+        wrong.append("the policy takes a pair that is not optimal")
+    choices = np.add.reduceat(found.optimal_pairs.astype(np.int64), mdp.pair_offsets[:-1])
+    reached = reachable(mdp, pairs=found.optimal_pairs) & ~ends
+    if found.unique is not bool((choices[reached] == 1).all()):
+        wrong.append(f"that the optimal policy is {'' if found.unique else 'not '}unique is false")
+    below = found.denominator
+    if Fraction(*halves) != sum(
+        weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start
+    ):
+        wrong.append("the start value is not that of the start states")
+    return wrong
+
+
+def not_of(mdp: MDP, model: str, *by_state: Sequence[object] | Numbers) -> list[str]:
+    """Return why the certificate cannot be one of this model; nothing where it can."""
+    if model != fingerprint(mdp):
+        return ["the certificate is of another model"]
+    sizes = {len(part) for part in by_state} - {mdp.n_states}
+    return [f"it has {sizes} states, the model {mdp.n_states}"] if sizes else []
+
+
+def policy_pairs(mdp: MDP, policy: Integers) -> Integers | None:
+    """Return the policy's pairs (S,), None where it takes an action that is not available."""
+    if policy.shape != (mdp.n_states,) or not ((policy >= 0) & (policy < mdp.n_actions)).all():
+        return None
+    wanted = np.arange(mdp.n_states) * mdp.n_actions + policy
+    offered = mdp.pair_state * mdp.n_actions + mdp.pair_action
+    pairs = np.minimum(np.searchsorted(offered, wanted), mdp.n_pairs - 1)
+    return pairs if (offered[pairs] == wanted).all() else None
+
+
+def _one_solution(rows: BellmanRows, rank: Integers | None, weight: Sequence[int] | None) -> bool:
+    live = ~rows.terminal
+    state = rows.pair_state
+    open_pairs = live[state]
+    slack = rows.slack()[open_pairs]  # of 1 - γ Σ P
+    if (slack > 0).all():
+        return True
+    if weight is not None and len(weight) == len(live):
+        w = np.where(live, np.array(weight, dtype=object), 0)
+        margin = rows.scale[state] * w[state] - row_sums(rows.weight * w[rows.next], rows.offsets)
+        return bool((w[live] > 0).all() and (margin[open_pairs] > 0).all())
+    if rank is None or rank.shape != live.shape or (rank[~live] != 0).any():
+        return False
+    after = rank[rows.next]
+    falls = np.minimum.reduceat(after, rows.offsets[:-1]) < rank[state]
+    falls_always = np.maximum.reduceat(after, rows.offsets[:-1]) < rank[state]
+    proven = falls[open_pairs].all() and (rank[live] > 0).all()
+    return bool(proven and (falls_always[open_pairs].all() or (slack >= 0).all()))
+
+
+def _equations(rows: BellmanRows, found: Certificate) -> list[str]:
+    """Check the values, what is optimal and by how much, in integers over one denominator each."""
+    wrong = []
+    numerator, group, below = found.numerator, found.group.tolist(), found.denominator
+    pairs, offsets = rows.pair_offsets.tolist(), rows.offsets.tolist()
+    following, weight = rows.next.tolist(), rows.weight.tolist()
+    constant, scale, optimal = rows.constant.tolist(), rows.scale.tolist(), found.optimal_pairs
+    order = np.argsort(found.group, kind="stable")
+    for states in np.split(order, np.flatnonzero(np.diff(found.group[order])) + 1):
+        first, own = states.tolist(), below[group[states[0]]]
+        needed = {t for s in first for t in following[offsets[pairs[s]] : offsets[pairs[s + 1]]]}
+        units = [own, *(below[g] for g in {group[t] for t in needed})]
+        unit = max(units)
+        for divisor in units:
+            unit = lcm(unit, divisor) if unit % divisor else unit
+        times = {g: unit // below[g] for g in {group[t] for t in needed}}
+        value = {t: numerator[t] * times[group[t]] for t in needed}
+        for s in first:
+            here = numerator[s] * (unit // own) * scale[s]
+            losses = []  # V - Q of each pair, times scale and unit
+            for l in range(pairs[s], pairs[s + 1]):
+                part = slice(offsets[l], offsets[l + 1])
+                later = sum(map(mul, weight[part], map(value.__getitem__, following[part])))
+                losses.append(here - constant[l] * unit - later)
+            if rows.terminal[s]:
+                losses = [0] * len(losses)
+            if min(losses) != 0:
+                wrong.append(f"the value of state {s} does not solve the Bellman equation")
+            if [loss == 0 for loss in losses] != optimal[pairs[s] : pairs[s + 1]].tolist():
+                wrong.append(f"the optimal actions of state {s} are others")
+            least = min((loss for loss in losses if loss > 0), default=None)
+            gap, below_gap = found.gap[s], found.gap_scale[s]
+            claimed = None if gap is None else gap * (unit // own) * scale[s]
+            if claimed != (None if least is None else least * below_gap) or below_gap <= 0:
+                wrong.append(f"the gap of state {s} is another one")
+    return wrong
+
+
+UNIT, TINY, SLACK = 2.0**-53, 2.0**-1000, 1 + 2.0**-20
+CHUNK = 2**21
+
+
+def bounded_violations(found: BoundedCertificate, mdp: MDP) -> list[str]:
+    """Return what does not hold of a bounded certificate, in words; nothing where it is sound."""
+    vectors = {"lower": found.lower, "upper": found.upper, "weight": found.weight}
+    wrong = not_of(mdp, found.model, *vectors.values())
+    wrong += [
+        f"{name} is of type {array.dtype} and shape {array.shape}"
+        for name, array, kind in (
+            *((name, vector, "f8") for name, vector in vectors.items()),
+            ("policy", found.policy, f"i{found.policy.dtype.itemsize}"),
+        )
+        if array.dtype.str[1:] != kind or array.ndim != 1
+    ]
+    pairs = None if wrong else policy_pairs(mdp, found.policy)
+    if pairs is None:
+        return wrong or ["the policy takes an action that is not available"]
+    live = ~mdp.terminal
+    open_pairs = live[mdp.pair_state]
+    wrong += [
+        f"{name} is not finite, or not 0 in terminal states"
+        for name, vector in vectors.items()
+        if not np.isfinite(vector).all() or vector[~live].any()
+    ]
+    gain, error = gains(mdp, found.weight, earning=False)
+    if not ((found.weight[live] > 0).all() and (gain < -error)[open_pairs].all()):
+        wrong.append("the weights do not prove that the Bellman equations have one solution")
+    gain, error = gains(mdp, found.upper)
+    if not (gain <= -error)[open_pairs].all():
+        wrong.append("the upper values are not proven to be above the optimal ones")
+    gain, error = gains(mdp, found.lower)
+    if not (gain >= error)[pairs[live]].all():
+        wrong.append("the lower values are not proven to be below the policy's")
+    return wrong
+
+
+def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Floats]:
+    """Return r + γ P V - V(s) for each pair (L,) with a bound (L,) on its rounding error."""
+    table, matrix, rate = mdp.table, mdp.transition, mdp.discount
+    terms = np.diff(table.offsets) * 1.0
+    steps, flow, total = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
+    cuts = np.unique([*np.searchsorted(matrix.indptr, range(0, matrix.nnz, CHUNK)), mdp.n_pairs])
+    with np.errstate(all="ignore"):
+        for first, last in pairwise(cuts.tolist()):
+            begin, end = matrix.indptr[first], matrix.indptr[last]
+            own = np.repeat(
+                value[mdp.pair_state[first:last]], np.diff(matrix.indptr[first : last + 1])
+            )
+            share, begins = matrix.data[begin:end], matrix.indptr[first:last] - begin
+            term = share * (value[matrix.indices[begin:end]] - own)
+            steps[first:last] = np.add.reduceat(term, begins)
+            flow[first:last] = np.add.reduceat(np.abs(term), begins)
+            total[first:last] = np.add.reduceat(share, begins)
+        own = value[mdp.pair_state]
+        leak = float(1 - mdp.discount_exact)  # of 1 - γ Σ P, where rows sum to 1
+        reward, reward_error = mdp.reward * earning, UNIT * np.abs(mdp.reward) * earning
+        floats = np.float64 in (table.weight.dtype, table.gain.dtype)
+        if earning and floats and table.joint:
+            size = np.add.reduceat(
+                table.probabilities() * np.abs(table.gains()), table.offsets[:-1]
+            )
+            reward_error = (terms + 4) * UNIT * size
+        error = (2 * terms + 8) * UNIT * rate * flow + reward_error
+        error += 4 * UNIT * (np.abs(reward) + np.abs(leak * own))
+        if not table.sums_to_one:
+            error += rate * (np.abs(total - 1) + 2 * terms * UNIT) * np.abs(own)
+        error = error * SLACK + TINY * (terms + 1) * (1 + np.abs(value).max())
+        return np.asarray(reward + rate * steps - leak * own), np.asarray(error)

@@ -1,0 +1,1 @@
+"""The best policy where nature picks each row from a set."""

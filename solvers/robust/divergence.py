@@ -1,0 +1,237 @@
+"""Sets of laws by the divergence from the nominal row, and what nature picks from them.
+
+Likelihood region (Nilim and El Ghaoui, Operations Research 53, 2005, section 4), p the observed
+frequencies: {q : Σ p log(p/q) ≤ β}. For every s > 0, with d = x - min x,
+
+    min Σ q x ≥ min x - s + e^-β Π (d_i + s)^p_i       (weighted means), equal for the s at which
+    q_i ∝ p_i / (d_i + s) lies on the region's edge.
+
+Relative entropy (same paper, section 3; Iyengar, Mathematics of Operations Research 30, 2005):
+{q : Σ q log(q/p) ≤ β}. For every s > 0,
+
+    min Σ q x ≥ min x - s log Σ p_i e^(-d_i/s) - s β,  equal for the s at which
+    q_i ∝ p_i e^(-d_i/s) lies on the edge.
+
+The scale s comes from Newton's method on log divergence over log s. The law that is returned lies
+in the set, and the right side bounds from below what any member can do, so that the distance of the
+two is a proven tolerance, whatever the iteration did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers.bounds.gains import UNIT, gamma
+from solvers.robust.rows import Block
+from solvers.robust.sets import check_radii, of_pairs, radii_of
+
+STEPS = 200
+NEAR = 1e-12
+FARTHEST = 500.0  # |log(s / span)| at most
+Divergence = Callable[[Floats, Integers], tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Likelihood:
+    """Laws that make the nominal row, taken for observed frequencies, likely: KL(p‖q) ≤ radius.
+
+    Attributes
+    ----------
+    radius : float or (L,)
+        β in nats. With n observations of a row of k outcomes, χ²(k - 1, level) / (2 n) makes this
+        the likelihood-ratio region of that level.
+
+    Examples
+    --------
+    >>> from solvers.robust.rows import blocks_of
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    >>> (block,) = blocks_of(mdp, np.arange(1))
+    >>> q, short = Likelihood(radius=0.5).least(block, np.array([[0.0, 1.0]]))
+    >>> q.round(4).tolist(), bool(short[0] < 1e-13)  # 4 q (1 - q) = 1/e
+    ([[0.8975, 0.1025]], True)
+    """
+
+    radius: Any
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", radii_of(self.radius, "a likelihood radius"))
+
+    def check(self, mdp: MDP) -> None:
+        """Raise ModelError unless there is a radius for each pair."""
+        check_radii(self.radius, mdp)
+
+    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.least`."""
+
+        def divergence(p: Floats, d: Floats, s: Floats) -> tuple[Floats, Floats]:
+            u = d / s
+            share = p / (1 + u)
+            inside, lost = share.sum(axis=1), (share * u).sum(axis=1)  # they add up to 1
+            small = np.log1p(-np.minimum(lost, 0.75))
+            log = np.where(lost > 0.5, np.log(inside), small)
+            slope = (share * u / (1 + u)).sum(axis=1) / inside - lost
+            return log + _mean_log(p, u), slope
+
+        def law(p: Floats, d: Floats, s: Floats) -> Floats:
+            return np.asarray(p / (1 + d / s))
+
+        def bound(p: Floats, d: Floats, s: Floats, beta: Floats) -> Floats:
+            """Return the bound less min x, rounded down."""
+            mean = _mean_log(p, d / s)
+            found = s[:, 0] * np.expm1(mean - beta)
+            doubt = (
+                float(gamma(2 * d.shape[1] + 16)) * s[:, 0] * (mean + beta) * np.exp(mean - beta)
+            )
+            return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
+
+        return _least(block, payoff, of_pairs(self.radius, block), divergence, law, bound)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RelativeEntropy:
+    """Laws of small relative entropy to the nominal row: KL(q‖p) ≤ radius.
+
+    Attributes
+    ----------
+    radius : float or (L,)
+        β in nats.
+
+    Examples
+    --------
+    >>> from solvers.robust.rows import blocks_of
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    >>> (block,) = blocks_of(mdp, np.arange(1))
+    >>> q, short = RelativeEntropy(radius=0.1).least(block, np.array([[0.0, 1.0]]))
+    >>> round(float((q * np.log(2 * q)).sum()), 12), bool(short[0] < 1e-12)
+    (0.1, True)
+    """
+
+    radius: Any
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", radii_of(self.radius, "an entropy radius"))
+
+    def check(self, mdp: MDP) -> None:
+        """Raise ModelError unless there is a radius for each pair."""
+        check_radii(self.radius, mdp)
+
+    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.least`."""
+
+        def divergence(p: Floats, d: Floats, s: Floats) -> tuple[Floats, Floats]:
+            u = d / s
+            weight = p * np.exp(-u)
+            total = weight.sum(axis=1)
+            q = weight / total[:, None]
+            mean = (q * u).sum(axis=1)
+            off = np.where(q > 0, u - mean[:, None], 0.0)  # no square of a large u overflows
+            spread = (q * off**2).sum(axis=1)
+            return -mean - _log_total(p, u, total), -spread
+
+        def law(p: Floats, d: Floats, s: Floats) -> Floats:
+            return np.asarray(p * np.exp(-d / s))
+
+        def bound(p: Floats, d: Floats, s: Floats, beta: Floats) -> Floats:
+            """Return the bound less min x, rounded down."""
+            u = d / s
+            log = _log_total(p, u, (p * np.exp(-u)).sum(axis=1))
+            found = -s[:, 0] * (log + beta)
+            doubt = float(gamma(2 * d.shape[1] + 16)) * s[:, 0] * (np.abs(log) + beta)
+            return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
+
+        return _least(block, payoff, of_pairs(self.radius, block), divergence, law, bound)
+
+
+def _mean_log(p: Floats, u: Floats) -> Floats:
+    return np.asarray((p * np.log1p(u)).sum(axis=1))
+
+
+def _log_total(p: Floats, u: Floats, total: Floats) -> Floats:
+    """Return log Σ p e^-u, accurate where u is small."""
+    with np.errstate(divide="ignore"):
+        return np.where(
+            total < 0.5, np.log(total), np.log1p(np.maximum((p * np.expm1(-u)).sum(axis=1), -0.75))
+        )
+
+
+@np.errstate(over="ignore", under="ignore")
+def _least(
+    block: Block,
+    payoff: Floats,
+    beta: Floats,
+    divergence: Callable[[Floats, Floats, Floats], tuple[Floats, Floats]],
+    law: Callable[[Floats, Floats, Floats], Floats],
+    bound: Callable[[Floats, Floats, Floats, Floats], Floats],
+) -> tuple[Floats, Floats]:
+    p = block.probability
+    least = payoff.min(axis=1, keepdims=True)
+    apart = payoff - least
+    span = apart.max(axis=1)
+    # What rounding may hide of a divergence is left out of the region.
+    inside = beta - 64 * UNIT * (payoff.shape[1] + 16) * (1 + beta)
+    moves = (span > 0) & (inside > 0)
+    q, short = p.copy(), np.zeros(len(p))
+    # Where that leaves nothing the nominal law stands: by Pinsker's inequality others are within
+    # the root of 2 β of it, in the L1 norm.
+    still = (span > 0) & (beta > 0) & ~moves
+    short[still] = span[still] * np.sqrt(2 * beta[still])
+    if not moves.any():
+        return q, short
+    rows = np.flatnonzero(moves)
+    p_, d_, edge = p[rows], apart[rows], inside[rows]
+    scale = span[rows][:, None]
+
+    def at(t: Floats, some: Integers) -> tuple[Floats, Floats]:
+        return divergence(p_[some], d_[some], scale[some] * np.exp(t)[:, None])
+
+    t = _scale(at, edge)
+    s = scale * np.exp(t)[:, None]
+    found = law(p_, d_, s)
+    found /= found.sum(axis=1, keepdims=True)
+    q[rows] = found
+    attained = (found * d_).sum(axis=1)
+    low = np.maximum(bound(p_, d_, s, beta[rows]), 0.0)
+    short[rows] = np.maximum(attained - low, 0.0)
+    return q, short
+
+
+def _scale(at: Divergence, edge: Floats) -> Floats:
+    """Return t (K,) with divergence at most `edge`, and as near to it as floats allow.
+
+    The divergence falls in t; where it stays below `edge` for all t, the lowest t is returned.
+    """
+    target = np.log(edge)
+    low, high = np.full_like(edge, -FARTHEST), np.full_like(edge, FARTHEST)
+    # Far out the divergence is about (variance / 2) e^-2t, and the variance is at most 1/4.
+    t = np.minimum(np.log1p(0.5 / np.sqrt(edge)), FARTHEST)
+    open_rows = np.arange(len(edge))
+    for _ in range(STEPS):
+        k = open_rows
+        found, slope = at(t[k], k)
+        above = found > edge[k]
+        low[k], high[k] = np.where(above, t[k], low[k]), np.where(above, high[k], t[k])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.log(found) - target[k]
+            step = t[k] - off * found / slope
+        going = (np.abs(off) >= NEAR) & (high[k] - low[k] >= NEAR)
+        safe = (step > low[k]) & (step < high[k])
+        t[k] = np.where(~going, t[k], np.where(safe, step, (low[k] + high[k]) / 2))
+        open_rows = k[going]
+        if not len(open_rows):
+            break
+    open_rows, reach = np.arange(len(edge)), NEAR
+    for _ in range(60):  # outward until inside the set
+        found, _slope = at(t[open_rows], open_rows)
+        open_rows = open_rows[found > edge[open_rows]]
+        if not len(open_rows):
+            return t
+        t[open_rows] = np.minimum(t[open_rows] + reach, FARTHEST)
+        reach *= 4
+    t[open_rows] = high[open_rows]
+    return t

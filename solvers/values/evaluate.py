@@ -1,0 +1,396 @@
+"""The return of a policy: its mean, its spread, what it is made of, and how it comes about.
+
+    V(s)   = E[r + γ V(s')]
+    Var(s) = E[(r + γ V(s') - V(s))²] + γ² E[Var(s')]
+
+V is the mean return from s and Var its variance. The expectations run over the joint law of reward
+and next state, which a table of expected rewards does not hold. The second equation adds up squares
+and so loses no digits to cancellation (Sobel, The variance of discounted Markov decision processes,
+Journal of Applied Probability 19, 1982). Components are expected visits times what each pair earns.
+Every number comes with a bound on its error that is sound in floating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, partial
+from math import inf, nan, sqrt
+
+import numpy as np
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.policies.arrays import ReadAs
+from mdp.table import Floats
+from solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from solvers.bounds.linear import FixedPoint, LinearSystem
+from solvers.solution import Bounded, Claim, SolverError
+from solvers.values.policy_chain import Mask, PolicyChain
+from solvers.values.visits import at_start, ever, pair_visits, steps, visits
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evaluation:
+    """A policy's values; everything else about its return is worked out when first asked for.
+
+    Attributes
+    ----------
+    chain : PolicyChain
+        The model under the policy.
+    value, value_error : (S,)
+        Mean return from every state, and how far it may be from the exact one. NaN and infinity at
+        discount 1 in states from which the policy may not end; no episode comes there.
+
+    Examples
+    --------
+    >>> from mdp import Scenario
+    >>> found = evaluate(Scenario.load("yuan2025").compile(), "random")
+    >>> print(f"{found.mean:.4f} {found.sd:.4f} {found.steps:.4f} {found.skip_probability:.4f}")
+    85.0285 71.5334 7.4267 0.5481
+    """
+
+    chain: PolicyChain
+    value: Floats
+    value_error: Floats
+
+    @property
+    def mdp(self) -> MDP:
+        """The model."""
+        return self.chain.mdp
+
+    @property
+    def read_as(self) -> ReadAs:
+        """What an array was taken for: "q" or "policy"."""
+        return self.chain.read_as
+
+    @property
+    def claim(self) -> Claim:
+        """What is claimed of every number here: a value and a sound bound on its error."""
+        return Claim.BOUNDED
+
+    @property
+    def numbers(self) -> dict[str, Bounded]:
+        """Every number from the start with its error bound, by name.
+
+        One that double precision cannot bound is NaN, with an infinite error; the others stand.
+        """
+        found = {"mean": self._mean, "sd": self._sd, "variance": self._start_variance}
+        found["steps"] = self._steps
+        found |= {f"component.{name}": number for name, number in self._components.items()}
+        return found | {f"event.{name}": number for name, number in self._events.items()}
+
+    def __repr__(self) -> str:
+        return f"Evaluation(mean {self._mean}, sd {self.sd:.6g})"
+
+    # ---- the mean and what it is made of -----------------------------------------------------
+
+    @property
+    def mean(self) -> float:
+        """Mean return from the start."""
+        return self._mean.value
+
+    @property
+    def error_bound(self) -> float:
+        """Bound on the error of `mean`."""
+        return self._mean.error
+
+    @cached_property
+    def _mean(self) -> Bounded:
+        return at_start(self.mdp, FixedPoint(value=self.value, error=self.value_error))
+
+    @property
+    def components(self) -> dict[str, float]:
+        """Expected discounted total of each reward component; they sum to `mean`."""
+        return {name: number.value for name, number in self._components.items()}
+
+    @cached_property
+    def _components(self) -> dict[str, Bounded]:
+        mdp, chain = self.mdp, self.chain
+        if mdp.components.shape[1] == 1:
+            return {mdp.component_names[0]: self._mean}
+        try:
+            found = self._discounted
+        except SolverError:
+            return dict.fromkeys(mdp.component_names, UNKNOWN)
+        share = np.where(mdp.terminal[mdp.pair_state], 0.0, chain.weights)
+        used, doubt = found.value[mdp.pair_state] * share, found.error[mdp.pair_state] * share
+        rounding = float(gamma(len(chain.pairs) + chain.roundings + 4))
+        size = np.abs(mdp.components)
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = used @ mdp.components
+            error = (doubt @ size + rounding * (used @ size)) * SLACK
+        return {
+            name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
+            for name, value, bound in zip(mdp.component_names, total, error, strict=True)
+        }
+
+    # ---- the spread --------------------------------------------------------------------------
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the return from the start."""
+        return self._sd.value
+
+    @property
+    def start_variance(self) -> float:
+        """Variance of the return from the start: within start states, and between them.
+
+        Infinite where it is beyond the range of floats; `sd` need not be.
+        """
+        return self._start_variance.value
+
+    @property
+    def variance(self) -> Floats:
+        """(S,) variance of the return from every state; NaN where `value` is."""
+        with np.errstate(over="ignore"):
+            found = np.ldexp(self._variance.value, 2 * self._power)
+        return np.where(np.isnan(self.value), np.nan, found)
+
+    @cached_property
+    def _power(self) -> int:
+        """The power of two that rewards and values are divided by before they are squared.
+
+        That is exact, and keeps their squares within the range of floats.
+        """
+        known = self.value[np.isfinite(self.value)]
+        size = max(np.abs(self.chain.gain).max(initial=0.0), np.abs(known).max(initial=0.0))
+        return int(np.frexp(size)[1])
+
+    @cached_property
+    def _variance(self) -> FixedPoint:
+        """Variances over 4^power."""
+        chain, rate, power = self.chain, self.mdp.discount, self._power
+        live: Mask = ~self.mdp.terminal & ~np.isnan(self.value)
+        if not chain.gain.any():
+            return FixedPoint(value=np.zeros(len(live)), error=np.zeros(len(live)))
+        value = np.ldexp(np.where(live, self.value, 0.0), -power)
+        error = np.ldexp(np.where(live, self.value_error, 0.0), -power) + TINY
+        here, there = value[chain.source], value[chain.table.next]
+        gain = np.ldexp(chain.gain, -power)
+        surprise = gain + rate * there - here
+        off = TINY + 5 * UNIT * (np.abs(gain) + rate * np.abs(there) + np.abs(here))
+        off += rate * error[chain.table.next] + error[chain.source]
+        constant = chain.total(chain.probability * surprise**2)
+        doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
+        rounding = gamma(chain.outcomes + chain.roundings + 5)
+        doubt += rounding * constant + TINY
+        if not chain.table.sums_to_one:
+            # Probabilities that do not quite sum to 1 make E[G²] - V² differ by this much of V².
+            doubt += (np.abs(1 - chain.total(chain.probability)) + rounding) * value**2
+        system = chain.discounted
+        if self.mdp.discount_exact != 1:
+            # The square of a rounded γ is off by three roundings where one is allowed for.
+            system = LinearSystem(
+                system.transition, rate**2, order=system.order, roundings=system.roundings + 2
+            )
+        found = system.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
+        # No variance is negative: a negative rounding error is nearer to the truth as 0.
+        return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
+
+    @cached_property
+    def _start_variance(self) -> Bounded:
+        scaled = self._scaled_variance
+        return Bounded(
+            value=_times(scaled.value, self._power, 2), error=_times(scaled.error, self._power, 2)
+        )
+
+    @cached_property
+    def _scaled_variance(self) -> Bounded:
+        return _known(self._variance_at_start)
+
+    def _variance_at_start(self) -> Bounded:
+        within = at_start(self.mdp, self._variance)
+        if np.count_nonzero(self.mdp.start_distribution) == 1:
+            return within
+        away = np.ldexp(self.value, -self._power) - float(np.ldexp(self.mean, -self._power))
+        off = np.ldexp(self.value_error, -self._power) + float(
+            np.ldexp(self.error_bound, -self._power)
+        )
+        off += 2 * TINY + 2 * UNIT * np.abs(away)
+        doubt = (2 * np.abs(away) + off) * off + UNIT * away**2
+        between = at_start(self.mdp, FixedPoint(value=away**2, error=doubt))
+        total = within.value + between.value
+        return Bounded(value=total, error=(within.error + between.error + UNIT * total) * SLACK)
+
+    @cached_property
+    def _sd(self) -> Bounded:
+        variance = self._scaled_variance
+        if not np.isfinite(variance.error):
+            return variance
+        sd, least = sqrt(variance.value), sqrt(max(variance.value - variance.error, 0.0))
+        most = sqrt(variance.value + variance.error)
+        error = max(sd - least, most - sd) + 4 * UNIT * most
+        return Bounded(value=_times(sd, self._power), error=_times(error, self._power))
+
+    @property
+    def quantiles(self) -> dict[float, float] | None:
+        """The 5, 25, 50, 75 and 95 % quantiles of the return, by probability.
+
+        None where the distribution of the return is not to be had: `quantiles_missing` says why.
+        """
+        return self._quantiles if isinstance(self._quantiles, dict) else None
+
+    @property
+    def quantiles_missing(self) -> str:
+        """Why there are no quantiles; empty where there are."""
+        return self._quantiles if isinstance(self._quantiles, str) else ""
+
+    @cached_property
+    def _quantiles(self) -> dict[float, float] | str:
+        from solvers.values.returns import return_distribution
+
+        try:
+            distribution = return_distribution(self.mdp, self.chain)
+        except ModelError as error:
+            return error.what
+        return {share: _rounded(distribution.quantile(share)) for share in QUANTILES}
+
+    # ---- visits ------------------------------------------------------------------------------
+
+    @property
+    def ends(self) -> bool:
+        """True where every episode ends with probability 1."""
+        return self.chain.ends_from_start
+
+    @property
+    def steps(self) -> float:
+        """Expected number of timesteps until a terminal state; infinite where it may not come.
+
+        NaN where the end comes, but so late that double precision cannot bound when.
+        """
+        return self._steps.value
+
+    @cached_property
+    def _steps(self) -> Bounded:
+        if not self.ends:
+            return Bounded(value=inf, error=0.0)
+        return _known(lambda: at_start(self.mdp, steps(self.chain)))
+
+    @property
+    def occupancy(self) -> Floats:
+        """(L,) expected discounted number of uses of each pair; see `values.visits.occupancy`."""
+        return pair_visits(self.chain, self._discounted)
+
+    @property
+    def visits(self) -> Floats:
+        """(S,) expected number of visits to each state, from the start.
+
+        Undiscounted where every episode ends; arriving at a terminal state counts as one visit, so
+        that its entry is the probability of ending there. Discounted where an episode may not end.
+        """
+        return self._undiscounted.value if self.ends else self._discounted.value
+
+    @cached_property
+    def _undiscounted(self) -> FixedPoint:
+        whole = self.mdp.discount_exact == 1
+        return self._discounted if whole else visits(self.mdp, self.chain.undiscounted)
+
+    @cached_property
+    def _discounted(self) -> FixedPoint:
+        return visits(self.mdp, self.chain.discounted)
+
+    # ---- events ------------------------------------------------------------------------------
+
+    @property
+    def event_probability(self) -> dict[str, float]:
+        """Probability that each event of the model ever happens in an episode, undiscounted."""
+        return {name: number.value for name, number in self._events.items()}
+
+    @property
+    def skip_probability(self) -> float | None:
+        """Probability that a subtask is skipped; None where the model has no event `skip`."""
+        return self.event_probability.get("skip")
+
+    @cached_property
+    def _events(self) -> dict[str, Bounded]:
+        bits = self.chain.table.event
+        if bits is None:
+            return {}
+        return {
+            name: _known(partial(self._event, (bits >> bit) & 1 == 1))
+            for bit, name in enumerate(self.mdp.events)
+        }
+
+    def _event(self, happens: Mask) -> Bounded:
+        return at_start(self.mdp, ever(self.chain, happens))
+
+
+UNKNOWN = Bounded(value=nan, error=inf)
+
+
+def _known(make: Callable[[], Bounded]) -> Bounded:
+    """Return a number, or that it is unknown where double precision cannot bound it."""
+    try:
+        return make()
+    except SolverError:
+        return UNKNOWN
+
+
+def _rounded(number: Fraction) -> float:
+    """Return the nearest float; infinite beyond their range."""
+    try:
+        return float(number)
+    except OverflowError:
+        return inf if number > 0 else -inf
+
+
+def _times(number: float, power: int, times: int = 1) -> float:
+    """Return number · 2^(power · times); infinite where that is beyond the range of floats."""
+    with np.errstate(over="ignore"):
+        return float(np.ldexp(number, times * power))
+
+
+def evaluate(
+    mdp: MDP, policy: object, *, kind: str = "auto", horizon: int | None = None
+) -> Evaluation:
+    """Return the mean and all else that there is to know about a policy's return.
+
+    Parameters
+    ----------
+    mdp : MDP
+    policy : Policy, Solution, str, path, mapping or array
+        Whatever `Policy.of` takes; a solution, for its policy; (L,) probabilities of pairs.
+    kind : "auto", "q" or "policy"
+        What a two-dimensional array holds; see `mdp.policies.arrays`.
+    horizon : int, optional
+        Stop after so many steps, without a further reward: what is found is that of
+        `mdp.within(horizon)`. Policies over states are the same at every time there; those of
+        `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
+
+    Raises
+    ------
+    ModelError
+        At discount 1 where an episode may never end. Policies that are not evaluated may well.
+    SolverError
+        Where double precision cannot bound the error.
+
+    Examples
+    --------
+    >>> wait, leave = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+    >>> mdp = MDP.from_arrays([wait, leave], [[1, 5], [0, 0]])
+    >>> found = evaluate(mdp, [0, 0])
+    >>> found.mean, found.steps, found.components, found.quantiles[0.5]
+    (2.0, 2.0, {'reward': 2.0}, 1.0)
+    """
+    if horizon is not None:
+        mdp = mdp.within(horizon)
+    chain = PolicyChain.of(mdp, policy, kind=kind)
+    live = ~mdp.terminal
+    if mdp.discount_exact == 1:
+        chain.require_end()
+        live &= chain.ends
+    with np.errstate(over="ignore"):  # what is beyond the floats is refused as it is solved for
+        reward = np.add.reduceat(chain.weights * mdp.reward, mdp.pair_offsets[:-1])
+    error = chain.total(chain.probability * np.abs(chain.gain))
+    earning = chain.total(chain.gain != 0)  # nothing that is 0 is rounded
+    error = gamma(chain.outcomes + chain.roundings + 4) * error + TINY * earning
+    found = chain.discounted.solve(np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
+    known = live | mdp.terminal
+    value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)
+    value.setflags(write=False)
+    bound.setflags(write=False)
+    return Evaluation(chain=chain, value=value, value_error=bound)

@@ -1,0 +1,305 @@
+"""The Markov chain that a policy makes of a model: who follows whom, at what reward.
+
+    P_π(s, s') = Σ_l π(l | s) P(l, s'),     l over the pairs of s that π takes,
+
+together with the outcomes behind it, one entry for each (state, pair, next state, reward), because
+the spread of a return depends on the joint law of next state and reward. Probabilities of actions
+are the exact numbers given (a float is the number that it is), divided by their exact sum. Whether
+a policy ends is a question about its own chain; other policies of the model need not end.
+
+A state *ends* where a terminal state is reached with probability 1, which is where no state is
+reached from which the terminal ones cannot be (Puterman, Markov Decision Processes, 1994, A.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.policies.arrays import ReadAs
+from mdp.policies.policy import Policy, taken
+from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, OutcomeTable, divide, exact
+from solvers.bounds.bounds import levels
+from solvers.bounds.linear import LinearSystem
+from solvers.solution import Solution
+
+Mask = NDArray[np.bool_]
+SHOWN = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyChain:
+    """A model under one policy; its parts are worked out when first asked for.
+
+    Attributes
+    ----------
+    mdp : MDP
+    chosen : (L,)
+        Probability of each pair given its state, as the policy states it: over the pairs of a
+        state they sum to 1 up to rounding.
+    read_as : "q" or "policy"
+        What the policy was taken from; see `mdp.policies.arrays`.
+    policy : Policy, optional
+        Where `chosen` is from, which knows the exact probabilities behind these floats.
+    """
+
+    mdp: MDP
+    chosen: Floats
+    read_as: ReadAs = "policy"
+    policy: Policy | None = None
+
+    @classmethod
+    def of(cls, mdp: MDP, policy: object, *, kind: str = "auto") -> PolicyChain:
+        """Return the chain of a policy in any form that `evaluate` takes."""
+        if isinstance(policy, PolicyChain):
+            if policy.mdp is not mdp:
+                raise ModelError("a chain of another model", fix="give the policy itself")
+            return policy
+        if isinstance(policy, Solution):
+            policy = Policy.from_choices(mdp, policy.policy)
+        if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
+            return cls(mdp=mdp, chosen=_checked(mdp, policy))
+        found = taken(mdp, policy, kind=kind)
+        weights = found.policy.weights(mdp)
+        return cls(mdp=mdp, chosen=weights, read_as=found.read_as, policy=found.policy)
+
+    # ---- outcomes ----------------------------------------------------------------------------
+
+    @cached_property
+    def weights(self) -> Floats:
+        """(L,) probability of each pair given its state; sums to 1 over the pairs of a state."""
+        given = self.chosen if self.shares is None else self.shares
+        total = np.add.reduceat(given, self.mdp.pair_offsets[:-1])[self.mdp.pair_state]
+        return np.asarray(given / total) if self.shares is None else divide(given, total)
+
+    @cached_property
+    def shares(self) -> Numbers | None:
+        """(L,) whole numbers in proportion to the exact probabilities; None for floats."""
+        return None if self.policy is None else self.policy.weights_exact(self.mdp)
+
+    def exact_weights(self, state: int) -> dict[int, Fraction]:
+        """Return the exact probability of each pair that is taken in a state.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 3, [[1, 3, 0], [0, 0, 0]])
+        >>> PolicyChain.of(mdp, "random").exact_weights(0)
+        {0: Fraction(1, 3), 1: Fraction(1, 3), 2: Fraction(1, 3)}
+        """
+        given = self.chosen if self.shares is None else self.shares
+        found = {pair: exact(given[pair]) for pair in self.mdp.pairs_of(state) if given[pair]}
+        total = sum(found.values(), Fraction(0))
+        return {pair: weight / total for pair, weight in found.items()}
+
+    @cached_property
+    def pairs(self) -> Integers:
+        """(U,) the pairs that the policy takes."""
+        return np.flatnonzero(self.chosen)
+
+    @cached_property
+    def roundings(self) -> int:
+        """How often a probability was rounded on its way from the exact number, at most."""
+        most = int(np.bincount(self.mdp.pair_state[self.pairs]).max())
+        return 1 if most == 1 else 2 * most + 2
+
+    @cached_property
+    def table(self) -> OutcomeTable:
+        """The exact outcomes of the pairs that the policy takes, N in all."""
+        return self.mdp.table.of_pairs(self.pairs)
+
+    @cached_property
+    def source(self) -> Integers:
+        """(N,) the state in which each outcome happens."""
+        return np.repeat(self.mdp.pair_state[self.pairs], np.diff(self.table.offsets))
+
+    @cached_property
+    def probability(self) -> Floats:
+        """(N,) the probability of each outcome in its state."""
+        share = np.repeat(self.weights[self.pairs], np.diff(self.table.offsets))
+        return np.asarray(share * self.table.probabilities())
+
+    @cached_property
+    def gain(self) -> Floats:
+        """(N,) the reward of each outcome, rounded once."""
+        return self.table.gains()
+
+    @cached_property
+    def outcomes(self) -> Integers:
+        """(S,) the number of outcomes of each state."""
+        return np.bincount(self.source, minlength=self.mdp.n_states)
+
+    def total(self, amounts: Floats) -> Floats:
+        """Return (S,) the sums of (N,) amounts by state."""
+        total = np.bincount(self.source, weights=amounts, minlength=self.mdp.n_states)
+        return np.asarray(total, dtype=np.float64)
+
+    # ---- graph -------------------------------------------------------------------------------
+
+    @cached_property
+    def transition(self) -> sp.csr_array:
+        """(S, S) probabilities; the rows of terminal states are empty."""
+        mdp, used = self.mdp, self.pairs[~self.mdp.terminal[self.mdp.pair_state[self.pairs]]]
+        shape = (mdp.n_states, mdp.n_pairs)
+        mixing = sp.csr_array((self.weights[used], (mdp.pair_state[used], used)), shape)
+        chain = mixing @ mdp.transition
+        chain.sort_indices()
+        return chain
+
+    @cached_property
+    def graph(self) -> sp.csr_array:
+        """(S, S) positive entries where a transition is possible, however rare."""
+        if self.probability.min() > 0:
+            return self.transition
+        # Probabilities below the range of floats have become 0, and the matrix has lost them.
+        kept = ~self.mdp.terminal[self.source]
+        entries = (self.source[kept], self.table.next[kept])
+        return sp.csr_array((np.ones(len(entries[0])), entries), self.transition.shape)
+
+    @cached_property
+    def order(self) -> Integers | None:
+        """(S,) numbers that fall along every transition, where such are known."""
+        chain, states = self.graph, self.mdp.n_states
+        row = np.repeat(np.arange(states), np.diff(chain.indptr))
+        return np.arange(states, 0, -1) if (chain.indices > row).all() else levels(self.mdp)
+
+    @cached_property
+    def reached(self) -> Mask:
+        """(S,) True for states that the policy can come to from the start, this included."""
+        first = np.zeros(self.mdp.n_states, dtype=bool)
+        first[[state for state, weight in self.mdp.start if weight]] = True
+        return closure(self.graph, first)
+
+    @cached_property
+    def stuck(self) -> Mask:
+        """(S,) True where no terminal state can be reached any more."""
+        if self.order is not None:
+            return np.zeros(self.mdp.n_states, dtype=bool)
+        return ~closure(self.graph.T.tocsr(), self.mdp.terminal)
+
+    @cached_property
+    def ends(self) -> Mask:
+        """(S,) True where the policy reaches a terminal state with probability 1."""
+        return ~closure(self.graph.T.tocsr(), self.stuck) if self.stuck.any() else ~self.stuck
+
+    @property
+    def ends_from_start(self) -> bool:
+        """True where every episode ends with probability 1."""
+        return not (self.reached & self.stuck).any()
+
+    def require_end(self) -> None:
+        """Raise ModelError, naming where the policy stays, unless every episode ends."""
+        if self.ends_from_start:
+            return
+        trapped = np.flatnonzero(self.reached & self.stuck)
+        named = [self._named(state) for state in trapped[:SHOWN].tolist()]
+        more = len(trapped) - len(named)
+        raise ModelError(
+            "discount 1 needs a policy that ends, and this one may not",
+            where="it can stay for ever in "
+            + ", ".join(named)
+            + (f" and {more} more" if more else ""),
+            fix="choose a discount below 1, stop after N steps (--horizon "
+            f"{self.mdp.time_limit or 'N'}), or take a policy that leaves these states",
+        )
+
+    def _named(self, state: int) -> str:
+        taken = [pair for pair in self.mdp.pairs_of(state) if self.weights[pair] > 0]
+        actions = " or ".join(self.mdp.actions[self.mdp.pair_action[pair]] for pair in taken)
+        return f"({self.mdp.space.label(state)}) with action {actions}"
+
+    # ---- equations ---------------------------------------------------------------------------
+
+    @cached_property
+    def undiscounted(self) -> LinearSystem:
+        """x = c + P_π x on the states that end; the others have empty rows."""
+        matrix = self.transition if self.ends.all() else rows_of(self.transition, self.ends)
+        return LinearSystem(matrix, 1.0, order=self.order, roundings=self.roundings)
+
+    @cached_property
+    def discounted(self) -> LinearSystem:
+        """x = c + γ P_π x; at discount 1 on the states that end."""
+        rate = self.mdp.discount
+        if self.mdp.discount_exact == 1:
+            return self.undiscounted
+        return LinearSystem(self.transition, rate, order=self.order, roundings=self.roundings)
+
+
+def transposed(system: LinearSystem) -> LinearSystem:
+    """Return the equation x = c + γ Pᵀ x, which visits satisfy."""
+    return LinearSystem(
+        system.transition.T.tocsr(),
+        system.discount,
+        order=None if system.order is None else -system.order,
+        roundings=system.roundings,
+    )
+
+
+def rows_of(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
+    """Return a matrix with the rows that are not `kept` emptied.
+
+    Examples
+    --------
+    >>> rows_of(sp.csr_array([[0.0, 1.0], [1.0, 0.0]]), np.array([True, False])).toarray().tolist()
+    [[0.0, 1.0], [0.0, 0.0]]
+    """
+    entries = np.repeat(kept, np.diff(matrix.indptr))
+    lengths = np.where(kept, np.diff(matrix.indptr), 0)
+    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
+    return sp.csr_array((matrix.data[entries], matrix.indices[entries], offsets), matrix.shape)
+
+
+def closure(matrix: sp.csr_array, first: Mask) -> Mask:
+    """Return (S,) True for states that can be reached from `first` (S,) along a matrix's rows.
+
+    Examples
+    --------
+    >>> line = sp.csr_array([[0, 1, 0], [0, 0, 1], [0, 0, 0]])
+    >>> closure(line, np.array([False, True, False])).tolist()
+    [False, True, True]
+    """
+    from scipy.sparse.csgraph import breadth_first_order
+
+    # One more node that leads to all the first ones, so that a single search serves.
+    states, begin = len(first), np.flatnonzero(first)
+    indices = np.concatenate([matrix.indices, begin])
+    offsets = np.append(matrix.indptr, len(indices))
+    graph = sp.csr_array((np.ones(len(indices)), indices, offsets), (states + 1, states + 1))
+    found = breadth_first_order(graph, states, return_predecessors=False)
+    seen = np.zeros(states + 1, dtype=bool)
+    seen[found] = True
+    return seen[:-1]
+
+
+def _checked(mdp: MDP, weights: Floats) -> Floats:
+    """Return (L,) pair weights, or raise ModelError where they are not a policy."""
+    if weights.shape == (mdp.n_states,) != (mdp.n_pairs,):
+        raise ModelError(
+            "action numbers are whole numbers, not floats",
+            where="policy",
+            fix=f"give them as integers: policy.astype(int); or give {mdp.n_pairs} probabilities, "
+            "one for each pair",
+        )
+    if weights.shape != (mdp.n_pairs,):
+        raise ModelError(
+            f"pair weights have shape {weights.shape}, not ({mdp.n_pairs},)",
+            where="policy",
+            fix="give one probability for each pair, as Policy.weights(mdp) does",
+        )
+    total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
+    lowest = np.minimum.reduceat(weights, mdp.pair_offsets[:-1])
+    wrong = ~((np.abs(total - 1) <= FLOAT_ROW_TOLERANCE) & (lowest >= 0))
+    if wrong.any():
+        state = int(np.flatnonzero(wrong)[0])
+        raise ModelError(
+            f"pair weights sum to {total[state]:.12g}, or one is negative",
+            where=f"policy, state ({mdp.space.label(state)})",
+            fix="make them at least 0, with sum 1",
+        )
+    return weights

@@ -1,0 +1,232 @@
+"""The exact distribution of the return of a policy at discount 1.
+
+Rewards are rationals, so returns lie on a lattice: whole multiples of one rational unit. The mass
+of every pair (state, reward so far) is carried along the policy's chain, from the start to the end,
+
+    m(s', x + r) += p · m(s, x)        for each outcome (p, s', r) of s,
+
+state after state in an order in which no transition leads back. Only terms that are at least 0 are
+ever added, so every probability keeps a small *relative* error, however small it is. States that
+lead back to each other are swept until at most 10⁻¹² of the mass is left among them; what is left
+is reported (forward dynamic programming; for the distribution of the return see Sobel, Journal of
+Applied Probability 19, 1982, section 2, and Chung and Sobel, Discounted MDP's: distribution
+functions and exponential utility maximization, SIAM J. Control and Optimization 25, 1987).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from math import lcm, sqrt
+
+import numpy as np
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
+from solvers.bounds.gains import SLACK, UNIT, gamma
+from solvers.dynamic.stopping import check_counts
+from solvers.solution import Claim
+from solvers.values.policy_chain import PolicyChain
+from solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
+
+DENSE_RANGE = 10_000
+NEGLIGIBLE = 1e-280
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReturnDistribution:
+    """Every possible return with its probability, in increasing order; K of them.
+
+    Attributes
+    ----------
+    multiples : (K,) ints
+        Returns, as multiples of `unit`.
+    unit : Fraction
+    probabilities : (K,)
+    relative_error : float
+        Each probability is off by at most this part of itself, and by `remaining` more.
+    remaining : float
+        Probability of the returns that are not listed, at most: what was still moving when the
+        sweeps stopped, and tails below 10⁻²⁸⁰. 0 where all are listed.
+    exact : tuple of Fraction, optional
+        The probabilities as exact rationals, where these were asked for.
+    """
+
+    multiples: Numbers
+    unit: Fraction
+    probabilities: Floats
+    relative_error: float
+    remaining: float
+    exact: tuple[Fraction, ...] | None = None
+
+    def __post_init__(self) -> None:
+        self.multiples.setflags(write=False)
+        self.probabilities.setflags(write=False)
+
+    @property
+    def claim(self) -> Claim:
+        """What is claimed of the probabilities: that `error` bounds their errors."""
+        return Claim.BOUNDED
+
+    @property
+    def error(self) -> Floats:
+        """(K,) bounds on the errors of the probabilities."""
+        return self.relative_error * self.probabilities + self.remaining + NEGLIGIBLE
+
+    @cached_property
+    def values(self) -> tuple[Fraction, ...]:
+        """The returns as exact rationals."""
+        return tuple(self.unit * int(multiple) for multiple in self.multiples)
+
+    @cached_property
+    def _scaled(self) -> tuple[Floats, int]:
+        """The returns over a power of two, so that they and their squares are within the floats."""
+        top, bottom = self.unit.numerator, self.unit.denominator
+        largest = magnitude(self.multiples) * top
+        power = largest.bit_length() - bottom.bit_length()
+        if power >= 0:
+            bottom <<= power
+        else:
+            top <<= -power
+        return np.array([int(multiple) * top / bottom for multiple in self.multiples]), power
+
+    @cached_property
+    def mean(self) -> float:
+        """Mean of the returns listed; infinite where it is beyond the range of floats."""
+        scaled, power = self._scaled
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(self.probabilities @ scaled, power))
+
+    @cached_property
+    def sd(self) -> float:
+        """Standard deviation of the returns listed; infinite beyond the range of floats."""
+        scaled, power = self._scaled
+        spread = sqrt(float(self.probabilities @ (scaled - self.probabilities @ scaled) ** 2))
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(spread, power))
+
+    def cdf(self, value: object) -> float:
+        """Return the probability of a return of at most `value` (a number or "p/q")."""
+        bound = exact(value) / self.unit
+        count = np.searchsorted(self.multiples, bound.numerator // bound.denominator, side="right")
+        return float(self._cumulative[count - 1]) if count else 0.0
+
+    def quantile(self, share: float) -> Fraction:
+        """Return the least return whose cdf is at least `share`.
+
+        A cdf that misses `share` by no more than its error bound counts as reaching it, so that
+        the median of a fair coin is tails, whatever the roundings.
+        """
+        if not 0 <= share <= 1:
+            raise ModelError(f"a quantile at {share}", fix="choose a probability from 0 to 1")
+        slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
+        index = int(np.searchsorted(self._cumulative, share - slack))
+        return self.unit * int(self.multiples[min(index, len(self.multiples) - 1)])
+
+    @cached_property
+    def _cumulative(self) -> Floats:
+        return np.cumsum(self.probabilities)
+
+    def as_dict(self) -> dict[Fraction, float]:
+        """Return {return: probability}."""
+        return dict(zip(self.values, self.probabilities.tolist(), strict=True))
+
+    def __repr__(self) -> str:
+        return (
+            f"ReturnDistribution({len(self.multiples)} returns, mean {self.mean:.6g}, "
+            f"sd {self.sd:.6g}, remaining {self.remaining:.1g})"
+        )
+
+
+def return_distribution(
+    mdp: MDP,
+    policy: object,
+    *,
+    exact: bool = False,
+    max_sweeps: int = 1_000_000,
+    kind: str = "auto",
+    horizon: int | None = None,
+) -> ReturnDistribution:
+    """Return the distribution of the total reward of an episode.
+
+    Parameters
+    ----------
+    mdp : MDP
+        With discount 1.
+    policy, kind : as for `evaluate`
+    exact : bool
+        Compute the probabilities as exact rationals; for chains without cycles, of modest size.
+    max_sweeps : int
+        How often states that lead back to each other are swept at most.
+    horizon : int, optional
+        Stop after so many steps; see `evaluate`.
+
+    Raises
+    ------
+    ModelError
+        Below discount 1; where an episode may never end; where there are too many different
+        returns; where `max_sweeps` do not suffice.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
+    >>> found = return_distribution(MDP.from_outcomes(rows), "random")
+    >>> print(*found.values, found.probabilities.tolist())
+    1/2 2 [0.5, 0.5]
+    """
+    check_counts("return_distribution", max_sweeps=max_sweeps)
+    if mdp.discount_exact != 1:
+        raise ModelError(
+            f"discount {mdp.discount_exact} gives returns that are not on a lattice, so that their "
+            "distribution is not a list",
+            where="discount",
+            fix="choose discount 1; evaluate() gives mean and sd, simulate() samples returns",
+        )
+    if horizon is not None:
+        mdp = mdp.within(horizon)
+    chain = PolicyChain.of(mdp, policy, kind=kind)
+    chain.require_end()
+    gain, unit = _lattice(chain)
+    flow = Flow.of(chain, gain)
+    if exact:
+        masses, total = carry_exact(flow)
+        shares = [Fraction(masses[multiple], total) for multiple in sorted(masses)]
+        return ReturnDistribution(
+            multiples=integers(sorted(masses)),
+            unit=unit,
+            probabilities=np.array([float(share) for share in shares]),
+            relative_error=UNIT,
+            remaining=0.0,
+            exact=tuple(shares),
+        )
+    if gain.dtype == np.int64 and np.abs(gain).max(initial=0) <= DENSE_RANGE:
+        found = carry_dense(flow, max_sweeps)
+    else:
+        found = carry_sparse(flow, max_sweeps)
+    return ReturnDistribution(
+        multiples=found.multiples,
+        unit=unit,
+        probabilities=found.masses,
+        relative_error=float(gamma(found.roundings)) * SLACK,
+        remaining=found.remaining * SLACK,
+    )
+
+
+def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
+    """Return the rewards (N,) as multiples of their greatest common unit, and that unit."""
+    table = chain.table
+    top, bottom = table.integer_gains()
+    lengths = np.diff(table.offsets)
+    if len(top) == table.pairs:
+        top = np.repeat(top, lengths)
+    whole = lcm(*np.unique(bottom).tolist())
+    factor = np.repeat(integers(whole // int(number) for number in bottom), lengths)
+    scaled = multiply(top, factor)
+    used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
+    step = max(int(np.gcd.reduce(scaled[used])), 1)
+    multiples = scaled // step
+    if multiples.dtype == object:
+        multiples = integers(multiples.tolist())
+    return multiples, Fraction(step, whole)

@@ -1,0 +1,256 @@
+"""Sampled episodes of a policy, all of them side by side.
+
+Every episode draws its next outcome by inversion: the first outcome of its state at which the
+cumulative probability exceeds a uniform number. Nothing here uses the equations of `evaluate`, so
+that the two check each other (Monte Carlo policy evaluation: Sutton and Barto, Reinforcement
+Learning, 2018, section 5.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, inf, log, log1p, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mdp.errors import ModelError
+from mdp.model import MDP
+from mdp.table import Floats, Integers
+from solvers.solution import Claim, Estimated
+from solvers.values.policy_chain import PolicyChain
+
+NEGLIGIBLE = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Simulation:
+    """Returns of sampled episodes, and what they say of the policy's mean return.
+
+    Attributes
+    ----------
+    returns : (E,)
+        Discounted total reward of each episode.
+    steps : (E,) ints
+        Timesteps of each episode, up to its end or to where it was cut off.
+    events : {name: share}
+        Share of the episodes in which each event of the model happened.
+    truncated : int
+        Episodes cut off before a terminal state: below discount 1, or by a horizon.
+    truncation_error : float
+        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ). A horizon is no
+        error: its returns are those of episodes that stop there.
+    """
+
+    returns: Floats
+    steps: Integers
+    events: dict[str, float]
+    truncated: int
+    truncation_error: float
+
+    def __post_init__(self) -> None:
+        self.returns.setflags(write=False)
+        self.steps.setflags(write=False)
+
+    @property
+    def claim(self) -> Claim:
+        """What is claimed of the mean: it is an estimate."""
+        return Claim.ESTIMATED
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes, E."""
+        return len(self.returns)
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        scaled, power = self._scaled
+        return float(np.ldexp(scaled.mean(), power))
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the returns; infinite for one episode, which says nothing of it."""
+        scaled, power = self._scaled
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(scaled.std(ddof=1), power)) if self.episodes > 1 else inf
+
+    @property
+    def _scaled(self) -> tuple[Floats, int]:
+        """The returns over a power of two, so that sums and squares stay within the floats."""
+        power = int(np.frexp(np.abs(self.returns).max())[1])
+        return np.ldexp(self.returns, -power), power
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of `mean`."""
+        return self.sd / sqrt(self.episodes)
+
+    @property
+    def estimate(self) -> Estimated:
+        """The mean with its standard error."""
+        return Estimated(value=self.mean, standard_error=self.standard_error)
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.episodes} episodes, mean {self.estimate})"
+
+
+def simulate(
+    mdp: MDP,
+    policy: object,
+    episodes: int,
+    seed: int | np.random.Generator,
+    *,
+    max_steps: int | None = None,
+    kind: str = "auto",
+    horizon: int | None = None,
+) -> Simulation:
+    """Return the sampled returns of a policy's episodes.
+
+    Parameters
+    ----------
+    mdp : MDP
+    policy, kind : as for `evaluate`
+    episodes : int
+    seed : int or numpy.random.Generator
+        The same whole number gives the same returns, byte for byte; 0 is one like any other.
+    max_steps : int, optional
+        Timesteps after which an episode is cut off. Below discount 1 it is, unless given, the
+        number after which nothing above 10⁻¹² of the greatest return can follow; at discount 1
+        episodes are never cut off, and an episode that takes longer is an error.
+    horizon : int, optional
+        Stop every episode after so many steps, without a further reward, as the environments of a
+        time limit do; see `evaluate`.
+
+    Raises
+    ------
+    ModelError
+        For no episodes or no seed; at discount 1 where an episode may never end, or takes longer.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 1, 0), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
+    >>> found = simulate(MDP.from_outcomes(rows), "random", episodes=400, seed=0)
+    >>> abs(found.mean - 1) < 4 * found.standard_error
+    True
+    """
+    from tqdm import tqdm
+
+    generator = generator_of(episodes, seed, max_steps)
+    endless, mdp = mdp, mdp if horizon is None else mdp.within(horizon)
+    chain = PolicyChain.of(mdp, policy, kind=kind)
+    limit, size = _longest(chain, horizon if max_steps is None else max_steps)
+    first, cumulative = _cumulative(chain)
+    following, gain, event = chain.table.next, chain.gain, chain.table.event
+    state = _starts(mdp, episodes, generator)
+    returns, steps = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
+    happened = np.zeros(episodes, dtype=np.uint8)
+    running, factor, step = np.flatnonzero(~mdp.terminal[state]), 1.0, 0
+    with tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
+        while len(running) and step < limit:
+            outcome = _drawn(first, cumulative, state[running], generator)
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                returns[running] += factor * gain[outcome]
+            steps[running] += 1
+            if event is not None:
+                happened[running] |= event[outcome]
+            state[running] = following[outcome]
+            running = running[~mdp.terminal[state[running]]]
+            factor, step = factor * mdp.discount, step + 1
+            bar.update()
+    if len(running) and mdp.discount_exact == 1:
+        raise ModelError(
+            f"{len(running)} of {episodes} episodes had not ended after {step} steps",
+            where="policy",
+            fix="raise max_steps, or leave it out; evaluate() gives the expected number of steps",
+        )
+    if not np.isfinite(returns).all():
+        raise ModelError(
+            "a return is beyond the range of floats", where="rewards", fix="scale them down"
+        )
+    stopped = 0
+    if horizon is not None:
+        last = mdp.n_states - endless.n_states  # the first state of the time at which all is over
+        stopped = int((~endless.terminal[state[state >= last] - last]).sum())
+    rest = size * factor / float(1 - mdp.discount_exact) if len(running) else 0.0
+    return Simulation(
+        returns=returns,
+        steps=steps,
+        events={name: float(((happened >> bit) & 1).mean()) for bit, name in enumerate(mdp.events)},
+        truncated=len(running) + stopped,
+        truncation_error=rest,
+    )
+
+
+def generator_of(
+    episodes: int, seed: int | np.random.Generator, max_steps: int | None = None
+) -> np.random.Generator:
+    """Return the generator of a seed, or raise ModelError for what is no count and no seed."""
+    counts = {"episodes": episodes} | ({} if max_steps is None else {"max_steps": max_steps})
+    for name, count in counts.items():
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+            raise ModelError(
+                f"{name} is {count!r}", where="simulate", fix="give a whole number > 0"
+            )
+    if isinstance(seed, np.random.Generator):
+        return seed
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ModelError(
+            f"seed is {seed!r}", where="simulate", fix="give a whole number, 0 or more"
+        )
+    return np.random.default_rng(int(seed))
+
+
+def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
+    """Return the number of steps to simulate, and the greatest reward."""
+    mdp = chain.mdp
+    size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
+    if mdp.discount_exact == 1:
+        chain.require_end()
+        return (inf if max_steps is None else max_steps), size
+    if max_steps is not None:
+        return max_steps, size
+    # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
+    missing = float(1 - mdp.discount_exact)
+    return (1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))), size
+
+
+def _cumulative(chain: PolicyChain) -> tuple[Integers, Floats]:
+    """Return the first outcome of each state (S+1,), and cumulative probabilities (N,) in it."""
+    first = np.concatenate([[0], np.cumsum(chain.outcomes)])
+    begin = first[chain.source]
+    total = chain.probability.copy()
+    place = np.arange(len(total))
+    # Adding up within rows only, by doubling steps, so that no digits go to other states' sums.
+    reach = 1
+    while reach < int(chain.outcomes.max()):
+        inside = np.flatnonzero(place - reach >= begin)
+        total[inside] += total[inside - reach]
+        reach *= 2
+    whole = total[first[1:] - 1]
+    return first, total / np.repeat(whole, chain.outcomes)
+
+
+def _drawn(
+    first: Integers, cumulative: Floats, state: Integers, generator: np.random.Generator
+) -> Integers:
+    """Return an outcome for each of (R,) states: the first of more cumulative probability."""
+    share = generator.random(len(state))
+    low, high = first[state], first[state + 1] - 1
+    while True:
+        middle = (low + high) // 2
+        open_ = low < high
+        if not open_.any():
+            return low
+        above = share < cumulative[middle]
+        high = np.where(open_ & above, middle, high)
+        low = np.where(open_ & ~above, middle + 1, low)
+
+
+def _starts(mdp: MDP, episodes: int, generator: np.random.Generator) -> NDArray[np.int64]:
+    states = np.array([state for state, weight in mdp.start if weight], dtype=np.int64)
+    if len(states) == 1:
+        return np.full(episodes, states[0])
+    share = np.cumsum(mdp.start_distribution[states])
+    drawn = np.searchsorted(share / share[-1], generator.random(episodes), side="right")
+    return np.asarray(states[drawn])

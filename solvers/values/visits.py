@@ -1,0 +1,94 @@
+"""How often a policy comes by: visits, steps until the end, and whether something ever happens.
+
+    d(s') = μ(s') + γ Σ_s d(s) P_π(s, s')         expected discounted visits
+    τ(s)  = 1 + Σ_s' P_π(s, s') τ(s')             expected steps until a terminal state
+    h(s)  = Σ p + Σ' p h(s')                      probability that an event ever happens
+
+where the first sum of the last line runs over the outcomes with the event and the second over the
+others. d, spread over the pairs that the policy takes, is the occupancy measure (Puterman, Markov
+Decision Processes, 1994, section 6.9; absorption: Kemeny and Snell, Finite Markov Chains, 1960,
+chapter 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from mdp.model import MDP
+from mdp.table import Floats
+from solvers.bounds.gains import SLACK, UNIT, gamma
+from solvers.bounds.linear import FixedPoint, LinearSystem
+from solvers.solution import Bounded
+from solvers.values.policy_chain import Mask, PolicyChain, closure, transposed
+
+
+def occupancy(mdp: MDP, policy: object) -> Floats:
+    """Return (L,) the expected discounted number of uses of each pair, from the start.
+
+    Below discount 1 they sum to 1 / (1 - γ), terminal states included, in which a policy stays for
+    ever. At discount 1 the pairs of terminal states are left at 0.
+
+    Raises
+    ------
+    ModelError
+        At discount 1 where an episode may never end.
+    SolverError
+        Where double precision cannot bound the error.
+
+    Examples
+    --------
+    >>> wait, leave = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+    >>> mdp = MDP.from_arrays([wait, leave], [[1, 5], [0, 0]], discount="1/2")
+    >>> occupancy(mdp, np.array([0, 1])).round(6).tolist()
+    [1.333333, 0.0, 0.0, 0.666667]
+    """
+    chain = PolicyChain.of(mdp, policy)
+    if mdp.discount_exact == 1:
+        chain.require_end()
+    return pair_visits(chain, visits(mdp, chain.discounted))
+
+
+def visits(mdp: MDP, system: LinearSystem) -> FixedPoint:
+    """Return (S,) expected visits from the start; terminal states count arrivals."""
+    start = mdp.start_distribution
+    found = transposed(system).solve(start, UNIT * start)
+    # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
+    return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
+
+
+def pair_visits(chain: PolicyChain, found: FixedPoint) -> Floats:
+    """Return (L,) uses of each pair from discounted visits; see `occupancy`."""
+    mdp = chain.mdp
+    stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
+    return (found.value * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
+
+
+def steps(chain: PolicyChain) -> FixedPoint:
+    """Return (S,) expected steps until a terminal state, 0 where it may not come."""
+    return chain.undiscounted.solve((chain.ends & ~chain.mdp.terminal).astype(np.float64))
+
+
+def ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
+    """Return (S,) the probability that one of the marked outcomes (N,) ever happens."""
+    states, source, following = chain.mdp.n_states, chain.source, chain.table.next
+    chance = chain.total(np.where(happens, chain.probability, 0.0))
+    # Elsewhere the probability is 0; among these states the equation has a single solution.
+    possible = closure(chain.graph.T.tocsr(), chance > 0)
+    on = ~happens & possible[source] & possible[following] & ~chain.mdp.terminal[source]
+    entries = (chain.probability[on], (source[on], following[on]))
+    matrix = sp.csr_array(entries, (states, states))
+    roundings = chain.roundings + int(chain.outcomes.max())
+    system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
+    found = system.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
+    return FixedPoint(value=np.clip(found.value, 0.0, 1.0), error=found.error)
+
+
+def at_start(mdp: MDP, found: FixedPoint) -> Bounded:
+    """Return the expectation over the start distribution, with its error."""
+    states = np.flatnonzero(mdp.start_distribution)
+    weights = mdp.start_distribution[states]
+    value, error = found.value[states], found.error[states]
+    rounding = 0.0 if weights.tolist() == [1.0] else float(gamma(len(states) + 3))
+    bound = float(weights @ (error + rounding * np.abs(value))) * SLACK
+    return Bounded(value=float(weights @ value), error=bound)
