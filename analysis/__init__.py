@@ -1,7 +1,7 @@
 """What a solved model means: comparisons, returns, sensitivity, and the command line.
 
->>> from analysis import check
->>> from mdp import MDP
+>>> from exact_mdp import check
+>>> from exact_mdp import MDP
 >>> check(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]), [1, 0]).passed
 True
 """
@@ -12,9 +12,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from analysis.gate.audit import Audit
-    from analysis.gate.check import assert_policy_optimal, check
-    from analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
+    from exact_mdp.analysis.gate.audit import Audit
+    from exact_mdp.analysis.gate.check import assert_policy_optimal, check
+    from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
 
 __all__ = [
     "Audit",
@@ -27,12 +27,12 @@ __all__ = [
 
 # Imported when first asked for: `exact-mdp --help` needs none of it.
 _LATER = {
-    "Audit": "analysis.gate.audit",
-    "BestPolicy": "analysis.gate.column_policies",
-    "assert_policy_optimal": "analysis.gate.check",
-    "best_policy": "analysis.gate.column_policies",
-    "check": "analysis.gate.check",
-    "value_of_memory": "analysis.gate.column_policies",
+    "Audit": "exact_mdp.analysis.gate.audit",
+    "BestPolicy": "exact_mdp.analysis.gate.column_policies",
+    "assert_policy_optimal": "exact_mdp.analysis.gate.check",
+    "best_policy": "exact_mdp.analysis.gate.column_policies",
+    "check": "exact_mdp.analysis.gate.check",
+    "value_of_memory": "exact_mdp.analysis.gate.column_policies",
 }
 
 
@@ -40,3 +40,9 @@ def __getattr__(name: str) -> Any:
     if name in _LATER:
         return getattr(import_module(_LATER[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+if __name__ == "analysis":
+    from exact_mdp._checkout import alias
+
+    alias(__name__)

@@ -161,7 +161,7 @@ def _outcome(
         what, place = error.format_message().removesuffix("."), path or program
         return REFUSED, _message(type(error).__name__, what, place, f"see {place} --help")
 
-    from mdp.errors import ModelError
+    from exact_mdp.mdp.errors import ModelError
 
     if isinstance(error, ModelError):
         where = _option(command, name, error.where, words) or usage
@@ -175,9 +175,9 @@ def _outcome(
 
 def _broken(error: BaseException, usage: str) -> str:
     """Return the message for what is neither bad input nor a failed check."""
-    from analysis.optimum import Contradiction
-    from mdp.errors import short
-    from solvers.solution import SolverError
+    from exact_mdp.analysis.optimum import Contradiction
+    from exact_mdp.mdp.errors import short
+    from exact_mdp.solvers.solution import SolverError
 
     kind, said = type(error).__name__, short(" ".join(str(error).split()))
     if isinstance(error, SolverError | Contradiction):
@@ -236,7 +236,7 @@ def _option(command: click.Command, name: str, where: str, words: Sequence[str])
 
 
 def _message(kind: str, what: str, where: str, fix: str) -> str:
-    from mdp.errors import shown_text
+    from exact_mdp.mdp.errors import shown_text
 
     what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
     return f"{kind}: {what}\n  where: {where}\n  fix:   {fix}"
@@ -337,7 +337,7 @@ def _warner() -> Callable[..., None]:
     told: set[str] = set()
 
     def warn(message: Warning | str, *rest: object, **more: object) -> None:
-        from mdp.errors import shown_text
+        from exact_mdp.mdp.errors import shown_text
 
         text = shown_text(str(message), lines=True)
         if text not in told:

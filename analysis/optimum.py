@@ -21,15 +21,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-import solvers
-from mdp.chain import is_acyclic, reachable
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.table import Floats, Integers
+from exact_mdp import solvers
+from exact_mdp.mdp.chain import is_acyclic, reachable
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import Floats, Integers
 
 if TYPE_CHECKING:
-    from solvers.proof.certificate import Certificate
+    from exact_mdp.solvers.proof.certificate import Certificate
 
 
 def status_policy(mdp: MDP, optimal: NDArray[np.bool_], *, column: str = "status") -> Policy | None:

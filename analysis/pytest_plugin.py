@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pytest
 
 if TYPE_CHECKING:
-    from analysis.gate.audit import Audit
-    from mdp.model import MDP
+    from exact_mdp.analysis.gate.audit import Audit
+    from exact_mdp.mdp.model import MDP
 
 SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")
 
@@ -66,8 +66,8 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         horizon: int | None = None,
     ) -> Audit:
         __tracebackhide__ = True
-        from analysis.gate.check import check
-        from mdp.io.load import load_model
+        from exact_mdp.analysis.gate.check import check
+        from exact_mdp.mdp.io.load import load_model
 
         mdp: MDP
         if isinstance(model, str | Path):

@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError
-from mdp.table import Floats, Integers
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats, Integers
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
 FAVOURED, IDENTIFIED, EXCLUDED = 3.0, 20.0, 150.0  # Bayes factors
 

@@ -12,9 +12,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from mdp.fingerprint import fingerprint
-from mdp.io.files import write_atomically
-from mdp.model import MDP
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.model import MDP
 
 PACKAGES = ("exact-mdp", "numpy", "scipy", "python-flint", "cvxpy", "clarabel", "highspy", "numba")
 

@@ -1,16 +1,16 @@
 """What a problem is: finite Markov decision processes, exact and explicit.
 
->>> from mdp import Scenario
+>>> from exact_mdp import Scenario
 >>> Scenario.load("yuan2025").compile()
 MDP(yuan2025: 241 states, 4 actions, 961 pairs, 8065 transitions, discount 1)
 """
 
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError, ScenarioWarning
-from mdp.model import MDP
-from mdp.parametric import Parameter
-from mdp.policies.policy import Policy
-from mdp.space import Column, StateSpace
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError, ScenarioWarning
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.space import Column, StateSpace
 
 __all__ = [
     "MDP",
@@ -22,3 +22,8 @@ __all__ = [
     "ScenarioWarning",
     "StateSpace",
 ]
+
+if __name__ == "mdp":
+    from exact_mdp._checkout import alias
+
+    alias(__name__)

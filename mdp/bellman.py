@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.model import MDP
-from mdp.table import Integers, Numbers, OutcomeTable, magnitude, multiply
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable, magnitude, multiply
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,11 +20,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from mdp.errors import ModelError
-from mdp.model import MDP, as_discount, as_start
-from mdp.space import StateSpace
-from mdp.symbolic import arrays_degrees, followed, outcomes_degrees, pairs_degrees
-from mdp.table import (
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP, as_discount, as_start
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.symbolic import arrays_degrees, followed, outcomes_degrees, pairs_degrees
+from exact_mdp.mdp.table import (
     Floats,
     Given,
     Integers,
@@ -39,7 +39,7 @@ from mdp.table import (
     ones,
     rounding_of,
 )
-from mdp.threads import IN_CACHE, block_ends, run_blocks
+from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 
 MOST_UNNAMED_ACTIONS = 100_000
 

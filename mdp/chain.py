@@ -23,9 +23,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Integers, Numbers
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers, Numbers
 
 if TYPE_CHECKING:
     import networkx as nx

@@ -1,7 +1,7 @@
 """Any model, and the care scenarios, as Gymnasium environments, for agents from elsewhere to learn.
 
     import gymnasium
-    env = gymnasium.make("mdp.environment:exact_mdp/Yuan2025-v0")
+    env = gymnasium.make("exact_mdp.mdp.environment:exact_mdp/Yuan2025-v0")
 
 An environment draws from the exact outcomes of the model: next state and reward together. What an
 agent sees is a number: that of the state, or of the combination of the columns that it may read.
@@ -20,17 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.space import StateSpace
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.space import StateSpace
 
 try:
     import gymnasium
 except ImportError as error:
     raise ModelError(
         "Gymnasium is not installed",
-        where="mdp.environment",
+        where="exact_mdp.mdp.environment",
         fix='install it: pip install "exact-mdp[gymnasium]"',
     ) from error
 
@@ -208,7 +208,7 @@ class ScenarioEnv(MDPEnv):
 def register() -> None:
     """Register the environments with Gymnasium; once is enough."""
     if YUAN2025 not in gymnasium.registry:
-        gymnasium.register(YUAN2025, entry_point="mdp.environment:ScenarioEnv")
+        gymnasium.register(YUAN2025, entry_point="exact_mdp.mdp.environment:ScenarioEnv")
 
 
 def _observations(mdp: MDP, columns: Sequence[str] | None) -> tuple[StateSpace, Any]:

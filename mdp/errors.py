@@ -162,7 +162,7 @@ def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
     >>> check_names(["stay", "go" + chr(0x202E)], "action")
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: the name of an action holds the character U+202E: go\\u202e
+    exact_mdp.mdp.errors.ModelError: the name of an action holds the character U+202E: go\\u202e
       where: names
       fix:   remove it; names are plain text on one line
     """

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mdp.bellman import distinct, merged, reduced
-from mdp.model import MDP
-from mdp.table import EXACT_IN_FLOAT, EXACT_IN_INT64, Floats, Integers, Numbers
+from exact_mdp.mdp.bellman import distinct, merged, reduced
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import EXACT_IN_FLOAT, EXACT_IN_INT64, Floats, Integers, Numbers
 
 if TYPE_CHECKING:
     from hashlib import _Hash

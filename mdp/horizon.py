@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from mdp.care.size import MOST_BYTES, NARROW, WIDE
-from mdp.chain import spans
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.space import TIME, Column, StateSpace
-from mdp.table import Integers, Numbers, OutcomeTable, by_outcome
-from mdp.validate import counted
+from exact_mdp.mdp.care.size import MOST_BYTES, NARROW, WIDE
+from exact_mdp.mdp.chain import spans
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.space import TIME, Column, StateSpace
+from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable, by_outcome
+from exact_mdp.mdp.validate import counted
 
 
 def within(mdp: MDP, steps: object) -> MDP:

@@ -22,14 +22,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from mdp.errors import ModelError, suggest
-from mdp.space import StateSpace
-from mdp.symbolic import changed_degrees, followed
-from mdp.table import Floats, Integers, OutcomeTable, beside, exact
-from mdp.validate import check_model, counted
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.symbolic import changed_degrees, followed
+from exact_mdp.mdp.table import Floats, Integers, OutcomeTable, beside, exact
+from exact_mdp.mdp.validate import check_model, counted
 
 if TYPE_CHECKING:
-    from mdp.parametric import Parameter
+    from exact_mdp.mdp.parametric import Parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +291,7 @@ class MDP:
         >>> mdp.table.row(mdp.pair(2, 0))
         [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
         """
-        from mdp.horizon import within
+        from exact_mdp.mdp.horizon import within
 
         return within(self, steps)
 
@@ -321,7 +321,7 @@ class MDP:
         >>> mdp.table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        from mdp.build import from_arrays
+        from exact_mdp.mdp.build import from_arrays
 
         return from_arrays(P, R, discount, start=start, **names)
 
@@ -347,7 +347,7 @@ class MDP:
         discount, start, **names
             As in `from_arrays`.
         """
-        from mdp.build import from_pairs
+        from exact_mdp.mdp.build import from_pairs
 
         return from_pairs(
             pair_state, pair_action, transition, reward, discount, start=start, **names
@@ -370,14 +370,14 @@ class MDP:
         >>> mdp.reward.tolist()
         [0.5, 0.0]
         """
-        from mdp.build import from_outcomes
+        from exact_mdp.mdp.build import from_outcomes
 
         return from_outcomes(rows, discount, start=start, **names)
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:
         """Build from a Gymnasium environment that exposes its model as `P` (toy-text)."""
-        from mdp.io.gymnasium import from_gymnasium
+        from exact_mdp.mdp.io.gymnasium import from_gymnasium
 
         return from_gymnasium(env, discount, **names)
 

@@ -21,12 +21,12 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from mdp.errors import ModelError, check_names, suggest
-from mdp.model import MDP
-from mdp.table import beside, exact, shown
+from exact_mdp.mdp.errors import ModelError, check_names, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import beside, exact, shown
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class Parameter:
     >>> Parameter(name="base.anger", value=Fraction(3, 2), low=Fraction(0), high=Fraction(1))
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: base.anger is 1.5, outside [0, 1]
+    exact_mdp.mdp.errors.ModelError: base.anger is 1.5, outside [0, 1]
       where: parameter base.anger
       fix:   choose a value in that range
     """
@@ -135,7 +135,7 @@ class Family:
     ... )
     >>> family.at({"p": "1/3"}).table.row(0)[0]
     (Fraction(1, 3), 0, Fraction(1, 1))
-    >>> from analysis.sensitivity import gradient  # V = 1 / (1 - p)
+    >>> from exact_mdp.analysis.sensitivity import gradient  # V = 1 / (1 - p)
     >>> print(gradient(family)["p"].value)
     4 (certified)
     """
@@ -181,10 +181,10 @@ def parametric(source: Scenario | MDP | Parametric) -> Parametric:
     >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], [1], "1/2")).parameters]
     ['discount']
     """
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
     if isinstance(source, Scenario):
-        from mdp.care.family import ScenarioFamily
+        from exact_mdp.mdp.care.family import ScenarioFamily
 
         return ScenarioFamily(scenario=source)
     return moving(source, {}) if isinstance(source, MDP) else source

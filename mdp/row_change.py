@@ -17,13 +17,13 @@ from fractions import Fraction
 
 import numpy as np
 
-from mdp.bellman import distinct, merged
-from mdp.care.family import ScenarioFamily
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Family, Parametric, parameter_of, room_of
-from mdp.symbolic import Degrees, degrees_of
-from mdp.table import Integers, Numbers, shown
+from exact_mdp.mdp.bellman import distinct, merged
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, room_of
+from exact_mdp.mdp.symbolic import Degrees, degrees_of
+from exact_mdp.mdp.table import Integers, Numbers, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -199,7 +199,7 @@ def row_change(
 
     Examples
     --------
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> family = moving(mdp, {"p": [(0, 0)]})
     >>> found = row_change(family, "p", Piece(low=Fraction(0), high=Fraction(1)))

@@ -14,7 +14,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError, check_names, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, suggest
 
 Integers = NDArray[np.int64]
 TIME = "time"

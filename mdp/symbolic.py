@@ -90,7 +90,7 @@ def degrees_of(
 
     Examples
     --------
-    >>> from mdp.model import MDP
+    >>> from exact_mdp.mdp.model import MDP
     >>> found = degrees_of(
     ...     lambda at: MDP.from_arrays([[[at["p"] ** 2, 1 - at["p"] ** 2], [0, 1]]], [1, 0]),
     ...     {"p": Fraction(1, 2)},

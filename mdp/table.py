@@ -27,7 +27,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -272,7 +272,7 @@ class OutcomeTable:
 
         Examples
         --------
-        >>> from mdp import MDP
+        >>> from exact_mdp import MDP
         >>> mdp = MDP.from_arrays([np.full((10, 10), 0.1)], np.arange(10.0), discount=0.9)
         >>> rows = [(state, 0, mdp.table.row(state)) for state in range(10)]
         >>> sum(p for p, _, _ in rows[0][2]) - 1  # not 0: a float is taken as it is

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mdp.table import Numbers
+from exact_mdp.mdp.table import Numbers
 
 SMALLEST = 250_000
 PER_THREAD = 3

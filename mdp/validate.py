@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mdp.errors import ModelError, check_names
-from mdp.table import (
+from exact_mdp.mdp.errors import ModelError, check_names
+from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     ROW_TOLERANCE,
     Integers,
@@ -17,10 +17,10 @@ from mdp.table import (
     exact,
     shown,
 )
-from mdp.threads import IN_CACHE, block_ends, run_blocks
+from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 
 if TYPE_CHECKING:
-    from mdp.model import MDP
+    from exact_mdp.mdp.model import MDP
 
 
 def check_model(mdp: MDP) -> None:

@@ -27,9 +27,9 @@
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from analysis.plots import plot_influence, plot_status_transitions, style
-from mdp import Scenario
-from paper_repro.report.figures import status_law
+from exact_mdp.analysis.plots import plot_influence, plot_status_transitions, style
+from exact_mdp.mdp import Scenario
+from exact_mdp.paper_repro.report.figures import status_law
 
 scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()
@@ -113,7 +113,7 @@ for label, each in (("the paper's", scenario), ("calmer", calmer), ("other readi
 # A wrong name is refused, with the nearest one:
 
 # %%
-from mdp import ModelError
+from exact_mdp.mdp import ModelError
 
 try:
     scenario.with_(parameters={"base.angry": 0.1})

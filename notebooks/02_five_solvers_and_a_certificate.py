@@ -26,10 +26,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from analysis.plots import plot_policy_map, style
-from mdp import MDP, Scenario
-from solvers import SOLVERS, certify, evaluate, solve
-from solvers.proof.certificate import Certificate
+from exact_mdp.analysis.plots import plot_policy_map, style
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.solvers import SOLVERS, certify, evaluate, solve
+from exact_mdp.solvers.proof.certificate import Certificate
 
 scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()

@@ -25,15 +25,15 @@
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from analysis import check
-from analysis.learning.curves import exact_curves, learning_curve
-from analysis.learning.outcomes import outcomes
-from analysis.plots import plot_distinct, plot_learning_curves, plot_value_bands, style
-from mdp import Scenario
-from solvers import solve
-from solvers.learning.q_learning import QLearning
-from solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
-from solvers.learning.training import train_many
+from exact_mdp.analysis import check
+from exact_mdp.analysis.learning.curves import exact_curves, learning_curve
+from exact_mdp.analysis.learning.outcomes import outcomes
+from exact_mdp.analysis.plots import plot_distinct, plot_learning_curves, plot_value_bands, style
+from exact_mdp.mdp import Scenario
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from exact_mdp.solvers.learning.training import train_many
 
 mdp = Scenario.load("yuan2025").compile()
 optimum = solve(mdp).start_value

@@ -26,15 +26,21 @@ import warnings
 
 import matplotlib.pyplot as plt
 
-from analysis.plots import plot_thresholds, plot_tornado, plot_two_way, plot_value_curves, style
-from analysis.plots.psa import plot_acceptability, plot_optimal_actions
-from analysis.plots.sensitivity import plot_robust_curve
-from analysis.plots.sensitivity_global import plot_sobol
-from analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
-from analysis.sensitivity.draws.sobol import sobol
-from analysis.sensitivity.psa.psa import psa
-from analysis.sensitivity.robust.robust import robust_curve
-from mdp import Scenario, ScenarioWarning
+from exact_mdp.analysis.plots import (
+    plot_thresholds,
+    plot_tornado,
+    plot_two_way,
+    plot_value_curves,
+    style,
+)
+from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
+from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
+from exact_mdp.analysis.plots.sensitivity_global import plot_sobol
+from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.analysis.sensitivity.robust.robust import robust_curve
+from exact_mdp.mdp import Scenario, ScenarioWarning
 
 scenario = Scenario.load("yuan2025")
 

@@ -30,15 +30,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from analysis.plots import style
-from analysis.readings import ReadingSpace
-from mdp.care.scenario import READINGS
-from paper_repro import reported
-from paper_repro.readings.evidence import evidence
-from paper_repro.readings.joint import contradictions, joint
-from paper_repro.readings.search import STARTS, search
-from paper_repro.readings.statements import statements
-from paper_repro.readings.verdict import verdict
+from exact_mdp.analysis.plots import style
+from exact_mdp.analysis.readings import ReadingSpace
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import evidence
+from exact_mdp.paper_repro.readings.joint import contradictions, joint
+from exact_mdp.paper_repro.readings.search import STARTS, search
+from exact_mdp.paper_repro.readings.statements import statements
+from exact_mdp.paper_repro.readings.verdict import verdict
 
 space = ReadingSpace(options={**READINGS, "tasks": ((3,),), "evaluation_discount": (1,)})
 for name, options in space.options.items():

@@ -25,12 +25,12 @@ import tempfile
 from fractions import Fraction
 from pathlib import Path
 
-from analysis import value_of_memory
-from analysis.plots import plot_policy_map, style
-from analysis.plots.slider import slider
-from analysis.sensitivity import thresholds
-from mdp import ModelError, Scenario
-from solvers import certify, evaluate, solve
+from exact_mdp.analysis import value_of_memory
+from exact_mdp.analysis.plots import plot_policy_map, style
+from exact_mdp.analysis.plots.slider import slider
+from exact_mdp.analysis.sensitivity import thresholds
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.solvers import certify, evaluate, solve
 
 text = """
 name = "shoes"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from analysis.exit_status import FAILED, Program
+from exact_mdp.analysis.exit_status import FAILED, Program
 
 
 @click.command(cls=Program)
@@ -54,12 +54,12 @@ def main(
 
 
 def _one(name: str, quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
-    from mdp import ModelError
-    from paper_repro.claims import chosen
-    from paper_repro.report.output import print_claim
-    from paper_repro.run import run_claims
-    from paper_repro.store import Store
-    from paper_repro.view import FULL, QUICK
+    from exact_mdp.mdp import ModelError
+    from exact_mdp.paper_repro.claims import chosen
+    from exact_mdp.paper_repro.report.output import print_claim
+    from exact_mdp.paper_repro.run import run_claims
+    from exact_mdp.paper_repro.store import Store
+    from exact_mdp.paper_repro.view import FULL, QUICK
 
     if candidates:
         raise ModelError(
@@ -81,10 +81,10 @@ def _one(name: str, quick: bool, out: Path, scheduler: str | None, candidates: b
 
 
 def _all(quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
-    from paper_repro import expected
-    from paper_repro.report.output import print_places, print_table
-    from paper_repro.run import run
-    from paper_repro.view import FULL, QUICK
+    from exact_mdp.paper_repro import expected
+    from exact_mdp.paper_repro.report.output import print_places, print_table
+    from exact_mdp.paper_repro.run import run
+    from exact_mdp.paper_repro.view import FULL, QUICK
 
     judged, off = run(out, sizes=QUICK if quick else FULL, quick=quick, scheduler=scheduler)
     if candidates:

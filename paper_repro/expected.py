@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mdp.errors import ModelError
-from mdp.io.files import SMALL, read_text
-from mdp.io.structured import toml_of
-from paper_repro.claims import Judged
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import SMALL, read_text
+from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.paper_repro.claims import Judged
 
 FILE = Path(__file__).parent / "expected.toml"
 

@@ -13,14 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.learning.curves import LearningCurve, exact_curves, learning_curve, random_curve
-from analysis.learning.outcomes import Outcomes, outcomes
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.learning.q_learning import QLearning, TrainingRun
-from solvers.learning.sampler import child
-from solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
-from solvers.learning.training import train_many
+from exact_mdp.analysis.learning.curves import (
+    LearningCurve,
+    exact_curves,
+    learning_curve,
+    random_curve,
+)
+from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp.solvers.learning.sampler import child
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from exact_mdp.solvers.learning.training import train_many
 
 SCHEDULES = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
 CONVERGED = 1000  # last epochs, over which a curve is averaged

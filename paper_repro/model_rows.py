@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from mdp import MDP
+from exact_mdp.mdp import MDP
 
 
 def marginal(mdp: MDP, vector: int, action: int, bit: int, *, trial: int = 0) -> Fraction:
@@ -25,7 +25,7 @@ def marginal(mdp: MDP, vector: int, action: int, bit: int, *, trial: int = 0) ->
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> marginal(Scenario.load("yuan2025").compile(), 0b0010, 0, 8)
     Fraction(37, 100)
     """

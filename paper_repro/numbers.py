@@ -19,14 +19,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp import MDP, Policy, Scenario
-from mdp.model import as_discount
-from mdp.table import Floats
-from paper_repro import reported
-from paper_repro.readings.search import STARTS
-from paper_repro.readings.search import policies as policies_of
-from solvers import evaluate, solve
-from solvers.values.evaluate import Evaluation
+from exact_mdp.mdp import MDP, Policy, Scenario
+from exact_mdp.mdp.model import as_discount
+from exact_mdp.mdp.table import Floats
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.search import STARTS
+from exact_mdp.paper_repro.readings.search import policies as policies_of
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.values.evaluate import Evaluation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,7 +146,7 @@ def study(scenario: Scenario) -> Study:
 
 def complete(scenario: Scenario) -> Completions:
     """Evaluate the three reported policies under every completion, side by side."""
-    from solvers.care import policy_values
+    from exact_mdp.solvers.care import policy_values
 
     choices = reported.completions()
     rate = [[float(as_discount(scenario.discount))]]

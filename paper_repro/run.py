@@ -15,15 +15,15 @@ from typing import Any
 
 from tqdm import tqdm
 
-from analysis.record import run_record
-from mdp.io.files import write_atomically
-from paper_repro.claims import Judged, PaperClaim, all_claims, judge
-from paper_repro.claims.judge import tried_again, verdicts
-from paper_repro.expected import disagreements, expected
-from paper_repro.readings.study import Readings, reading_study
-from paper_repro.report.output import entry_of, numbers_of
-from paper_repro.store import Store
-from paper_repro.view import SEED, Sizes, View, alternatives, default_view
+from exact_mdp.analysis.record import run_record
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.paper_repro.claims import Judged, PaperClaim, all_claims, judge
+from exact_mdp.paper_repro.claims.judge import tried_again, verdicts
+from exact_mdp.paper_repro.expected import disagreements, expected
+from exact_mdp.paper_repro.readings.study import Readings, reading_study
+from exact_mdp.paper_repro.report.output import entry_of, numbers_of
+from exact_mdp.paper_repro.store import Store
+from exact_mdp.paper_repro.view import SEED, Sizes, View, alternatives, default_view
 
 ALTERNATIVES = 16
 
@@ -45,10 +45,10 @@ def run(
     judged : every claim
     off : what differs from the pinned values; nothing where all agree
     """
-    from paper_repro.report.figures import PICTURES, draw_all
-    from paper_repro.report.parts import agents_part, readings_part
-    from paper_repro.report.report import Shown, render
-    from paper_repro.report.tables import all_tables
+    from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
+    from exact_mdp.paper_repro.report.parts import agents_part, readings_part
+    from exact_mdp.paper_repro.report.report import Shown, render
+    from exact_mdp.paper_repro.report.tables import all_tables
 
     started = time.perf_counter()
     store = Store.under(out)

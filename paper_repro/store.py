@@ -17,10 +17,10 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from mdp.errors import ModelError
-from mdp.io.files import read_text, write_atomically
-from mdp.io.structured import json_of
-from solvers.parallel.sources import source_digest
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.structured import json_of
+from exact_mdp.solvers.parallel.sources import source_digest
 
 NAMED = re.compile(r"code-[0-9a-f]{12}")
 

@@ -12,14 +12,14 @@ from functools import cached_property
 from hashlib import sha256
 from typing import Any
 
-from mdp import MDP, ModelError, Scenario
-from mdp.care.scenario import READINGS
-from mdp.fingerprint import fingerprint
-from paper_repro.learned import Learned, learn
-from paper_repro.numbers import Study, study
-from paper_repro.store import Store
-from solvers import certify
-from solvers.proof.certificate import Certificate
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.paper_repro.learned import Learned, learn
+from exact_mdp.paper_repro.numbers import Study, study
+from exact_mdp.paper_repro.store import Store
+from exact_mdp.solvers import certify
+from exact_mdp.solvers.proof.certificate import Certificate
 
 SEED = 20250101
 TASKS = ("[3]", "[3, 1]", "[2]", "[4]", "[1, 1, 1]", "[6]")
@@ -128,7 +128,7 @@ class View:
         """
 
         def sample() -> dict[str, float]:
-            from solvers import simulate
+            from exact_mdp.solvers import simulate
 
             found = simulate(self.mdp, self.study.policies[name], episodes=self.episodes, seed=SEED)
             return {"mean": found.mean, "standard_error": found.standard_error}

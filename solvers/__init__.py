@@ -1,7 +1,7 @@
 """How a problem is solved: one module per algorithm, one list of them, one verb.
 
->>> from mdp import MDP
->>> from solvers import PolicyIteration, solve
+>>> from exact_mdp import MDP
+>>> from exact_mdp.solvers import PolicyIteration, solve
 >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [[1], [0]])
 >>> solve(mdp, PolicyIteration()).value.tolist()
 [2.0, 0.0]
@@ -14,18 +14,18 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from mdp.chain import numbered_in_order
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP
-from solvers import sources as sources
-from solvers.bounds.bounds import levels
-from solvers.dynamic.backward_induction import BackwardInduction
-from solvers.dynamic.linear_program import LinearProgram
-from solvers.dynamic.modified import ModifiedPolicyIteration
-from solvers.dynamic.policy_iteration import PolicyIteration
-from solvers.dynamic.stopping import Solver
-from solvers.dynamic.value_iteration import ValueIteration
-from solvers.solution import (
+from exact_mdp.mdp.chain import numbered_in_order
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
+from exact_mdp.solvers.dynamic.linear_program import LinearProgram
+from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
+from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
+from exact_mdp.solvers.dynamic.stopping import Solver
+from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+from exact_mdp.solvers.parallel import sources as sources
+from exact_mdp.solvers.solution import (
     Bounded,
     Certified,
     Claim,
@@ -37,13 +37,13 @@ from solvers.solution import (
 )
 
 if TYPE_CHECKING:
-    from mdp.care.operator import CareOperator
-    from solvers.dynamic.operator import operator_mean
-    from solvers.proof.certificate import BoundedCertificate, Certificate, certify
-    from solvers.robust.robust import solve_robust
-    from solvers.values.evaluate import evaluate
-    from solvers.values.returns import return_distribution
-    from solvers.values.simulate import simulate
+    from exact_mdp.mdp.care.operator import CareOperator
+    from exact_mdp.solvers.dynamic.operator import operator_mean
+    from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate, certify
+    from exact_mdp.solvers.robust.robust import solve_robust
+    from exact_mdp.solvers.values.evaluate import evaluate
+    from exact_mdp.solvers.values.returns import return_distribution
+    from exact_mdp.solvers.values.simulate import simulate
 
 __all__ = [
     "SOLVERS",
@@ -80,14 +80,14 @@ SOLVERS: dict[str, type[Solver]] = {
     "linear-program": LinearProgram,
 }
 _LATER = {
-    "BoundedCertificate": "solvers.proof.certificate",
-    "Certificate": "solvers.proof.certificate",
-    "certify": "solvers.proof.certificate",
-    "evaluate": "solvers.values.evaluate",
-    "operator_mean": "solvers.dynamic.operator",
-    "return_distribution": "solvers.values.returns",
-    "simulate": "solvers.values.simulate",
-    "solve_robust": "solvers.robust.robust",
+    "BoundedCertificate": "exact_mdp.solvers.proof.certificate",
+    "Certificate": "exact_mdp.solvers.proof.certificate",
+    "certify": "exact_mdp.solvers.proof.certificate",
+    "evaluate": "exact_mdp.solvers.values.evaluate",
+    "operator_mean": "exact_mdp.solvers.dynamic.operator",
+    "return_distribution": "exact_mdp.solvers.values.returns",
+    "simulate": "exact_mdp.solvers.values.simulate",
+    "solve_robust": "exact_mdp.solvers.robust.robust",
 }
 
 
@@ -151,7 +151,7 @@ def _check_name(solver: str) -> None:
 
 
 def _solve_operator(operator: CareOperator, solver: Solver | str | None) -> Solution:
-    from solvers.dynamic.operator import METHOD, solve_operator
+    from exact_mdp.solvers.dynamic.operator import METHOD, solve_operator
 
     if isinstance(solver, str):
         _check_name(solver)
@@ -168,3 +168,9 @@ def __getattr__(name: str) -> Any:
     if name in _LATER:
         return getattr(import_module(_LATER[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+if __name__ == "solvers":
+    from exact_mdp._checkout import alias
+
+    alias(__name__)

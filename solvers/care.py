@@ -30,16 +30,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mdp.care.laws import chances, warn_of_excess
-from mdp.care.scenario import SHARED_WEIGHTS
-from mdp.errors import ModelError, suggest
-from mdp.parametric import DISCOUNT
-from mdp.table import Floats, Integers, Numbers
-from solvers.bounds.gains import SLACK, UNIT, gamma
+from exact_mdp.mdp.care.laws import chances, warn_of_excess
+from exact_mdp.mdp.care.scenario import SHARED_WEIGHTS
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.parametric import DISCOUNT
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
-    from solvers.kernels.care import Care, Room
+    from exact_mdp.mdp.care.scenario import Scenario
+    from exact_mdp.solvers.kernels.care import Care, Room
 
 
 MOST_STATUSES = 6
@@ -55,7 +55,7 @@ def prepared(
     scenario: Scenario, names: Sequence[str], draws: ArrayLike | None
 ) -> tuple[Care, Floats, Integers, Floats]:
     """Return the layout, all numbers of it, which of them are drawn, and the draws (D, Q)."""
-    from solvers.kernels.care import Care
+    from exact_mdp.solvers.kernels.care import Care
 
     statuses = scenario.statuses
     if len(statuses) > MOST_STATUSES:
@@ -272,7 +272,7 @@ def cut_off(scenario: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArr
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> cut_off(Scenario.load("yuan2025"), ["base.anger"], [[0.05], [0.9]]).tolist()
     [False, True]
     """
@@ -391,13 +391,13 @@ def optimal(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
     >>> found = optimal(scenario, ["base.anger"], [[0.05], [0.1]], gaps=True)
     >>> found.start.round(6).tolist(), found.optimal()[0, 0].tolist()
     ([146.235871, 143.338709], [False, False, True, False])
     """
-    from solvers.kernels.care import optimal_values
+    from exact_mdp.solvers.kernels.care import optimal_values
 
     care, base, positions, table = layout = prepared(scenario, names, draws)
     if warn:
@@ -454,7 +454,7 @@ def policy_values(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
     >>> always = np.repeat(np.arange(4)[:, None], 16, axis=1)
     >>> found = policy_values(scenario, (), None, always, second_moment=True)
@@ -495,14 +495,14 @@ def policy_values_of_last(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> long, short = (Scenario.load("yuan2025").with_(tasks=[size]) for size in (6, 2))
     >>> always = np.full((1, 16), 3)
     >>> (found,) = policy_values_of_last(long, (), None, always, [2])
     >>> bool(found.mean == policy_values(short, (), None, always).mean)
     True
     """
-    from solvers.kernels.care import policy_moments
+    from exact_mdp.solvers.kernels.care import policy_moments
 
     care, base, positions, table = layout = prepared(scenario, names, draws)
     if warn:
@@ -582,7 +582,7 @@ def _fixed(array: Floats) -> Floats:
 
 
 def _room(care: Care, base: Floats) -> Room:
-    from solvers.kernels.care import Room
+    from exact_mdp.solvers.kernels.care import Room
 
     vectors, rows = care.bits.shape[0], care.step.shape[1]
     return Room(

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mdp.model import MDP
-from mdp.table import Floats, Integers
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
 
 if TYPE_CHECKING:
-    from solvers.dynamic.program import ProgramRun
+    from exact_mdp.solvers.dynamic.program import ProgramRun
 
 
 class Claim(StrEnum):

@@ -5,8 +5,8 @@ from functools import cache
 
 from strategies import Row, model_of
 
-from mdp import MDP, Scenario
-from solvers.proof.certificate import Certificate, certify
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.solvers.proof.certificate import Certificate, certify
 
 THIRD = F(1, 3)
 

@@ -10,7 +10,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, NoReturn
 
-from analysis.cli import main
+from exact_mdp.analysis.cli import main
 
 PROGRAM = Path(sys.executable).with_name("exact-mdp")
 

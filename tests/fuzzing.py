@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp import MDP, ModelError, Scenario
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1)
 CARE = SMALL.compile()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mdp import MDP
+from exact_mdp.mdp import MDP
 
 Law = tuple[int, int, list[tuple[F, int, F]]]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence, default_rng
 
-from mdp import ModelError
+from exact_mdp.mdp import ModelError
 
 KEY = {"model": "normal draws", "seed": 0}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from mdp import MDP, Policy, Scenario
+from exact_mdp.mdp import MDP, Policy, Scenario
 
 CARE = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2)
 MDP_1 = CARE.compile()

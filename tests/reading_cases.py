@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from analysis.readings import ReadingSpace
-from paper_repro.readings.search import DISCOUNTS, ReadingSearch, search
-from paper_repro.readings.study import ReadingStudy, reading_study
+from exact_mdp.analysis.readings import ReadingSpace
+from exact_mdp.paper_repro.readings.search import DISCOUNTS, ReadingSearch, search
+from exact_mdp.paper_repro.readings.study import ReadingStudy, reading_study
 
 SMALL = ReadingSpace(
     options={

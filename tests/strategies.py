@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from mdp import MDP
+from exact_mdp.mdp import MDP
 
 F = Fraction
 Row = tuple[int, int, Fraction, Mapping[int, Fraction]]

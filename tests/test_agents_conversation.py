@@ -18,21 +18,21 @@ from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdp import ModelError
-from mdp.care.perception import perceived
-from paper_repro.agents import DISCLAIMER, recording
-from paper_repro.agents.__main__ import main
-from paper_repro.agents.claims import errors
-from paper_repro.agents.conversation import Conversation, totals
-from paper_repro.agents.measure import bits
-from paper_repro.agents.modules import VARIANTS, Place
-from paper_repro.agents.protocol import BackendError, Reply, Request, Tap
-from paper_repro.agents.recording import Recording
-from paper_repro.agents.scripted import Scripted
-from paper_repro.agents.session import NAME, Recorded, hold, render, replayed
-from paper_repro.agents.setup import conversation, recorded
-from paper_repro.agents.world import choose
-from solvers import evaluate
+from exact_mdp.mdp import ModelError
+from exact_mdp.mdp.care.perception import perceived
+from exact_mdp.paper_repro.agents import DISCLAIMER, recording
+from exact_mdp.paper_repro.agents.__main__ import main
+from exact_mdp.paper_repro.agents.claims import errors
+from exact_mdp.paper_repro.agents.conversation import Conversation, totals
+from exact_mdp.paper_repro.agents.measure import bits
+from exact_mdp.paper_repro.agents.modules import VARIANTS, Place
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, Tap
+from exact_mdp.paper_repro.agents.recording import Recording
+from exact_mdp.paper_repro.agents.scripted import Scripted
+from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, render, replayed
+from exact_mdp.paper_repro.agents.setup import conversation, recorded
+from exact_mdp.paper_repro.agents.world import choose
+from exact_mdp.solvers import evaluate
 
 SAVED = [
     recording.line(entry)

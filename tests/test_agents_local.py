@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from mdp import ModelError, Scenario
-from paper_repro.agents.local import LONGEST, MEMBER, Local, unpack
-from paper_repro.agents.modules import Place
-from paper_repro.agents.protocol import BackendError
-from paper_repro.agents.setup import modules_of
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.paper_repro.agents.local import LONGEST, MEMBER, Local, unpack
+from exact_mdp.paper_repro.agents.modules import Place
+from exact_mdp.paper_repro.agents.protocol import BackendError
+from exact_mdp.paper_repro.agents.setup import modules_of
 
 
 class Server:

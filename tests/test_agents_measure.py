@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from oracle import STATUSES, Oracle
 from scipy.stats import binom
 
-from mdp import ModelError, Policy, Scenario
-from mdp.care.perception import perceived
-from paper_repro import reported
-from paper_repro.agents.__main__ import main
-from paper_repro.agents.claims import EXACT, errors, misread, statements
-from paper_repro.agents.measure import (
+from exact_mdp.mdp import ModelError, Policy, Scenario
+from exact_mdp.mdp.care.perception import perceived
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.agents.__main__ import main
+from exact_mdp.paper_repro.agents.claims import EXACT, errors, misread, statements
+from exact_mdp.paper_repro.agents.measure import (
     bits,
     cost,
     count,
@@ -31,10 +31,10 @@ from paper_repro.agents.measure import (
     to_csv,
     vector,
 )
-from paper_repro.agents.scripted import Scripted
-from paper_repro.agents.session import NAME, hold
-from paper_repro.agents.setup import conversation, modules_of
-from solvers import certify, evaluate
+from exact_mdp.paper_repro.agents.scripted import Scripted
+from exact_mdp.paper_repro.agents.session import NAME, hold
+from exact_mdp.paper_repro.agents.setup import conversation, modules_of
+from exact_mdp.solvers import certify, evaluate
 
 PLAN = reported.policy("non-directive", reported.completions()[77])
 

@@ -13,17 +13,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdp import ModelError, Scenario
-from paper_repro.agents.chat import (
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.paper_repro.agents.chat import (
     behaviour_schema,
     execution_schema,
     perception_schema,
     violations,
 )
-from paper_repro.agents.modules import VARIANTS, Modules, Place
-from paper_repro.agents.prompts import COMPONENTS, FOLDER, Prompts, encode
-from paper_repro.agents.protocol import Request
-from paper_repro.agents.setup import modules_of
+from exact_mdp.paper_repro.agents.modules import VARIANTS, Modules, Place
+from exact_mdp.paper_repro.agents.prompts import COMPONENTS, FOLDER, Prompts, encode
+from exact_mdp.paper_repro.agents.protocol import Request
+from exact_mdp.paper_repro.agents.setup import modules_of
 
 STATUS = {"forgetfulness": 1, "confusion": 0, "anger": 1, "disengagement": 0}
 PAST = [{"timestep": 0, "nonverbal": "Nods.", "verbal": "PAST WORDS", "caregiver": "PAST ANSWER"}]

@@ -58,7 +58,7 @@ class Import:
 
     @property
     def package(self) -> str:
-        return self.name.partition(".")[0]
+        return self.name.removeprefix("exact_mdp.").partition(".")[0]
 
     def __str__(self) -> str:
         return f"{self.path}:{self.line} imports {self.name}"
@@ -160,7 +160,7 @@ def test_heavy_packages_are_imported_when_used() -> None:
 
 @pytest.mark.parametrize("layer", LAYERS)
 def test_importing_a_package_loads_no_heavy_package(layer: str) -> None:
-    code = f"import sys, {layer}; print(*sorted(set(sys.modules) & {set(LAZY)!r}))"
+    code = f"import sys, exact_mdp.{layer}; print(*sorted(set(sys.modules) & {set(LAZY)!r}))"
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code], cwd=ROOT, capture_output=True, text=True
     )
@@ -171,15 +171,15 @@ def test_importing_a_package_loads_no_heavy_package(layer: str) -> None:
 # What a module loads in a fresh process, beyond the standard library and the packages here; what is
 # loaded first has been paid for already.
 LOADED = [
-    ("mdp", "numpy, scipy.sparse", set()),
-    ("solvers", "numpy, scipy.sparse", set()),
+    ("exact_mdp.mdp", "numpy, scipy.sparse", set()),
+    ("exact_mdp.solvers", "numpy, scipy.sparse", set()),
     (
-        "solvers.parallel.many, solvers.learning.training, solvers.parallel.cluster",
+        "exact_mdp.solvers.learning.training, exact_mdp.solvers.parallel.cluster",
         "numpy, scipy.sparse",
         set(),
     ),
-    ("analysis.cli", "sys", {"click"}),
-    ("paper_repro.__main__", "sys", {"click"}),
+    ("exact_mdp.analysis.cli", "sys", {"click"}),
+    ("exact_mdp.paper_repro.__main__", "sys", {"click"}),
 ]
 
 
@@ -193,7 +193,7 @@ def loaded(module: str, first: str) -> list[str]:
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    own = sys.stdlib_module_names | set(LAYERS)
+    own = sys.stdlib_module_names | {"exact_mdp", *LAYERS}
     return [name for name in done.stdout.split() if name.partition(".")[0] not in own]
 
 
@@ -206,7 +206,7 @@ def test_importing_costs_no_more_than_its_arrays(
 
 
 def test_what_is_loaded_is_found() -> None:
-    assert "numba" in loaded("solvers.kernels.tables", "numpy, scipy.sparse")
+    assert "numba" in loaded("exact_mdp.solvers.kernels.tables", "numpy, scipy.sparse")
     assert "scipy.optimize" in loaded("scipy.optimize", "numpy, scipy.sparse")
 
 
@@ -221,7 +221,7 @@ def test_every_package_says_that_it_is_typed() -> None:
 @pytest.mark.parametrize(
     ("source", "name", "at_import_time"),
     [
-        ("import solvers.policy", "solvers.policy", True),
+        ("import exact_mdp.solvers.policy", "exact_mdp.solvers.policy", True),
         ("from solvers import policy", "solvers", True),
         ("from . import rewards", "mdp.io.rewards", True),
         ("from ..build import rows", "mdp.build", True),
@@ -241,8 +241,8 @@ def test_imports_are_found(source: str, name: str, at_import_time: bool) -> None
 
 
 def test_what_is_forbidden_is_found() -> None:
-    upward = imports_of("mdp/model.py", "def f():\n    from solvers import policy_iteration")
-    assert against_layers(upward) == ["mdp/model.py:2 imports solvers"]
+    upward = imports_of("mdp/model.py", "def f():\n    from exact_mdp.solvers import rows")
+    assert against_layers(upward) == ["mdp/model.py:2 imports exact_mdp.solvers"]
     assert too_early(upward) == []
     early = imports_of("analysis/gate/check.py", "import mdp\nimport matplotlib.pyplot as plt")
     assert against_layers(early) == []

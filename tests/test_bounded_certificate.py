@@ -13,10 +13,10 @@ from certificates import MODELS, certified
 from hypothesis import given, settings
 from strategies import Rows, exact_values, model_of, models
 
-from mdp import MDP, ModelError, Scenario
-from solvers import Claim, SolverError, certify, solve
-from solvers.proof.certificate import BoundedCertificate
-from solvers.proof.checker import gains
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.solvers import Claim, SolverError, certify, solve
+from exact_mdp.solvers.proof.certificate import BoundedCertificate
+from exact_mdp.solvers.proof.checker import gains
 
 
 def exact_policy_values(mdp: MDP, found: BoundedCertificate) -> list[F]:

@@ -14,10 +14,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, models
 
-from mdp import MDP, ModelError, threads
-from solvers import SolverError
-from solvers.bounds.bounds import Bounds, bounds, greedy, margin_weights
-from solvers.bounds.gains import gains
+from exact_mdp.mdp import MDP, ModelError, threads
+from exact_mdp.solvers import SolverError
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, greedy, margin_weights
+from exact_mdp.solvers.bounds.gains import gains
 
 NUMBERS = st.one_of(
     st.floats(-10, 10), st.sampled_from([0.0, 1e9, -1e9, 1e-9, 1 / 3, 1e15, 2.0**-1060])

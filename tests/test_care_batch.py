@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import ACTIONS, READINGS, Oracle
 
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.space import StateSpace
-from solvers import evaluate, solve
-from solvers.care import _room, optimal, policy_values, prepared
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.care import _room, optimal, policy_values, prepared
 
 YUAN = Scenario.load("yuan2025")
 CHANCES = [p.name for p in YUAN.parameters if p.low is not None]

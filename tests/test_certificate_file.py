@@ -14,10 +14,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from strategies import model_of
 
-from mdp import ModelError
-from mdp.fingerprint import fingerprint
-from solvers import certify
-from solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp.mdp import ModelError
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.solvers import certify
+from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 
 NAMES = ["acyclic", "cycle", "cycle of floats"]
 

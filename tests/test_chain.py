@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import Rows, model_of, models
 
-from mdp import MDP, ModelError, Scenario
-from mdp.chain import (
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.chain import (
     check_rank,
     components,
     is_acyclic,

@@ -13,9 +13,9 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, END, Oracle, State
 
-from mdp import Policy, Scenario
-from mdp.fingerprint import fingerprint
-from mdp.io.load import load_model
+from exact_mdp.mdp import Policy, Scenario
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.io.load import load_model
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 COLUMN_TO_ROW = ("--set", "readings.influence_orientation=column-to-row")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from cli_runner import run
 
-from mdp.fingerprint import fingerprint
-from mdp.io.load import load_model
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.io.load import load_model
 
 
 def test_convert_keeps_the_model(tmp_path: Path) -> None:

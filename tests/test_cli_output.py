@@ -14,10 +14,10 @@ from cli_runner import PROGRAM, launch, run, strict
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.cli import COMMANDS
-from analysis.cli.render import at_most, decimal, digits_of, number, ratio, to_json
-from mdp import MDP
-from mdp.io.load import save_model
+from exact_mdp.analysis.cli import COMMANDS
+from exact_mdp.analysis.cli.render import at_most, decimal, digits_of, number, ratio, to_json
+from exact_mdp.mdp import MDP
+from exact_mdp.mdp.io.load import save_model
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -40,8 +40,8 @@ def test_tables_are_plain_text_without_loss(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_long_distributions_and_values_are_left_to_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.cli.solve.SHOWN_DIGITS", 100)
-    monkeypatch.setattr("analysis.cli.evaluate.LISTED_RETURNS", 7)
+    monkeypatch.setattr("exact_mdp.analysis.cli.solve.SHOWN_DIGITS", 100)
+    monkeypatch.setattr("exact_mdp.analysis.cli.evaluate.LISTED_RETURNS", 7)
     done = run("solve", "yuan2025", "--certify")
     assert re.search(r"exact start value  a rational of \d+ digits; --json prints it\n", done.out)
     done = run("returns", "yuan2025", "random", "--set", "tasks=[1]")
@@ -144,8 +144,9 @@ def test_a_closed_pipe_is_no_error() -> None:
 
 def test_help_comes_without_loading_numpy() -> None:
     code = (
-        "import sys; from analysis.cli import main; status = main(['solve', '--help']); "
-        "heavy = {'numpy', 'scipy', 'rich', 'mdp', 'solvers', 'tqdm'} & set(sys.modules); "
+        "import sys; from exact_mdp.analysis.cli import main; status = main(['solve', '--help']); "
+        "heavy = {'numpy', 'scipy', 'rich', 'exact_mdp.mdp', 'exact_mdp.solvers', 'tqdm'}; "
+        "heavy &= set(sys.modules); "
         "sys.exit(f'{status} {heavy}' if status or heavy else 0)"
     )
     done = subprocess.run(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from mdp.io.load import load_model, save_model
+from exact_mdp.mdp.io.load import load_model, save_model
 
 # ---- what it refuses -------------------------------------------------------------------------
 
@@ -129,7 +129,7 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
     def broken(*_: object, **__: object) -> None:
         raise ValueError("a mistake")
 
-    monkeypatch.setattr("mdp.io.load.load", broken)
+    monkeypatch.setattr("exact_mdp.mdp.io.load.load", broken)
     done = run("info", "yuan2025")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("ValueError: a fault of the program, not of what you gave it: a mis")
@@ -140,12 +140,12 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
 
 
 def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
-    from solvers import SolverError, Status
+    from exact_mdp.solvers import SolverError, Status
 
     def give_up(*_: object) -> None:
         raise SolverError(Status.NO_BOUND)
 
-    monkeypatch.setattr("solvers.solve", give_up)
+    monkeypatch.setattr("exact_mdp.solvers.solve", give_up)
     done = run("solve", "yuan2025", "--json")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("SolverError: double precision cannot bound")
@@ -153,7 +153,7 @@ def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
 
-    import solvers
+    from exact_mdp import solvers
 
     solve = solvers.solve
 
@@ -161,7 +161,7 @@ def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.Mon
         found = solve(*words)
         return replace(found, value=found.value + 1e-6)
 
-    monkeypatch.setattr("solvers.solve", wrong)
+    monkeypatch.setattr("exact_mdp.solvers.solve", wrong)
     done = run("solve", "yuan2025", "--certify", "--json")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("Contradiction: exact values differ")
@@ -171,6 +171,6 @@ def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mdp.io.load.load", stop)
+    monkeypatch.setattr("exact_mdp.mdp.io.load.load", stop)
     done = run("info", "yuan2025")
     assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")

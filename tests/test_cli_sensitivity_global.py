@@ -12,12 +12,12 @@ import matplotlib as mpl
 import pytest
 from cli_runner import run
 
-from analysis.plots.sensitivity_global import plot_morris, plot_morris_bars, plot_sobol
-from analysis.plots.style import style
-from analysis.sensitivity import tornado
-from analysis.sensitivity.draws.morris import morris
-from analysis.sensitivity.draws.sobol import sobol
-from mdp import ModelError, Scenario
+from exact_mdp.analysis.plots.sensitivity_global import plot_morris, plot_morris_bars, plot_sobol
+from exact_mdp.analysis.plots.style import style
+from exact_mdp.analysis.sensitivity import tornado
+from exact_mdp.analysis.sensitivity.draws.morris import morris
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
+from exact_mdp.mdp import ModelError, Scenario
 
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
 HELD = ("--policy", "always:directive")
@@ -215,7 +215,7 @@ def test_what_cannot_be_done_is_refused_with_the_reason(
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("solvers.parallel.cluster.ANSWER_WITHIN", 0.5)
+    monkeypatch.setattr("exact_mdp.solvers.parallel.cluster.ANSWER_WITHIN", 0.5)
     words = ("--samples", "4", "--parameter", "discount", "--scheduler", "tcp://127.0.0.1:1")
     done = run("sensitivity", "yuan2025", "sobol", *SET, *words)
     assert done.status == 2

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from cli_runner import launch, run, strict
 
-from mdp import Policy, Scenario
-from solvers import evaluate
-from solvers.learning.q_learning import QLearning
-from solvers.learning.sampler import child
+from exact_mdp.mdp import Policy, Scenario
+from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.sampler import child
 
 QUICK = ("train", "yuan2025", "--epochs", "60", "--seeds", "20", "--json")
 

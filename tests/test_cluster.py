@@ -23,19 +23,19 @@ from cli_runner import run
 from click.testing import CliRunner
 from pieces_of_work import KEY, WANTED, draws, failing, same
 
-from analysis.readings import ReadingSpace
-from analysis.sensitivity.psa.psa import psa
-from analysis.sensitivity.psa.uncertainty import uncertainty
-from mdp import MDP, ModelError, Scenario
-from mdp.parametric import moving
-from paper_repro.__main__ import main as reproduce
-from paper_repro.readings import search as reading_search
-from solvers.learning import training as training_module
-from solvers.learning.q_learning import QLearning
-from solvers.learning.training import train_many
-from solvers.parallel import cluster as cluster_module
-from solvers.parallel import many as many_module
-from solvers.parallel.many import many
+from exact_mdp.analysis.readings import ReadingSpace
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.analysis.sensitivity.psa.uncertainty import uncertainty
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.parametric import moving
+from exact_mdp.paper_repro.__main__ import main as reproduce
+from exact_mdp.paper_repro.readings import search as reading_search
+from exact_mdp.solvers.learning import training as training_module
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.parallel import cluster as cluster_module
+from exact_mdp.solvers.parallel import many as many_module
+from exact_mdp.solvers.parallel.many import many
 
 pytestmark = pytest.mark.xdist_group("cluster")  # one cluster serves them all
 

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from oracle import ACTIONS, Oracle, State
 from strategies import Rows, model_of, models
 
-from analysis import Audit, assert_policy_optimal, best_policy, check, value_of_memory
-from analysis.gate.relaxation import Relaxations, one_hot
-from analysis.gate.relaxation import Rows as TableRows
-from mdp import MDP, Column, ModelError, Policy, Scenario
-from mdp.chain import reachable
-from mdp.space import StateSpace
-from solvers import Bounded, Certified, Claim, certify, evaluate, solve
+from exact_mdp.analysis import Audit, assert_policy_optimal, best_policy, check, value_of_memory
+from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
+from exact_mdp.analysis.gate.relaxation import Rows as TableRows
+from exact_mdp.mdp import MDP, Column, ModelError, Policy, Scenario
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.solvers import Bounded, Certified, Claim, certify, evaluate, solve
 
 CARE = Scenario.load("yuan2025")
 SMALL = CARE.with_(tasks=[2], max_trial=2, readings={"influence_orientation": "column-to-row"})

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kernel_twins import band_factors, factor_pattern
 
-from solvers import SolverError
-from solvers.bounds import elimination
-from solvers.bounds.elimination import TooLarge, band, fill, matrix_of, reach, sparse
-from solvers.kernels import band as kernel
+from exact_mdp.solvers import SolverError
+from exact_mdp.solvers.bounds import elimination
+from exact_mdp.solvers.bounds.elimination import TooLarge, band, fill, matrix_of, reach, sparse
+from exact_mdp.solvers.kernels import band as kernel
 
 
 def chains(seed: int, *, lower: int = 9, upper: int = 9, density: float = 0.5) -> sp.csr_array:

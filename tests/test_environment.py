@@ -14,9 +14,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import chisquare
 
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.environment import YUAN2025, MDPEnv, ScenarioEnv
-from solvers import evaluate, solve
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.environment import YUAN2025, MDPEnv, ScenarioEnv
+from exact_mdp.solvers import evaluate, solve
+
+YUAN = f"exact_mdp.mdp.environment:{YUAN2025}"
 
 ROOT = Path(__file__).resolve().parent.parent
 READINGS = [{}, {"skip_timestep": "own"}, {"task_bonus": "no-subtask-skipped"}]
@@ -26,7 +28,10 @@ READINGS = [{}, {"skip_timestep": "own"}, {"task_bonus": "no-subtask-skipped"}]
 @pytest.mark.parametrize("columns", [("status",), ("subtask", "trial", "status")])
 def test_gymnasium_accepts_the_scenario(readings: dict[str, str], columns: tuple[str, ...]) -> None:
     env = gymnasium.make(
-        f"mdp.environment:{YUAN2025}", readings=readings, columns=columns, render_mode="ansi"
+        YUAN,
+        readings=readings,
+        columns=columns,
+        render_mode="ansi",
     )
     check_env(env.unwrapped)
 
@@ -36,7 +41,7 @@ def test_gymnasium_accepts_a_model() -> None:
 
 
 def test_it_is_made_by_its_name() -> None:
-    env = gymnasium.make(f"mdp.environment:{YUAN2025}", tasks=[3, 1], columns=("trial", "status"))
+    env = gymnasium.make(YUAN, tasks=[3, 1], columns=("trial", "status"))
     assert env.observation_space.n == 80
     assert env.unwrapped.scenario.tasks == (3, 1)
     _, info = env.reset(seed=1)
@@ -174,7 +179,7 @@ def test_an_unknown_render_mode_is_refused() -> None:
 
 def test_a_learner_from_elsewhere_learns_in_it() -> None:
     """Plain Q-learning over what the environment shows, written against Gymnasium's API alone."""
-    env = gymnasium.make(f"mdp.environment:{YUAN2025}", tasks=[1])
+    env = gymnasium.make(YUAN, tasks=[1])
     q = np.zeros((env.observation_space.n, env.action_space.n))
     draw = np.random.default_rng(0)
     env.reset(seed=0)

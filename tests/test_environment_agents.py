@@ -8,10 +8,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-from analysis import check
-from mdp import Policy
-from mdp.environment import YUAN2025
-from solvers import evaluate
+from exact_mdp.analysis import check
+from exact_mdp.mdp import Policy
+from exact_mdp.mdp.environment import YUAN2025
+from exact_mdp.solvers import evaluate
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # those of the library are not ours to mend
 def test_ppo_learns_to_assist() -> None:
     library = pytest.importorskip("stable_baselines3")
-    env = gymnasium.make(f"mdp.environment:{YUAN2025}")
+    env = gymnasium.make(f"exact_mdp.mdp.environment:{YUAN2025}")
     agent = library.PPO(
         "MlpPolicy", env, gamma=0.95, n_steps=512, learning_rate=2e-3, seed=0, device="cpu"
     )

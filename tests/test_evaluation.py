@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
-from mdp import MDP, ModelError, Policy, Scenario
-from solvers import Claim, PolicyIteration, solve
-from solvers.solution import Bounded
-from solvers.values.evaluate import evaluate
-from solvers.values.visits import occupancy
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.solvers import Claim, PolicyIteration, solve
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.visits import occupancy
 
 POLICIES = (careful, uniform, directive)
 SAMPLE = [

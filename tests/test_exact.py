@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Rows, models
 
-from mdp import MDP, Scenario
-from mdp.bellman import bellman_rows
-from solvers.proof.cycle import RightSides
-from solvers.proof.exact import stages
-from solvers.proof.rationals import fraction, fractions, primes_of
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.bellman import bellman_rows
+from exact_mdp.solvers.proof.cycle import RightSides
+from exact_mdp.solvers.proof.exact import stages
+from exact_mdp.solvers.proof.rationals import fraction, fractions, primes_of
 
 
 def check_order(mdp: MDP) -> int:

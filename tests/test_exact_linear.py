@@ -9,14 +9,14 @@ from flint import fmpz
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdp import MDP, ModelError, Scenario
-from mdp.bellman import bellman_rows
-from mdp.fingerprint import fingerprint
-from solvers import certify
-from solvers.proof import exact
-from solvers.proof import linear as exact_linear
-from solvers.proof.certificate import Certificate
-from solvers.proof.linear import Equations
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.bellman import bellman_rows
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.solvers import certify
+from exact_mdp.solvers.proof import exact
+from exact_mdp.solvers.proof import linear as exact_linear
+from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.proof.linear import Equations
 
 
 @st.composite
@@ -156,7 +156,8 @@ def test_policy_iteration_repairs_a_poor_start(monkeypatch: pytest.MonkeyPatch) 
     mdp = gridworld(5)
     wanted = certify(mdp)
     monkeypatch.setattr(
-        "solvers.proof.cycle.Cycle.policy", lambda cycle: cycle.offsets[1:].astype(np.int64) - 1
+        "exact_mdp.solvers.proof.cycle.Cycle.policy",
+        lambda cycle: cycle.offsets[1:].astype(np.int64) - 1,
     )
     found = certify(mdp)
     assert found.violations() == []
@@ -166,6 +167,6 @@ def test_policy_iteration_repairs_a_poor_start(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_scenarios_without_cycles_need_no_linear_equations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("solvers.proof.cycle.Cycle.values", None)
+    monkeypatch.setattr("exact_mdp.solvers.proof.cycle.Cycle.values", None)
     assert certify(Scenario.load("yuan2025").compile()).unique
     assert bellman_rows(gridworld(2)).scale.tolist() == [1000, 1000, 1000, 100]

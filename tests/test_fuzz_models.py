@@ -19,8 +19,8 @@ from fuzzing import CARE, TOY, fuzz, json_values, spoiled, survives
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mdp import MDP
-from mdp.io import npz, umb
+from exact_mdp.mdp import MDP
+from exact_mdp.mdp.io import npz, umb
 
 
 def saved(save: Callable[[MDP, Path], None], name: str, folder: Path, mdp: MDP = TOY) -> bytes:

@@ -18,9 +18,9 @@ from fuzzing import AWKWARD, CARE, SMALL, STATUSES, fuzz, json_values, spoiled, 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdp import MDP, Policy, Scenario
-from mdp.care.toml import parse
-from mdp.io import npz
+from exact_mdp.mdp import MDP, Policy, Scenario
+from exact_mdp.mdp.care.toml import parse
+from exact_mdp.mdp.io import npz
 
 TOML = (Path(npz.__file__).parent.parent / "scenarios" / "yuan2025.toml").read_bytes()
 AWKWARD_TOML = [

@@ -12,11 +12,11 @@ import pytest
 from cli_runner import launch, run
 from oracle import Oracle, State
 
-from analysis import best_policy, check
-from analysis.gate.junit import Case, junit, write_junit
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.io.load import save_model
-from solvers import certify, solve
+from exact_mdp.analysis import best_policy, check
+from exact_mdp.analysis.gate.junit import Case, junit, write_junit
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.io.load import save_model
+from exact_mdp.solvers import certify, solve
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 KEYS = {
@@ -331,8 +331,10 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
     np.save(inner / "q.npy", np.eye(4)[rows])
     (inner / "test_inner.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
-    installed = any(e.value == "analysis.pytest_plugin" for e in entry_points(group="pytest11"))
-    plugin = () if installed else ("-p", "analysis.pytest_plugin")
+    installed = any(
+        e.value == "exact_mdp.analysis.pytest_plugin" for e in entry_points(group="pytest11")
+    )
+    plugin = () if installed else ("-p", "exact_mdp.analysis.pytest_plugin")
     report = tmp_path / "report.xml"
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", *plugin, "--junitxml", report, "inner"],
@@ -357,8 +359,9 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
 
 def test_the_plugin_loads_nothing_heavy() -> None:
     code = (
-        "import sys, analysis.pytest_plugin; "
-        "print({'numpy', 'scipy', 'mdp', 'solvers', 'click'} & set(sys.modules))"
+        "import sys, exact_mdp.analysis.pytest_plugin; "
+        "heavy = {'numpy', 'scipy', 'exact_mdp.mdp', 'exact_mdp.solvers', 'click'}; "
+        "print(heavy & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

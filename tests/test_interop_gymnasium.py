@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mdp import MDP, ModelError, Policy
-from mdp.io.load import load
+from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp.mdp.io.load import load
 
 # Gymnasium 1.3 numbers it anew.
 NUMBER = max(each.version or 0 for each in gymnasium.registry.values() if each.name == "Taxi")

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from model_equality import assert_same
 from saved_models import MODELS
 
-from mdp import MDP
-from mdp.io import npz
+from exact_mdp.mdp import MDP
+from exact_mdp.mdp.io import npz
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -15,8 +15,8 @@ import pytest
 from model_equality import assert_same
 from saved_models import MODELS
 
-from mdp import MDP, ModelError
-from mdp.io import npz
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.io import npz
 
 
 def saved(mdp: MDP, folder: Path) -> dict[str, Any]:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from oracle import Oracle
 
-from mdp import MDP, Scenario
-from mdp.io import umb
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.io import umb
 
 pytestmark = [pytest.mark.bench, pytest.mark.storm]
 

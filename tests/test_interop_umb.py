@@ -16,9 +16,9 @@ from laws import laws
 from umb_files import MODELS, members_of
 from umbi.umb.umb_to_tar import UmbDecoder
 
-from mdp import MDP, ModelError
-from mdp.io import umb
-from mdp.io.load import load
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.io import umb
+from exact_mdp.mdp.io.load import load
 
 
 @pytest.mark.parametrize("name", MODELS)

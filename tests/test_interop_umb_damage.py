@@ -10,8 +10,8 @@ import pytest
 from laws import laws
 from umb_files import MODELS, archive_of, members_of
 
-from mdp import ModelError
-from mdp.io import umb
+from exact_mdp.mdp import ModelError
+from exact_mdp.mdp.io import umb
 
 
 def test_files_cut_short_or_left_out(tmp_path: Path) -> None:

@@ -14,16 +14,22 @@ from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
 from strategies import exact_gains, exact_values
 
-import solvers.bounds.bounds as module
-from mdp import MDP
-from mdp import threads as blocks
-from solvers import ModifiedPolicyIteration, PolicyIteration, SolverError, ValueIteration, solve
-from solvers.bounds.bounds import levels, margin_weights
-from solvers.bounds.gains import COMPILED, gains
-from solvers.bounds.linear import LinearSystem
-from solvers.bounds.sweeps import CompiledSweeps, Judged, Sweeps, sweeps_of
-from solvers.dynamic.partial_evaluation import Iterate
-from solvers.kernels import bellman
+import exact_mdp.solvers.bounds.bounds as module
+from exact_mdp.mdp import MDP
+from exact_mdp.mdp import threads as blocks
+from exact_mdp.solvers import (
+    ModifiedPolicyIteration,
+    PolicyIteration,
+    SolverError,
+    ValueIteration,
+    solve,
+)
+from exact_mdp.solvers.bounds.bounds import levels, margin_weights
+from exact_mdp.solvers.bounds.gains import COMPILED, gains
+from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Judged, Sweeps, sweeps_of
+from exact_mdp.solvers.dynamic.partial_evaluation import Iterate
+from exact_mdp.solvers.kernels import bellman
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
 

@@ -8,8 +8,8 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from solvers.bounds.linear import patiently, quickly
-from solvers.kernels import krylov
+from exact_mdp.solvers.bounds.linear import patiently, quickly
+from exact_mdp.solvers.kernels import krylov
 
 Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -129,7 +129,7 @@ def test_what_never_ends_is_not_taken_for_solved(method: str) -> None:
 
 
 def test_small_and_large_chains_are_iterated_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    import solvers.bounds.linear as module
+    import exact_mdp.solvers.bounds.linear as module
 
     rng = np.random.default_rng(5)
     chain = sp.csr_array(rng.dirichlet(np.ones(40), 40))

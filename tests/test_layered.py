@@ -14,16 +14,16 @@ from hypothesis import given
 from own_scenarios import check_own, own_text
 from strategies import Rows, exact_values, models
 
-from mdp import MDP, ModelError, Scenario
-from mdp.care import compile as blocks
-from mdp.care.scenario import READINGS
-from mdp.care.size import Size, check_explicit
-from mdp.care.toml import parse
-from mdp.chain import is_acyclic, numbered_in_order, runs_in_order, topological_levels
-from mdp.table import OutcomeTable
-from mdp.validate import check_model
-from solvers import BackwardInduction, SolverError, solve
-from solvers.dynamic import backward_induction as layered
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care import compile as blocks
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.size import Size, check_explicit
+from exact_mdp.mdp.care.toml import parse
+from exact_mdp.mdp.chain import is_acyclic, numbered_in_order, runs_in_order, topological_levels
+from exact_mdp.mdp.table import OutcomeTable
+from exact_mdp.mdp.validate import check_model
+from exact_mdp.solvers import BackwardInduction, SolverError, solve
+from exact_mdp.solvers.dynamic import backward_induction as layered
 
 FIELDS = ("value", "pairs", "level", "above", "below")
 

@@ -7,14 +7,14 @@ import numpy as np
 import oracle
 import pytest
 
-from analysis.learning.curves import exact_curves, learning_curve, random_curve
-from analysis.learning.outcomes import mean_interval, outcomes, share_interval
-from mdp import MDP, ModelError, Policy, Scenario
-from solvers import evaluate, solve
-from solvers.learning.q_learning import QLearning, TrainingRun
-from solvers.learning.sampler import rows_of
-from solvers.learning.schedules import Exponential
-from solvers.learning.training import train_many
+from exact_mdp.analysis.learning.curves import exact_curves, learning_curve, random_curve
+from exact_mdp.analysis.learning.outcomes import mean_interval, outcomes, share_interval
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp.solvers.learning.sampler import rows_of
+from exact_mdp.solvers.learning.schedules import Exponential
+from exact_mdp.solvers.learning.training import train_many
 
 SHORT = QLearning(epochs=150)
 

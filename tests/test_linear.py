@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import Rows, exact_values, models
 
-import solvers.bounds.linear as linear
-from mdp.chain import topological_levels
-from solvers import SolverError
-from solvers.bounds import elimination
-from solvers.bounds import linear as iteration
-from solvers.bounds.elimination import TooLarge
-from solvers.bounds.linear import LinearSystem, fixed_point, policy_chain
-from solvers.solution import Status
+import exact_mdp.solvers.bounds.linear as linear
+from exact_mdp.mdp.chain import topological_levels
+from exact_mdp.solvers import SolverError
+from exact_mdp.solvers.bounds import elimination
+from exact_mdp.solvers.bounds import linear as iteration
+from exact_mdp.solvers.bounds.elimination import TooLarge
+from exact_mdp.solvers.bounds.linear import LinearSystem, fixed_point, policy_chain
+from exact_mdp.solvers.solution import Status
 
 
 def choices(rows: Rows, data: st.DataObject) -> dict[int, int]:

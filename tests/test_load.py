@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from model_equality import assert_same
 
-from mdp import MDP, ModelError, Scenario
-from mdp.io import npz
-from mdp.io.load import load, load_model, load_scenario, save_model
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.io import npz
+from exact_mdp.mdp.io.load import load, load_model, load_scenario, save_model
 
 SMALL = ["tasks=[1]", "max_trial=1"]
 

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from pieces_of_work import KEY, WANTED, draws, failing, same
 
-from mdp import MDP, ModelError
-from solvers.learning.q_learning import QLearning
-from solvers.learning.training import train_many
-from solvers.parallel.many import many
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.parallel.many import many
 
 
 def draws_that_die(folder: str, index: int) -> dict[str, Any]:

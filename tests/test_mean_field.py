@@ -7,15 +7,15 @@ import numpy as np
 import oracle
 import pytest
 
-from analysis.learning.instability import compare, predict
-from analysis.learning.outcomes import outcomes
-from mdp import MDP, ModelError, Scenario
-from solvers import solve
-from solvers.learning.mean_field import MeanField, mean_field, settle
-from solvers.learning.q_learning import QLearning
-from solvers.learning.sampler import rows_of
-from solvers.learning.schedules import Constant
-from solvers.learning.training import train_many
+from exact_mdp.analysis.learning.instability import compare, predict
+from exact_mdp.analysis.learning.outcomes import outcomes
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.learning.mean_field import MeanField, mean_field, settle
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.sampler import rows_of
+from exact_mdp.solvers.learning.schedules import Constant
+from exact_mdp.solvers.learning.training import train_many
 
 CARE = Scenario.load("yuan2025")
 SETTLED = [2, 1, 1, 1, 3, 1, 1, 1, 3, 1, 1, 1, 3, 1, 1, 1]

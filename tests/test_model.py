@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from laws import laws
 
-from mdp import MDP, ModelError, StateSpace
+from exact_mdp.mdp import MDP, ModelError, StateSpace
 
 HALF = Fraction(1, 2)
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])

@@ -15,13 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import own_text
 
-import mdp.care.operator as operators
-from analysis.gate.check import check
-from mdp import ModelError, Scenario
-from mdp.care.operator import CareOperator, Law
-from mdp.care.scenario import READINGS
-from mdp.care.toml import parse
-from solvers import (
+import exact_mdp.mdp.care.operator as operators
+from exact_mdp.analysis.gate.check import check
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.care.operator import CareOperator, Law
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.toml import parse
+from exact_mdp.solvers import (
     BackwardInduction,
     LinearProgram,
     ModifiedPolicyIteration,
@@ -33,7 +33,7 @@ from solvers import (
     simulate,
     solve,
 )
-from solvers.dynamic import operator as solving
+from exact_mdp.solvers.dynamic import operator as solving
 
 READ = st.fixed_dictionaries({name: st.sampled_from(o) for name, o in READINGS.items()})
 TASKS = st.sampled_from([[1], [2], [2, 1], [1, 2, 1]])
@@ -204,7 +204,7 @@ def test_what_needs_a_matrix_says_so(use: Callable[[CareOperator], object]) -> N
     with pytest.raises(ModelError, match="an operator has no matrix") as refused:
         use(Scenario.load("yuan2025").operator())
     assert "Scenario.compile()" in refused.value.fix
-    for served in ("solvers.solve", "operator_mean", "backup"):
+    for served in ("exact_mdp.solvers.solve", "operator_mean", "backup"):
         assert served in refused.value.fix
 
 

@@ -31,18 +31,18 @@ class Installed:
     site_packages: Path
     folder: Path
 
-    def run(self, program: str, *arguments: str) -> str:
+    def run(self, program: str, *arguments: str, cwd: Path | None = None) -> str:
         found = shutil.which(program, path=str(self.bin))
         assert found is not None, f"no {program} in {self.bin}"
         done = subprocess.run(
             [found, *arguments],
-            cwd=self.folder,
+            cwd=cwd or self.folder,
             env=environment(),
             capture_output=True,
             text=True,
             encoding="utf-8",
         )
-        assert done.returncode == 0, done.stderr
+        assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
 
@@ -71,8 +71,8 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ["pyproject.toml", ".gitignore", "LICENSE", "README.md"]:
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, copy)
-    for package in PACKAGES:
-        shutil.copytree(ROOT / package, copy / package, ignore=NOT_PACKAGED)
+    for package in ("exact_mdp", *PACKAGES):
+        shutil.copytree(ROOT / package, copy / package, symlinks=True, ignore=NOT_PACKAGED)
     return copy
 
 
@@ -107,17 +107,18 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
 
 def test_wheel_holds_every_file_of_the_packages_and_nothing_else(source: Path, wheel: Path) -> None:
     expected = {
-        path.relative_to(source).as_posix()
+        f"exact_mdp/{path.relative_to(source).as_posix()}"
         for package in PACKAGES
         for path in (source / package).rglob("*")
         if path.is_file()
     }
+    own = (source / "exact_mdp").iterdir()
+    expected |= {f"exact_mdp/{path.name}" for path in own if path.is_file()}
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
     assert held == expected
-    assert {f"{package}/py.typed" for package in PACKAGES} <= held
-    scenarios = {name for name in held if name.startswith("mdp/scenarios/")}
-    assert "mdp/scenarios/yuan2025.toml" in scenarios
+    assert {f"exact_mdp/{package}/py.typed" for package in PACKAGES} <= held
+    assert "exact_mdp/mdp/scenarios/yuan2025.toml" in held
 
 
 def test_wheel_describes_the_project(wheel: Path) -> None:
@@ -129,15 +130,48 @@ def test_wheel_describes_the_project(wheel: Path) -> None:
         }
     assert f"\nName: {PROJECT['name']}\n" in about["METADATA"]
     assert f"\nVersion: {PROJECT['version']}\n" in about["METADATA"]
-    assert "exact-mdp = analysis.cli:main" in about["entry_points.txt"]
+    assert "exact-mdp = exact_mdp.analysis.cli:main" in about["entry_points.txt"]
     assert about["licenses/LICENSE"] == (ROOT / "LICENSE").read_text("utf-8")
     assert "py3-none-any" in wheel.name
 
 
-def test_installed_packages_are_the_wheels(installed: Installed) -> None:
-    code = f"import {', '.join(PACKAGES)}; print(*[m.__file__ for m in [{', '.join(PACKAGES)}]])"
+def test_one_name_is_installed(installed: Installed) -> None:
+    """Nothing but exact_mdp goes into site-packages: a project may have names of its own."""
+    rooms = [f"exact_mdp.{name}" for name in PACKAGES]
+    names = ", ".join(rooms)
+    code = f"import exact_mdp, {names}; print(*[m.__file__ for m in [{names}]])"
     files = [Path(name) for name in installed.run("python", "-c", code).split()]
-    assert [file.parent for file in files] == [installed.site_packages / name for name in PACKAGES]
+    home = installed.site_packages / "exact_mdp"
+    assert [file.parent for file in files] == [home / name for name in PACKAGES]
+    assert not [name for name in PACKAGES if (installed.site_packages / name).exists()]
+
+
+OWN_TEST = """
+import analysis, mdp, solvers
+from exact_mdp import MDP
+
+
+def test_own_modules_are_found():
+    assert (analysis.MINE, mdp.MINE, solvers.MINE) == (1, 2, 3)
+
+
+def test_a_policy_is_held_against_the_optimum(policy_gate):
+    model = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    policy_gate(model, [1, 0])
+"""
+
+
+def test_a_project_with_modules_of_these_names_runs_its_tests(installed: Installed) -> None:
+    """A repository's own analysis/, solvers/ and mdp.py live beside the installed package."""
+    project = installed.folder / "project"
+    for name, number in (("analysis/__init__", 1), ("mdp", 2), ("solvers/__init__", 3)):
+        path = project / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"MINE = {number}\n")
+    (project / "test_own.py").write_text(OWN_TEST)
+    command = ["-m", "pytest", "-q", "-p", "no:cacheprovider", str(project)]
+    said = installed.run("python", *command, cwd=project)
+    assert "2 passed" in said, said
 
 
 def test_installed_program_tells_its_version(installed: Installed) -> None:

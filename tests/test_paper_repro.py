@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from oracle import ACTIONS, CLEAR, Oracle
 
-from mdp import ModelError, Policy, Scenario
-from paper_repro import reported
-from paper_repro.claims import Judged, Verdict, all_claims, chosen, judge
-from paper_repro.claims.claim import RULES, event, usual
-from paper_repro.expected import disagreements, expected
-from paper_repro.numbers import study
-from paper_repro.report.figures import status_law
-from paper_repro.report.places import PLACES, SECTIONS, section_of
-from paper_repro.store import Store
-from paper_repro.view import QUICK, View, alternatives, default_view
-from solvers import evaluate
+from exact_mdp.mdp import ModelError, Policy, Scenario
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, chosen, judge
+from exact_mdp.paper_repro.claims.claim import RULES, event, usual
+from exact_mdp.paper_repro.expected import disagreements, expected
+from exact_mdp.paper_repro.numbers import study
+from exact_mdp.paper_repro.report.figures import status_law
+from exact_mdp.paper_repro.report.places import PLACES, SECTIONS, section_of
+from exact_mdp.paper_repro.store import Store
+from exact_mdp.paper_repro.view import QUICK, View, alternatives, default_view
+from exact_mdp.solvers import evaluate
 
 ANGRY = [s for s in map("".join, itertools.product("01", repeat=4)) if s[2] == "1"]
 EXACT = [claim for claim in all_claims() if not claim.learns]
@@ -225,11 +225,11 @@ def test_the_averages_are_judged_by_the_completion_that_fits_all_three_best(
     ids=["default", "turned", "two subtasks"],
 )
 def test_a_reading_is_counted_as_it_is_judged(view: View, change: dict[str, object]) -> None:
-    from analysis.readings import ReadingSpace
-    from paper_repro.claims.under import search_support
-    from paper_repro.readings.evidence import evidence
-    from paper_repro.readings.search import PAPER_READINGS, search
-    from paper_repro.readings.study import Readings
+    from exact_mdp.analysis.readings import ReadingSpace
+    from exact_mdp.paper_repro.claims.under import search_support
+    from exact_mdp.paper_repro.readings.evidence import evidence
+    from exact_mdp.paper_repro.readings.search import PAPER_READINGS, search
+    from exact_mdp.paper_repro.readings.study import Readings
 
     one = {name: options[:1] for name, options in PAPER_READINGS.options.items()}
     one |= {name: (option,) for name, option in change.items()}
@@ -259,7 +259,7 @@ def test_the_drawn_law_is_that_of_independent_statuses(view: View) -> None:
 
 
 def test_the_flow_of_trials_against_the_independent_model(view: View, oracle: Oracle) -> None:
-    from paper_repro.report.figures import trial_flow
+    from exact_mdp.paper_repro.report.figures import trial_flow
 
     made, ends = trial_flow(view.mdp, "always:directive", view.scenario.trials)
     reached = {CLEAR: Fraction(1)}
@@ -319,8 +319,8 @@ def test_inputs_and_findings_are_told_apart(judged: dict[str, Judged]) -> None:
 
 
 def test_a_policy_may_follow_either_order_of_the_sentence() -> None:
-    from paper_repro.readings.learning import stated
-    from paper_repro.readings.search import policies
+    from exact_mdp.paper_repro.readings.learning import stated
+    from exact_mdp.paper_repro.readings.search import policies
 
     for place in (0, 511):
         policy = policies(reported.completions()[place : place + 1])[0]
@@ -376,7 +376,7 @@ def test_a_policy_by_status_is_complete(view: View) -> None:
 
 
 def test_losses_of_choices_are_those_of_single_changes(view: View) -> None:
-    from paper_repro.report.figures import choice_losses
+    from exact_mdp.paper_repro.report.figures import choice_losses
 
     losses = choice_losses(view)
     assert (losses >= 0).all()

@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from mdp import ModelError
-from paper_repro.__main__ import main
-from paper_repro.claims import Judged, Verdict, all_claims, judge
-from paper_repro.readings.ranking import ranked, sums
-from paper_repro.report.figures import PICTURES, draw_all
-from paper_repro.report.places import FIGURES
-from paper_repro.report.report import Part, Shown, number, render
-from paper_repro.report.summary import counted, counts, plain
-from paper_repro.report.tables import all_tables
-from paper_repro.view import QUICK, View, default_view
-from solvers.values.returns import ReturnDistribution, return_distribution
+from exact_mdp.mdp import ModelError
+from exact_mdp.paper_repro.__main__ import main
+from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, judge
+from exact_mdp.paper_repro.readings.ranking import ranked, sums
+from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
+from exact_mdp.paper_repro.report.places import FIGURES
+from exact_mdp.paper_repro.report.report import Part, Shown, number, render
+from exact_mdp.paper_repro.report.summary import counted, counts, plain
+from exact_mdp.paper_repro.report.tables import all_tables
+from exact_mdp.paper_repro.view import QUICK, View, default_view
+from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
 
 DRAWN = ("three_policies", "trial_flow")  # the figures that are drawn here: the quickest ones
 RECORD = {"seconds": 1.5, "quick": True, "reused": "from nothing", "shown": {"seed": 7}}

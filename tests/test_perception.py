@@ -12,9 +12,9 @@ import pytest
 from cli_runner import run
 from oracle import Oracle
 
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.care.perception import independent, perceived, read
-from solvers import evaluate
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.care.perception import independent, perceived, read
+from exact_mdp.solvers import evaluate
 
 LABELS = [f"{status:04b}" for status in range(16)]
 ACTIONS = ("none", "supportive", "non-directive", "directive")

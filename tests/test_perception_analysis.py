@@ -12,7 +12,7 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from analysis.perception.accuracy import (
+from exact_mdp.analysis.perception.accuracy import (
     Hedging,
     accuracy_curves,
     accuracy_needed,
@@ -20,11 +20,11 @@ from analysis.perception.accuracy import (
     hedging,
     prices,
 )
-from analysis.perception.cost import error_costs, price_of_perception
-from analysis.perception.policies import best_perceived_policy
-from mdp import MDP, ModelError, Scenario
-from mdp.care.perception import independent, perceived
-from solvers import certify, evaluate
+from exact_mdp.analysis.perception.cost import error_costs, price_of_perception
+from exact_mdp.analysis.perception.policies import best_perceived_policy
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care.perception import independent, perceived
+from exact_mdp.solvers import certify, evaluate
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
@@ -178,7 +178,7 @@ def test_a_limit_on_nodes_is_sound(care: MDP) -> None:
 def test_figures_are_drawn(care: MDP) -> None:
     import matplotlib.pyplot as plt
 
-    from analysis.plots.perception import (
+    from exact_mdp.analysis.plots.perception import (
         plot_accuracy_curves,
         plot_confusion,
         plot_error_costs,
@@ -208,8 +208,8 @@ def test_figures_mark_what_is_not_proven(care: MDP) -> None:
 
     import matplotlib.pyplot as plt
 
-    from analysis.plots.perception import plot_accuracy_curves, plot_hedging
-    from analysis.plots.style import style, titled
+    from exact_mdp.analysis.plots.perception import plot_accuracy_curves, plot_hedging
+    from exact_mdp.analysis.plots.style import style, titled
 
     mpl.use("Agg")
     found = hedging(care, levels=[1.0, 0.9])
@@ -316,7 +316,7 @@ def test_derivatives_under_a_perception(tmp_path: Path) -> None:
     seen = ("--perception", tmp_path / "seen.toml", "--parameter", "base.anger", "--json")
     found = json.loads(run("sensitivity", *words, *seen).out)
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    from solvers import solve
+    from exact_mdp.solvers import solve
 
     mdp = scenario.compile()
     policy = perceived(mdp, solve(mdp).policy, confusion_at(mdp, 0.9))

@@ -10,11 +10,11 @@ import pytest
 from cli_runner import run
 from scipy.stats import beta, dirichlet
 
-from analysis.perception.cost import value_under_counts
-from mdp import MDP, ModelError, Scenario
-from mdp.care.counts import Counted, counted, read_counts
-from mdp.care.perception import perceived, read
-from solvers import evaluate
+from exact_mdp.analysis.perception.cost import value_under_counts
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care.counts import Counted, counted, read_counts
+from exact_mdp.mdp.care.perception import perceived, read
+from exact_mdp.solvers import evaluate
 
 NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
 

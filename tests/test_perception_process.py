@@ -12,16 +12,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import ACTIONS, Oracle
 
-from analysis.perception.policies import best_perceived_policy, place_by_place
-from mdp import MDP, ModelError, Scenario
-from mdp.care.perception import independent, perceived
-from mdp.care.process import Process
-from mdp.space import Column, StateSpace
-from solvers import evaluate, solve
-from solvers.pomdp.belief import BeliefController, fib_vectors, qmdp_vectors
-from solvers.pomdp.belief_simulation import simulate_beliefs
-from solvers.pomdp.pomdp import solve_beliefs
-from solvers.pomdp.values import acting, at_start, fast_informed, qmdp, rounding, values, visits
+from exact_mdp.analysis.perception.policies import best_perceived_policy, place_by_place
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care.perception import independent, perceived
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.pomdp.belief import BeliefController, fib_vectors, qmdp_vectors
+from exact_mdp.solvers.pomdp.belief_simulation import simulate_beliefs
+from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
+from exact_mdp.solvers.pomdp.values import (
+    acting,
+    at_start,
+    fast_informed,
+    qmdp,
+    rounding,
+    values,
+    visits,
+)
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
@@ -294,7 +302,7 @@ def test_chances_near_nothing_leave_the_bounds_as_they_are(tiny: float) -> None:
 
 
 def test_bounds_that_are_no_numbers_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    from solvers.pomdp.search import Search
+    from exact_mdp.solvers.pomdp.search import Search
 
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile()
     monkeypatch.setattr(Search, "upper", np.nan)

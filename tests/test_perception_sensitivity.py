@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from analysis.sensitivity.draws.sampled import sampled
-from analysis.sensitivity.psa.psa import psa
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.care.perception import independent, perceived
-from mdp.parametric import parametric
-from solvers import evaluate, solve
+from exact_mdp.analysis.sensitivity.draws.sampled import sampled
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.care.perception import independent, perceived
+from exact_mdp.mdp.parametric import parametric
+from exact_mdp.solvers import evaluate, solve
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
@@ -125,8 +125,8 @@ def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
 
 @pytest.mark.parametrize("form", ["optimal", "plan"])
 def test_psa_sobol_and_morris_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
-    from analysis.sensitivity.draws.morris import morris
-    from analysis.sensitivity.draws.sobol import sobol
+    from exact_mdp.analysis.sensitivity.draws.morris import morris
+    from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 
     told, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
     words = ("--policy", told, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")
@@ -165,7 +165,7 @@ def test_the_worst_case_in_a_box(mdp: MDP, seen: Path) -> None:
 
 
 def test_every_reading_perceives(seen: Path, plan: Path, tmp_path: Path) -> None:
-    from analysis.sensitivity.structural import CARRIED, structural
+    from exact_mdp.analysis.sensitivity.structural import CARRIED, structural
 
     readings = {"own": {"skip_timestep": "own"}, "flag": {"task_bonus": "no-subtask-skipped"}}
     how: dict[str, Any] = {"elasticities": False, "stability": False, "folder": tmp_path / "kept"}

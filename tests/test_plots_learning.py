@@ -7,10 +7,10 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.learning.curves import LearningCurve, learning_curve, random_curve
-from analysis.learning.instability import Prediction, predict
-from analysis.learning.outcomes import Outcomes, outcomes
-from analysis.plots import (
+from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve, random_curve
+from exact_mdp.analysis.learning.instability import Prediction, predict
+from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
+from exact_mdp.analysis.plots import (
     plot_distinct,
     plot_instability,
     plot_learning_curves,
@@ -18,9 +18,9 @@ from analysis.plots import (
     plot_value_bands,
     style,
 )
-from mdp import MDP, Scenario
-from solvers.learning.q_learning import QLearning
-from solvers.learning.training import train_many
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.training import train_many
 
 LEARNER = QLearning(epochs=40)
 

@@ -23,7 +23,7 @@ from policies import (
     status_of,
 )
 
-from mdp import MDP, Column, ModelError, Policy, StateSpace
+from exact_mdp.mdp import MDP, Column, ModelError, Policy, StateSpace
 
 # ---- one policy, many forms ------------------------------------------------
 

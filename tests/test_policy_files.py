@@ -16,7 +16,7 @@ from policies import (
     check_follows,
 )
 
-from mdp import ModelError, Policy, Scenario
+from exact_mdp.mdp import ModelError, Policy, Scenario
 
 GOOD_CSV = "status,action\n" + "".join(f"{status},none\n" for status in STATUSES)
 GOOD_JSON = json.dumps(dict.fromkeys(STATUSES, "none"))

@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from oracle import ACTIONS
 from strategies import Rows, models
 
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.space import StateSpace
-from solvers import LinearProgram, ModifiedPolicyIteration, certify, solve
-from solvers.dynamic import policy_iteration
-from solvers.dynamic import program as programs
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.solvers import LinearProgram, ModifiedPolicyIteration, certify, solve
+from exact_mdp.solvers.dynamic import policy_iteration
+from exact_mdp.solvers.dynamic import program as programs
 
 
 def garnet(states: int, discount: float, *, seed: int = 0) -> MDP:

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis import assert_policy_optimal, check
-from analysis.cli import main
-from mdp import MDP, Scenario
-from solvers.learning.q_learning import QLearning
-from solvers.learning.schedules import Constant
+from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp.analysis.cli import main
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.schedules import Constant
 
 SEEDS = range(6)
 AS_THE_PAPER = QLearning()

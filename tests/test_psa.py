@@ -11,18 +11,18 @@ from cli_runner import run
 from scipy.special import betainc
 from scipy.stats import binomtest
 
-from analysis.sensitivity.draws.solver import CareSolver, solver_of
-from analysis.sensitivity.psa.expected_loss import expected_loss
-from analysis.sensitivity.psa.intervals import mean_loss, mean_of, quantiles, wilson
-from analysis.sensitivity.psa.psa import psa
-from analysis.sensitivity.psa.result import MISSING, PSA
-from analysis.sensitivity.psa.uncertainty import uncertainty
-from analysis.sensitivity.psa.value_of_information import evpi, evppi
-from analysis.sensitivity.robust.row_family import row_family
-from mdp import MDP, ModelError, Scenario
-from mdp.io.npz import save
-from mdp.parametric import moving, parametric
-from solvers import evaluate, solve
+from exact_mdp.analysis.sensitivity.draws.solver import CareSolver, solver_of
+from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
+from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss, mean_of, quantiles, wilson
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.analysis.sensitivity.psa.result import MISSING, PSA
+from exact_mdp.analysis.sensitivity.psa.uncertainty import uncertainty
+from exact_mdp.analysis.sensitivity.psa.value_of_information import evpi, evppi
+from exact_mdp.analysis.sensitivity.robust.row_family import row_family
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.io.npz import save
+from exact_mdp.mdp.parametric import moving, parametric
+from exact_mdp.solvers import evaluate, solve
 
 YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)

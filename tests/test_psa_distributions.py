@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
-from analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
-from analysis.sensitivity.robust.row_family import row_family
-from mdp import MDP, ModelError, Scenario
-from mdp.parametric import parametric
+from exact_mdp.analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
+from exact_mdp.analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
+from exact_mdp.analysis.sensitivity.robust.row_family import row_family
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.parametric import parametric
 
 YUAN = parametric(Scenario.load("yuan2025"))
 COUNT = 40_000

@@ -4,19 +4,19 @@ import matplotlib
 import numpy as np
 import pytest
 
-from analysis.plots.psa import (
+from exact_mdp.analysis.plots.psa import (
     plot_acceptability,
     plot_evppi,
     plot_expected_loss,
     plot_optimal_actions,
     plot_start_values,
 )
-from analysis.sensitivity.psa.expected_loss import expected_loss
-from analysis.sensitivity.psa.psa import psa
-from analysis.sensitivity.psa.result import PSA
-from analysis.sensitivity.psa.uncertainty import uncertainty
-from mdp import ModelError, Scenario
-from mdp.parametric import parametric
+from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.analysis.sensitivity.psa.result import PSA
+from exact_mdp.analysis.sensitivity.psa.uncertainty import uncertainty
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.parametric import parametric
 
 matplotlib.use("Agg")
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)

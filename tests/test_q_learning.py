@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 from learning_twin import Stream, Twin
 from strategies import models
 
-from mdp import MDP, ModelError, Policy, Scenario
-from solvers import PolicyIteration, evaluate, solve
-from solvers.learning.q_learning import METHODS, TIES, QLearning, Trainer, distinct
-from solvers.learning.sampler import as_policy, child, rows_of, scores, stream, tables
-from solvers.learning.schedules import (
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.solvers import PolicyIteration, evaluate, solve
+from exact_mdp.solvers.learning.q_learning import METHODS, TIES, QLearning, Trainer, distinct
+from exact_mdp.solvers.learning.sampler import as_policy, child, rows_of, scores, stream, tables
+from exact_mdp.solvers.learning.schedules import (
     PAPER_CONSTANT,
     PAPER_DECAYING,
     Constant,
     Exponential,
     Harmonic,
 )
-from solvers.learning.training import train_many
-from solvers.values.policy_values import policy_values
+from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.values.policy_values import policy_values
 
 CARE = Scenario.load("yuan2025")
 OTHERS = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}

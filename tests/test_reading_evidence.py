@@ -12,11 +12,11 @@ from reading_cases import SMALL, small_search
 from reading_twin import moments
 from scipy.stats import norm
 
-from mdp import ModelError
-from mdp.care.scenario import READINGS
-from paper_repro import reported
-from paper_repro.readings.evidence import VARIANTS, evidence, variants
-from paper_repro.readings.joint import (
+from exact_mdp.mdp import ModelError
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import VARIANTS, evidence, variants
+from exact_mdp.paper_repro.readings.joint import (
     STATEMENTS,
     Joint,
     contradictions,
@@ -24,7 +24,7 @@ from paper_repro.readings.joint import (
     joint,
     largest_possible,
 )
-from paper_repro.readings.search import STARTS, completions, policies
+from exact_mdp.paper_repro.readings.search import STARTS, completions, policies
 
 
 def plain_log_likelihood(

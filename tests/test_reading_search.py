@@ -12,11 +12,11 @@ from oracle import ACTIONS, Oracle, State
 from reading_cases import SMALL, small_search
 from reading_twin import moments
 
-from analysis.readings import ReadingSpace
-from mdp import ModelError, Scenario
-from mdp.care.scenario import READINGS
-from paper_repro import reported
-from paper_repro.readings.search import (
+from exact_mdp.analysis.readings import ReadingSpace
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.search import (
     FIGURES,
     PAPER_READINGS,
     STARTS,
@@ -187,7 +187,7 @@ def test_the_same_figures_mean_equivalent_readings_and_no_others() -> None:
 
 
 def test_an_interrupted_search_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import paper_repro.readings.search as module
+    import exact_mdp.paper_repro.readings.search as module
 
     space = ReadingSpace(options={"tasks": ((3,), (2,), (1,)), "evaluation_discount": (1, "19/20")})
     monkeypatch.setattr(module, "BLOCK", 1)
@@ -216,7 +216,7 @@ def test_the_top_of_the_whole_ranking_is_that_of_the_twin() -> None:
     from scipy.special import logsumexp
     from scipy.stats import norm
 
-    from paper_repro.readings.evidence import evidence
+    from exact_mdp.paper_repro.readings.evidence import evidence
 
     whole = search()
     found = evidence(whole)

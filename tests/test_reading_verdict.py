@@ -9,17 +9,23 @@ import numpy as np
 import pytest
 from reading_cases import small_search, small_study
 
-from analysis.learning.outcomes import outcomes
-from mdp import ModelError
-from paper_repro import reported
-from paper_repro.readings.evidence import evidence
-from paper_repro.readings.learning import SETTINGS, combined, compatible, learning, to_train
-from paper_repro.readings.ranking import ranked, sums
-from paper_repro.readings.search import STARTS, completions, policies
-from paper_repro.readings.verdict import AS_FOUND, normal_ranking, verdict
-from solvers.learning.training import train_many
-from solvers.solution import Certified
-from solvers.values.returns import return_distribution
+from exact_mdp.analysis.learning.outcomes import outcomes
+from exact_mdp.mdp import ModelError
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import evidence
+from exact_mdp.paper_repro.readings.learning import (
+    SETTINGS,
+    combined,
+    compatible,
+    learning,
+    to_train,
+)
+from exact_mdp.paper_repro.readings.ranking import ranked, sums
+from exact_mdp.paper_repro.readings.search import STARTS, completions, policies
+from exact_mdp.paper_repro.readings.verdict import AS_FOUND, normal_ranking, verdict
+from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.solution import Certified
+from exact_mdp.solvers.values.returns import return_distribution
 
 
 def test_the_verdict_agrees_with_the_search() -> None:
@@ -191,8 +197,8 @@ def test_ranking_rows_are_the_search_in_order() -> None:
 def test_every_figure_is_drawn() -> None:
     import matplotlib.pyplot as plt
 
-    from analysis.plots import style
-    from paper_repro.readings.figures import FIGURES
+    from exact_mdp.analysis.plots import style
+    from exact_mdp.paper_repro.readings.figures import FIGURES
 
     study = small_study()
     for draw in FIGURES.values():
@@ -207,7 +213,7 @@ def test_every_figure_is_drawn() -> None:
 def test_the_ranking_figure_marks_the_reported_averages() -> None:
     import matplotlib.pyplot as plt
 
-    from paper_repro.readings.figures import ranking_figure
+    from exact_mdp.paper_repro.readings.figures import ranking_figure
 
     figure = ranking_figure(small_study())
     lines = {

@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from analysis.readings import (
+from exact_mdp.analysis.readings import (
     ReadingSpace,
     credible,
     effective_number,
@@ -16,8 +16,8 @@ from analysis.readings import (
     posterior,
     support,
 )
-from mdp import ModelError, Scenario
-from mdp.care.scenario import READINGS
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.care.scenario import READINGS
 
 SPACE = ReadingSpace(
     options={"status_cost": ("next", "current"), "tasks": ((3,), (6,), (2,)), "discount": (1, 0.9)}

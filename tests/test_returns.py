@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
-import solvers.values.return_mass
-import solvers.values.returns
-from mdp import MDP, ModelError, Scenario
-from solvers import Claim
-from solvers.values.evaluate import evaluate
-from solvers.values.returns import ReturnDistribution, return_distribution
+from exact_mdp import solvers
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.solvers import Claim
+from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
 
 Law = dict[F, F]
 SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])

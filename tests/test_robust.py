@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from strategies import Rows, models
 
-from analysis.cli.render import to_json
-from analysis.cli.sensitivity.robust import robust_report
-from analysis.plots.sensitivity import plot_robust_curve
-from analysis.sensitivity.robust.robust import SETS, ambiguity_of, robust, robust_curve
-from mdp import MDP, ModelError, Scenario
-from mdp.io.load import load
-from solvers import PrecisionWarning, SolverError, evaluate, solve
-from solvers.robust.divergence import Likelihood, RelativeEntropy
-from solvers.robust.robust import RobustSolution, solve_robust
-from solvers.robust.sets import Intervals, L1Ball
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.analysis.cli.render import to_json
+from exact_mdp.analysis.cli.sensitivity.robust import robust_report
+from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
+from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of, robust, robust_curve
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.io.load import load
+from exact_mdp.solvers import PrecisionWarning, SolverError, evaluate, solve
+from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
+from exact_mdp.solvers.robust.robust import RobustSolution, solve_robust
+from exact_mdp.solvers.robust.sets import Intervals, L1Ball
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 F = Fraction
 GAMES = [(o, n) for o in ("max", "min") for n in ("worst", "best")]
@@ -269,7 +269,7 @@ def test_reports_of_nonsense_are_refused(options: dict) -> None:
 
 
 def test_a_box_needs_a_scenario(tmp_path) -> None:
-    from mdp.io.load import save_model
+    from exact_mdp.mdp.io.load import save_model
 
     save_model(risky(), tmp_path / "model.npz")
     with pytest.raises(ModelError, match="scenario"):

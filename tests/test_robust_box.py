@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.sensitivity.robust.affine import Forms, mixed
-from analysis.sensitivity.robust.box import box_extreme, box_optimum, box_ranges, corners
-from analysis.sensitivity.robust.care import BoxBounds, CareBox
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.care.family import ScenarioFamily
-from mdp.care.scenario import READINGS
-from mdp.parametric import Family, Parameter, moving
-from solvers import evaluate, solve
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.analysis.sensitivity.robust.affine import Forms, mixed
+from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum, box_ranges, corners
+from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.parametric import Family, Parameter, moving
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SMALL = {"tasks": [1, 1], "max_trial": 2}
 F = Fraction

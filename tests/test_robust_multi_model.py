@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import distributions, model_of
 
-from analysis.sensitivity.multi_model import multi_model, restricted
-from mdp import MDP, ModelError, Scenario
-from solvers import evaluate, solve
+from exact_mdp.analysis.sensitivity.multi_model import multi_model, restricted
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.solvers import evaluate, solve
 
 
 @st.composite

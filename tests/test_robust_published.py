@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from cases.intervals import INTERVAL_CASES, IntervalCase, total_reward
 
-from mdp import ModelError
-from solvers.robust.robust import solve_robust
-from solvers.robust.sets import interval_model
+from exact_mdp.mdp import ModelError
+from exact_mdp.solvers.robust.robust import solve_robust
+from exact_mdp.solvers.robust.sets import interval_model
 
 
 @pytest.mark.parametrize("case", INTERVAL_CASES, ids=str)

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from mdp import MDP, ModelError
-from solvers.robust.divergence import Likelihood, RelativeEntropy
-from solvers.robust.rows import blocks_of, inner
-from solvers.robust.sets import Intervals, L1Ball, interval_model
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
+from exact_mdp.solvers.robust.rows import blocks_of, inner
+from exact_mdp.solvers.robust.sets import Intervals, L1Ball, interval_model
 
 fewer = settings(max_examples=40)
 WEIGHTS = st.lists(st.integers(1, 50), min_size=1, max_size=7)

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from mdp import MDP, Scenario
-from solvers import solve
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.solvers import solve
 
 MEASURE = """
 import resource

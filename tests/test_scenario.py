@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import END, STATUSES, Oracle, State
 
-from mdp import MDP, Scenario
-from mdp.care.scenario import READINGS
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.care.scenario import READINGS
 
 BASE = Scenario.load("yuan2025")
 ALL_READINGS = [

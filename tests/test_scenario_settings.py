@@ -10,9 +10,9 @@ from random import Random
 import pytest
 from own_scenarios import check_own, own_text
 
-from mdp import ModelError, Scenario
-from mdp.care.scenario import READINGS
-from mdp.care.toml import parse, shipped
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.toml import parse, shipped
 
 BASE = Scenario.load("yuan2025")
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import matplotlib as mpl
 import pytest
 
-from mdp import Scenario
-from mdp.care.perception import perceived
-from paper_repro.agents.claims import statements
-from paper_repro.report import section42
-from solvers import evaluate
+from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.care.perception import perceived
+from exact_mdp.paper_repro.agents.claims import statements
+from exact_mdp.paper_repro.report import section42
+from exact_mdp.solvers import evaluate
 
 
 def test_each_statement_has_a_verdict() -> None:

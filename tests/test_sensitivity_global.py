@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from cases import BY_NAME
 
-from analysis.sensitivity.draws.design import inside, problem_of
-from analysis.sensitivity.draws.morris import Morris, morris
-from analysis.sensitivity.draws.sampled import sampled, values
-from analysis.sensitivity.draws.sobol import Sobol, sobol
-from analysis.sensitivity.ranges import Range, spans_of
-from mdp import MDP, ModelError, Scenario
-from mdp.parametric import Parameter, Parametric, moving, parametric
-from solvers import evaluate, solve
+from exact_mdp.analysis.sensitivity.draws.design import inside, problem_of
+from exact_mdp.analysis.sensitivity.draws.morris import Morris, morris
+from exact_mdp.analysis.sensitivity.draws.sampled import sampled, values
+from exact_mdp.analysis.sensitivity.draws.sobol import Sobol, sobol
+from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.parametric import Parameter, Parametric, moving, parametric
+from exact_mdp.solvers import evaluate, solve
 
-sampled_module = import_module("analysis.sensitivity.draws.sampled")
+sampled_module = import_module("exact_mdp.analysis.sensitivity.draws.sampled")
 F = Fraction
 HALF = F(1, 2)
 

@@ -7,11 +7,11 @@ import pytest
 from cases.toolbox import CASES as TOOLBOX
 from oracle import ACTIONS, END, Oracle, State
 
-from analysis.sensitivity import gradient, moments_gradient, movement_frame
-from analysis.sensitivity.gradient import Derivative
-from mdp import MDP, ModelError, Parameter, Scenario
-from mdp.parametric import Family, moving, parametric
-from mdp.row_change import pieces
+from exact_mdp.analysis.sensitivity import gradient, moments_gradient, movement_frame
+from exact_mdp.analysis.sensitivity.gradient import Derivative
+from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
+from exact_mdp.mdp.parametric import Family, moving, parametric
+from exact_mdp.mdp.row_change import pieces
 
 F = Fraction
 H = F(1, 10**4)

@@ -10,10 +10,18 @@ import pytest
 from cli_runner import run
 from oracle import Oracle
 
-from analysis.sensitivity import Range, load_ranges, one_way, thresholds, tornado, two_way, whole
-from mdp import MDP, ModelError, Scenario
-from mdp.parametric import Parametric, moving, parametric
-from mdp.row_change import pieces, row_change, transition_entries
+from exact_mdp.analysis.sensitivity import (
+    Range,
+    load_ranges,
+    one_way,
+    thresholds,
+    tornado,
+    two_way,
+    whole,
+)
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.parametric import Parametric, moving, parametric
+from exact_mdp.mdp.row_change import pieces, row_change, transition_entries
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}
@@ -176,7 +184,7 @@ def test_figures() -> None:
     mpl.use("agg")
     from matplotlib import pyplot as plt
 
-    from analysis import plots
+    from exact_mdp.analysis import plots
 
     own, x = scenario(), "assistance.directive.confusion.persistence"
     found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}

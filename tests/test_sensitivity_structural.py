@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from oracle import CLEAR, Oracle
 
-from analysis.sensitivity import gradient, joint_radius
-from analysis.sensitivity.structural import (
+from exact_mdp.analysis.sensitivity import gradient, joint_radius
+from exact_mdp.analysis.sensitivity.structural import (
     CARRIED,
     OPTIONS,
     Structural,
@@ -20,8 +20,8 @@ from analysis.sensitivity.structural import (
     one_at_a_time,
     structural,
 )
-from analysis.sensitivity.structural_outputs import PRESENT
-from mdp import ModelError, Scenario
+from exact_mdp.analysis.sensitivity.structural_outputs import PRESENT
+from exact_mdp.mdp import ModelError, Scenario
 
 SMALL = {"tasks": [2], "max_trial": 2}
 LABELS = [f"{value:04b}" for value in range(16)]

@@ -12,11 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import END, Oracle
 
-from analysis.sensitivity import joint_radius, stability_frame, threshold_frame, thresholds
-from analysis.sensitivity.thresholds.roots import roots, sign, simple, variations
-from mdp import MDP, ModelError, Parameter, Scenario
-from mdp.parametric import Family, moving
-from solvers import certify
+from exact_mdp.analysis.sensitivity import (
+    joint_radius,
+    stability_frame,
+    threshold_frame,
+    thresholds,
+)
+from exact_mdp.analysis.sensitivity.thresholds.roots import roots, sign, simple, variations
+from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
+from exact_mdp.mdp.parametric import Family, moving
+from exact_mdp.solvers import certify
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}

@@ -16,9 +16,9 @@ from cases.reference import evaluate_exact, solve_exact
 from hypothesis import given, settings
 from strategies import Rows, exact_values, model_of, models
 
-from mdp import MDP, ModelError, Scenario
-from mdp.chain import is_acyclic
-from solvers import (
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.chain import is_acyclic
+from exact_mdp.solvers import (
     SOLVERS,
     BackwardInduction,
     Bounded,
@@ -99,17 +99,16 @@ def test_exact_optimum_lies_within_the_bounds(name: str, rows: Rows) -> None:
 def compiled_always() -> Iterator[None]:
     """Have models of any size solved in compiled loops."""
     names = (
-        "bounds",
-        "elimination",
-        "gains",
-        "iteration",
-        "linear",
-        "partial_evaluation",
-        "sweeps",
+        "bounds.bounds",
+        "bounds.elimination",
+        "bounds.gains",
+        "bounds.linear",
+        "bounds.sweeps",
+        "dynamic.partial_evaluation",
     )
     with pytest.MonkeyPatch.context() as patch:
         for name in names:
-            patch.setattr(import_module(f"solvers.{name}"), "COMPILED", 0)
+            patch.setattr(import_module(f"exact_mdp.solvers.{name}"), "COMPILED", 0)
         yield
 
 

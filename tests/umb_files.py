@@ -7,7 +7,7 @@ import tarfile
 from fractions import Fraction
 from pathlib import Path
 
-from mdp import MDP, Scenario
+from exact_mdp.mdp import MDP, Scenario
 
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=1)
 WIDE = Fraction(1, 3**60)

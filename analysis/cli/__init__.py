@@ -13,15 +13,15 @@ from pathlib import Path
 
 import click
 
-from analysis.cli.check import check
-from analysis.cli.evaluate import evaluate, returns, simulate
-from analysis.cli.model import convert, info
-from analysis.cli.perception import perception
-from analysis.cli.sensitivity import sensitivity
-from analysis.cli.solve import solve
-from analysis.cli.train import train
-from analysis.cli.verify import verify
-from analysis.exit_status import Told, leave, run
+from exact_mdp.analysis.cli.check import check
+from exact_mdp.analysis.cli.evaluate import evaluate, returns, simulate
+from exact_mdp.analysis.cli.model import convert, info
+from exact_mdp.analysis.cli.perception import perception
+from exact_mdp.analysis.cli.sensitivity import sensitivity
+from exact_mdp.analysis.cli.solve import solve
+from exact_mdp.analysis.cli.train import train
+from exact_mdp.analysis.cli.verify import verify
+from exact_mdp.analysis.exit_status import Told, leave, run
 
 PROGRAM = "exact-mdp"
 COMMANDS = (
@@ -84,7 +84,7 @@ def _reporting(words: list[str]) -> Told | None:
         return None
 
     def write(message: str) -> None:
-        from analysis.gate.junit import Case, write_junit
+        from exact_mdp.analysis.gate.junit import Case, write_junit
 
         first = message.partition("\n")[0]
         case = Case(name="check", error=first, text=message)

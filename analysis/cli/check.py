@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli.options import (
+from exact_mdp.analysis.cli.options import (
     POLICY_HELP,
     check_outputs,
     horizon_option,
@@ -21,13 +21,13 @@ from analysis.cli.options import (
     stopped,
     tell_limit,
 )
-from analysis.cli.render import Grid, number, show
+from exact_mdp.analysis.cli.render import Grid, number, show
 
 if TYPE_CHECKING:
-    from analysis.gate.audit import Audit
-    from analysis.gate.disagreements import Disagreement
-    from analysis.gate.representation import Representation
-    from mdp.model import MDP
+    from exact_mdp.analysis.gate.audit import Audit
+    from exact_mdp.analysis.gate.disagreements import Disagreement
+    from exact_mdp.analysis.gate.representation import Representation
+    from exact_mdp.mdp.model import MDP
 
 PASSED, FAILED = 0, 1
 SHOWN = 10  # disagreements in the table for people
@@ -77,10 +77,10 @@ def check(
     """
     from time import perf_counter
 
-    from analysis.cli.options import taken_of
-    from analysis.gate import check as compare
-    from analysis.gate.audit import UNEXPLAINED
-    from mdp.io.load import load
+    from exact_mdp.analysis.cli.options import taken_of
+    from exact_mdp.analysis.gate import check as compare
+    from exact_mdp.analysis.gate.audit import UNEXPLAINED
+    from exact_mdp.mdp.io.load import load
 
     started = perf_counter()
     check_outputs((junit, (".xml",)))
@@ -112,7 +112,7 @@ def check(
 def _report(
     path: str, model: str, learned: str, audit: Audit, seconds: float, *, explain: bool
 ) -> None:
-    from analysis.gate.junit import Case, write_junit
+    from exact_mdp.analysis.gate.junit import Case, write_junit
 
     text = audit.message(explain=explain)
     cases = [
@@ -133,7 +133,7 @@ def _report(
 
 
 def _result(audit: Audit) -> dict[str, Any]:
-    from solvers.solution import Certified
+    from exact_mdp.solvers.solution import Certified
 
     mdp, lost = audit.mdp, audit.regret
     exact = isinstance(lost.at_start, Certified)

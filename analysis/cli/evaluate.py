@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from analysis.cli.options import (
+from exact_mdp.analysis.cli.options import (
     POLICY_HELP,
     horizon_option,
     kind_option,
@@ -20,7 +20,7 @@ from analysis.cli.options import (
     tell_limit,
     whole_of,
 )
-from analysis.cli.render import Grid, at_most, decimal, number, show
+from exact_mdp.analysis.cli.render import Grid, at_most, decimal, number, show
 
 MOST_EPISODES = 10**9
 LISTED_RETURNS = 1000  # longer distributions are left to --json
@@ -53,8 +53,8 @@ def evaluate(
     as_json: bool,
 ) -> None:
     """Compute the mean return of POLICY in MODEL, and how it comes about."""
-    import solvers
-    from mdp.io.load import load
+    from exact_mdp import solvers
+    from exact_mdp.mdp.io.load import load
 
     loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     given = taken_of(loaded.mdp, policy, perception, kind=kind)
@@ -131,9 +131,9 @@ def returns(
     as_json: bool,
 ) -> None:
     """Compute the probability of every return that POLICY can have in MODEL, at discount 1."""
-    import solvers
-    from mdp.io.load import load
-    from solvers.values.returns import return_distribution
+    from exact_mdp import solvers
+    from exact_mdp.mdp.io.load import load
+    from exact_mdp.solvers.values.returns import return_distribution
 
     loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     given = taken_of(loaded.mdp, policy, perception, kind=kind)
@@ -209,8 +209,8 @@ def simulate(
     as_json: bool,
 ) -> None:
     """Estimate the mean return of POLICY in MODEL from N episodes."""
-    from mdp.io.load import load
-    from solvers.values.simulate import simulate as sample
+    from exact_mdp.mdp.io.load import load
+    from exact_mdp.solvers.values.simulate import simulate as sample
 
     count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
     endless = load(model, sets=sets, discount=discount)

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli.options import model_options
-from analysis.cli.render import Grid, number, ratio, show
+from exact_mdp.analysis.cli.options import model_options
+from exact_mdp.analysis.cli.render import Grid, number, ratio, show
 
 if TYPE_CHECKING:
-    from mdp.chain import Termination
-    from mdp.model import MDP
+    from exact_mdp.mdp.chain import Termination
+    from exact_mdp.mdp.model import MDP
 
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
 
@@ -21,9 +21,9 @@ SHOWN = 4  # states of a policy that never ends, and start states, that are prin
 @model_options
 def info(model: str, sets: tuple[str, ...], discount: str | None, as_json: bool) -> None:
     """Describe MODEL: sizes, discount, whether every policy ends, whether it is acyclic."""
-    from mdp.chain import is_acyclic, reachable, termination
-    from mdp.fingerprint import fingerprint
-    from mdp.io.load import load
+    from exact_mdp.mdp.chain import is_acyclic, reachable, termination
+    from exact_mdp.mdp.fingerprint import fingerprint
+    from exact_mdp.mdp.io.load import load
 
     loaded = load(model, sets=sets, discount=discount)
     mdp, scenario = loaded.mdp, loaded.scenario
@@ -120,7 +120,7 @@ def convert(
     source: str, target: str, sets: tuple[str, ...], discount: str | None, as_json: bool
 ) -> None:
     """Read the model IN and write it to OUT, in the format that OUT's ending names."""
-    from mdp.io.load import load, save_model
+    from exact_mdp.mdp.io.load import load, save_model
 
     loaded = load(source, sets=sets, discount=discount)
     save_model(loaded.mdp, target)

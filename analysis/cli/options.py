@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
-    from mdp.model import MDP
-    from mdp.policies.policy import Policy, Taken
+    from exact_mdp.mdp.io.load import Loaded
+    from exact_mdp.mdp.model import MDP
+    from exact_mdp.mdp.policies.policy import Policy, Taken
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -101,17 +101,17 @@ def taken_of(mdp: MDP, form: str, perception: str | None = None, *, kind: str = 
 
     The optimum is solved for; under a perception it is the optimum of whoever sees the truth.
     """
-    from mdp.policies.policy import taken
+    from exact_mdp.mdp.policies.policy import taken
 
     given: object = form
     if form == "optimal":
-        from solvers import solve
+        from exact_mdp.solvers import solve
 
         given = solve(mdp)
     found = taken(mdp, given, kind=kind)
     if perception is None:
         return found
-    from mdp.care.perception import perceived, read
+    from exact_mdp.mdp.care.perception import perceived, read
 
     return replace(found, policy=perceived(mdp, found.policy, read(perception, mdp)), values=None)
 
@@ -125,8 +125,8 @@ def float_of(text: str | None, option: str) -> float | None:
     """Return the number that an option states, as a float; None where it is left out."""
     if text is None:
         return None
-    from mdp.errors import ModelError
-    from mdp.table import exact
+    from exact_mdp.mdp.errors import ModelError
+    from exact_mdp.mdp.table import exact
 
     try:
         return float(exact(text))
@@ -143,7 +143,7 @@ def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
     ----------
     *files : (path or None, allowed endings)
     """
-    from mdp.errors import ModelError
+    from exact_mdp.mdp.errors import ModelError
 
     taken = []
     for name, endings in files:
@@ -165,7 +165,7 @@ def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
 
 def whole_of(text: str, option: str, least: int = 0, most: int = 10**18) -> int:
     """Return the whole number that an option states."""
-    from mdp.errors import ModelError
+    from exact_mdp.mdp.errors import ModelError
 
     if text.isascii() and text.isdigit() and len(text) < 20 and least <= int(text) <= most:
         return int(text)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli.options import (
+from exact_mdp.analysis.cli.options import (
     POLICY_HELP,
     float_of,
     model_options,
@@ -18,16 +18,16 @@ from analysis.cli.options import (
     tell_limit,
     whole_of,
 )
-from analysis.cli.render import Grid, at_most, number, show
+from exact_mdp.analysis.cli.render import Grid, at_most, number, show
 
 if TYPE_CHECKING:
-    from analysis.gate.column_policies import BestPolicy
-    from analysis.perception.cost import ErrorCosts, PriceOfPerception, UncertainValue
-    from analysis.perception.needed import AccuracyNeeded
-    from mdp.care.counts import Counted
-    from mdp.model import MDP
-    from mdp.policies.policy import Policy
-    from mdp.table import Floats
+    from exact_mdp.analysis.gate.column_policies import BestPolicy
+    from exact_mdp.analysis.perception.cost import ErrorCosts, PriceOfPerception, UncertainValue
+    from exact_mdp.analysis.perception.needed import AccuracyNeeded
+    from exact_mdp.mdp.care.counts import Counted
+    from exact_mdp.mdp.model import MDP
+    from exact_mdp.mdp.policies.policy import Policy
+    from exact_mdp.mdp.table import Floats
 
 
 SHOWN = 12  # confusions listed for people
@@ -285,10 +285,14 @@ def perception(
     fixed reading of what is seen (told action by action), and taking it for true. Then which
     errors cost most, and the accuracy that keeps a share of the value.
     """
-    from analysis.perception.cost import error_costs, price_of_perception, value_under_counts
+    from exact_mdp.analysis.perception.cost import (
+        error_costs,
+        price_of_perception,
+        value_under_counts,
+    )
 
     # import
-    from mdp.io.load import load
+    from exact_mdp.mdp.io.load import load
 
     loaded = load(model, sets=sets, discount=discount)
     mdp = loaded.mdp
@@ -322,7 +326,7 @@ def perception(
 
 def _limits(seconds: str | None, trials: str | None) -> dict[str, Any]:
     """Return what ends the searches: time, or a number of trials."""
-    from mdp.errors import ModelError
+    from exact_mdp.mdp.errors import ModelError
 
     if trials is None:
         return {"seconds": _positive(SECONDS if seconds is None else seconds, "--seconds")}
@@ -334,10 +338,10 @@ def _limits(seconds: str | None, trials: str | None) -> dict[str, Any]:
 def _confusion(
     mdp: MDP, path: str | None, accuracy: str | None, prior: str | None
 ) -> tuple[Floats, Counted | None]:
-    from analysis.perception.needed import confusion_at
-    from mdp.care.counts import read_counts
-    from mdp.care.perception import holds_examples, read, status_size
-    from mdp.errors import ModelError
+    from exact_mdp.analysis.perception.needed import confusion_at
+    from exact_mdp.mdp.care.counts import read_counts
+    from exact_mdp.mdp.care.perception import holds_examples, read, status_size
+    from exact_mdp.mdp.errors import ModelError
 
     status_size(mdp)
     if (path is None) == (accuracy is None):
@@ -366,10 +370,10 @@ def _confusion(
 
 def _needed(mdp: MDP, policy: Policy, share: str) -> dict[str, AccuracyNeeded | None]:
     """Return the accuracy needed, of all statuses and of each; None where no value is positive."""
-    from analysis.perception.needed import ALL, accuracy_needed
-    from analysis.perception.policies import status_names
-    from mdp.errors import ModelError
-    from solvers import evaluate
+    from exact_mdp.analysis.perception.needed import ALL, accuracy_needed
+    from exact_mdp.analysis.perception.policies import status_names
+    from exact_mdp.mdp.errors import ModelError
+    from exact_mdp.solvers import evaluate
 
     float_of(share, "--share")
     found: dict[str, AccuracyNeeded | None] = {}
@@ -385,7 +389,7 @@ def _needed(mdp: MDP, policy: Policy, share: str) -> dict[str, AccuracyNeeded | 
 
 
 def _positive(text: str, option: str) -> float:
-    from mdp.errors import ModelError
+    from exact_mdp.mdp.errors import ModelError
 
     found = float_of(text, option)
     if found is None or not found > 0:

@@ -41,7 +41,7 @@ def show(
     from rich.table import Table
     from rich.text import Text
 
-    from mdp.errors import shown_text
+    from exact_mdp.mdp.errors import shown_text
 
     def plain(text: str) -> Text:  # the name of a file may hold what steers a terminal
         return Text(shown_text(text, lines=True), overflow="fold")

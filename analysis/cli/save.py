@@ -7,13 +7,13 @@ import io
 import click
 import numpy as np
 
-import solvers
-from analysis.optimum import Optimum
-from analysis.record import run_record, write_record
-from mdp.io.files import write_atomically
-from mdp.io.load import Loaded
-from mdp.model import MDP
-from mdp.policies.policy import Policy
+from exact_mdp import solvers
+from exact_mdp.analysis.optimum import Optimum
+from exact_mdp.analysis.record import run_record, write_record
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.io.load import Loaded
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 
 
 def save(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from analysis.cli.options import (
+from exact_mdp.analysis.cli.options import (
     check_outputs,
     float_of,
     horizon_option,
@@ -14,13 +14,13 @@ from analysis.cli.options import (
     stopped,
     tell_limit,
 )
-from analysis.cli.render import Grid, at_most, number, ratio, show
+from exact_mdp.analysis.cli.render import Grid, at_most, number, ratio, show
 
 if TYPE_CHECKING:
-    from analysis.optimum import Optimum
-    from mdp.io.load import Loaded
-    from mdp.model import MDP
-    from mdp.space import StateSpace
+    from exact_mdp.analysis.optimum import Optimum
+    from exact_mdp.mdp.io.load import Loaded
+    from exact_mdp.mdp.model import MDP
+    from exact_mdp.mdp.space import StateSpace
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
@@ -72,10 +72,10 @@ def solve(
     whether the optimum is stationary is left open, and no model hash is recorded. With --horizon
     the optimum is that of episodes that stop, whose policy depends on the time.
     """
-    from analysis.cli.save import save
-    from analysis.optimum import optimum
-    from mdp.io.load import load
-    from mdp.model import MDP
+    from exact_mdp.analysis.cli.save import save
+    from exact_mdp.analysis.optimum import optimum
+    from exact_mdp.mdp.io.load import load
+    from exact_mdp.mdp.model import MDP
 
     endings = ((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     check_outputs(*endings)
@@ -95,8 +95,8 @@ def solve(
 
 def _by_operator(method: str, others: dict[str, object]) -> str:
     """Return the method for an operator; raises ModelError where options ask for a matrix."""
-    from mdp.errors import ModelError
-    from solvers import SOLVERS
+    from exact_mdp.mdp.errors import ModelError
+    from exact_mdp.solvers import SOLVERS
 
     wanted = [name for name, value in others.items() if value]
     if method in SOLVERS and method != "backward-induction":
@@ -111,7 +111,7 @@ def _by_operator(method: str, others: dict[str, object]) -> str:
 
 
 def _as_operator(model: str, sets: tuple[str, ...], discount: str | None) -> Loaded:
-    from mdp.io.load import Loaded, load_scenario
+    from exact_mdp.mdp.io.load import Loaded, load_scenario
 
     scenario = load_scenario(model, sets=sets, discount=discount)
     # What follows reads of a model only what operators have too.
@@ -120,7 +120,7 @@ def _as_operator(model: str, sets: tuple[str, ...], discount: str | None) -> Loa
 
 
 def _result(loaded: Loaded, found: Optimum) -> dict[str, Any]:
-    from mdp.model import MDP
+    from exact_mdp.mdp.model import MDP
 
     mdp, proof, solution = loaded.mdp, found.certificate, found.solution
     result: dict[str, Any] = {
@@ -143,7 +143,7 @@ def _result(loaded: Loaded, found: Optimum) -> dict[str, Any]:
     }
     names = mdp.space.names
     if "status" in names and isinstance(mdp, MDP):
-        from analysis.optimum import stationary
+        from exact_mdp.analysis.optimum import stationary
 
         result["stationary"] = stationary(mdp, found)
     if {"subtask", "trial", "status"} <= set(names):

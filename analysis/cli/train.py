@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli.options import float_of, model_options, tell_limit, whole_of
-from analysis.cli.render import show
+from exact_mdp.analysis.cli.options import float_of, model_options, tell_limit, whole_of
+from exact_mdp.analysis.cli.render import show
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
-    from solvers.learning.q_learning import QLearning
+    from exact_mdp.mdp.io.load import Loaded
+    from exact_mdp.solvers.learning.q_learning import QLearning
 
 
 @click.command(short_help="Q-learning by sampling, judged by exact values.")
@@ -82,12 +82,12 @@ def train(
 
     Regret is that of the final greedy policies, at the model's discount, over the seeds.
     """
-    from analysis.cli.trained import explained, facts, grids, save, summary
-    from analysis.learning.instability import require_theory
-    from analysis.learning.outcomes import outcomes
-    from mdp.io.load import load
-    from solvers import solve
-    from solvers.learning.training import train_many
+    from exact_mdp.analysis.cli.trained import explained, facts, grids, save, summary
+    from exact_mdp.analysis.learning.instability import require_theory
+    from exact_mdp.analysis.learning.outcomes import outcomes
+    from exact_mdp.mdp.io.load import load
+    from exact_mdp.solvers import solve
+    from exact_mdp.solvers.learning.training import train_many
 
     loaded = load(model, sets=sets, discount=discount)
     settings, first = _settings(loaded, options), whole_of(seed, "--seed", most=2**128)
@@ -117,8 +117,13 @@ def train(
 
 
 def _settings(loaded: Loaded, options: dict[str, Any]) -> QLearning:
-    from solvers.learning.q_learning import QLearning
-    from solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant, Schedule
+    from exact_mdp.solvers.learning.q_learning import QLearning
+    from exact_mdp.solvers.learning.schedules import (
+        PAPER_CONSTANT,
+        PAPER_DECAYING,
+        Constant,
+        Schedule,
+    )
 
     named: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
     epsilon, columns = options["epsilon"], options["columns"]
@@ -144,8 +149,8 @@ def _settings(loaded: Loaded, options: dict[str, Any]) -> QLearning:
 
 
 def _discount(text: str) -> Fraction:
-    from mdp.errors import ModelError
-    from mdp.model import as_discount
+    from exact_mdp.mdp.errors import ModelError
+    from exact_mdp.mdp.model import as_discount
 
     try:
         return as_discount(text)

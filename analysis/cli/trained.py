@@ -14,17 +14,23 @@ from typing import Any
 import click
 import numpy as np
 
-from analysis.cli.render import Grid, number, to_json
-from analysis.learning.instability import compare, predict
-from analysis.learning.outcomes import CANDIDATES, QUANTILES, Interval, Outcomes, share_interval
-from analysis.record import run_record
-from mdp.io.files import write_atomically
-from mdp.io.load import Loaded
-from mdp.table import Numbers
-from solvers import evaluate
-from solvers.learning.q_learning import QLearning, TrainingRun
-from solvers.learning.sampler import as_policy
-from solvers.values.policy_values import policy_values
+from exact_mdp.analysis.cli.render import Grid, number, to_json
+from exact_mdp.analysis.learning.instability import compare, predict
+from exact_mdp.analysis.learning.outcomes import (
+    CANDIDATES,
+    QUANTILES,
+    Interval,
+    Outcomes,
+    share_interval,
+)
+from exact_mdp.analysis.record import run_record
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.io.load import Loaded
+from exact_mdp.mdp.table import Numbers
+from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp.solvers.learning.sampler import as_policy
+from exact_mdp.solvers.values.policy_values import policy_values
 
 LISTED_ROWS = 1000  # policies over more rows are left to the files of --out
 

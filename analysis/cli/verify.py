@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from analysis.cli.options import horizon_option, model_options, stopped, tell_limit
-from analysis.cli.render import Grid, at_most, number, show
+from exact_mdp.analysis.cli.options import horizon_option, model_options, stopped, tell_limit
+from exact_mdp.analysis.cli.render import Grid, at_most, number, show
 
 if TYPE_CHECKING:
-    from solvers.proof.certificate import BoundedCertificate, Certificate
+    from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 
 HOLDS, FAILS = 0, 1
 
@@ -33,7 +33,7 @@ def verify(
 
     The checker imports no solver.
     """
-    from mdp.io.load import load
+    from exact_mdp.mdp.io.load import load
 
     loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
     proof = _read(certificate)
@@ -67,8 +67,8 @@ def verify(
 
 def _read(path: str) -> Certificate | BoundedCertificate:
     """Read a certificate of either kind."""
-    from mdp.io.files import LARGEST, read_text
-    from solvers.proof.certificate import BoundedCertificate, Certificate
+    from exact_mdp.mdp.io.files import LARGEST, read_text
+    from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 
     try:
         content = json.loads(read_text(path, most=LARGEST))
@@ -83,7 +83,7 @@ def _start(proof: Certificate | BoundedCertificate, start: Any) -> dict[str, Any
     from fractions import Fraction
     from math import ulp
 
-    from solvers.proof.certificate import Certificate
+    from exact_mdp.solvers.proof.certificate import Certificate
 
     if isinstance(proof, Certificate):
         value = float(proof.start_value)

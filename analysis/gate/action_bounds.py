@@ -18,11 +18,11 @@ from math import inf
 
 import numpy as np
 
-from mdp.model import MDP
-from mdp.table import Floats
-from solvers.bounds.bounds import Bounds
-from solvers.bounds.gains import SLACK, TINY, UNIT, gains
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +51,7 @@ class ActionBounds:
 
         Examples
         --------
-        >>> from solvers.bounds.bounds import bounds
+        >>> from exact_mdp.solvers.bounds.bounds import bounds
         >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
         >>> found = ActionBounds.of(mdp, bounds(mdp, np.array([3.0, 0.0])))
         >>> found.gap.tolist(), float(found.most_gap[1]), bool(found.least_gap[0] > 1.99)

@@ -16,16 +16,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.gate.disagreements import Disagreement
-from analysis.gate.q_error import QError, q_error
-from analysis.gate.regret import Regret
-from analysis.gate.representation import Representation, representation
-from mdp.model import MDP
-from mdp.policies.arrays import ReadAs
-from mdp.policies.policy import Policy
-from mdp.table import Floats, shown
-from solvers.solution import Bounded, Certified, Claim, SolverError
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.analysis.gate.disagreements import Disagreement
+from exact_mdp.analysis.gate.q_error import QError, q_error
+from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.analysis.gate.representation import Representation, representation
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import ReadAs
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import Floats, shown
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SHOWN = 5
 UNEXPLAINED = "floating point cannot tell what the columns that the policy reads cost"

@@ -14,16 +14,16 @@ from __future__ import annotations
 from contextlib import suppress
 from fractions import Fraction
 
-from analysis.gate.audit import Audit
-from analysis.gate.disagreements import disagreements, own_visits
-from analysis.gate.q_error import pair_values
-from analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.policy import Taken, taken
-from mdp.table import LARGEST, exact, shown
-from solvers.solution import Certified, SolverError
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.analysis.gate.audit import Audit
+from exact_mdp.analysis.gate.disagreements import disagreements, own_visits
+from exact_mdp.analysis.gate.q_error import pair_values
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Taken, taken
+from exact_mdp.mdp.table import LARGEST, exact, shown
+from exact_mdp.solvers.solution import Certified, SolverError
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def check(

@@ -26,12 +26,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.table import Floats, Integers
-from solvers.solution import Bounded
+from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -99,7 +99,7 @@ def best_policy(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> best = best_policy(Scenario.load("yuan2025").compile(), ("status",))
     >>> best.proven, round(best.value.value, 6), best.mixed_upper_bound < 146.2359
     (True, 146.235871, True)
@@ -174,7 +174,7 @@ def value_of_memory(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
     >>> [best.columns for best in value_of_memory(mdp, ("subtask", "status"))]
     [('subtask', 'status'), ('subtask', 'trial', 'status')]

@@ -25,15 +25,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from analysis.gate.exact_policy import exact_visits
-from analysis.gate.regret import Regret
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.bounds import levels
-from solvers.bounds.gains import gains
-from solvers.solution import Certified, SolverError
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.visits import visits
+from exact_mdp.analysis.gate.exact_policy import exact_visits
+from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.solution import Certified, SolverError
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 PRICED = 50  # states in which changes are priced, in large models with cycles
 LARGE = 500  # states

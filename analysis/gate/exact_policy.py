@@ -18,12 +18,12 @@ from typing import Protocol
 
 import numpy as np
 
-from mdp.bellman import BellmanRows, bellman_rows
-from mdp.model import MDP
-from mdp.table import Floats, Integers, divide, in_proportion, integers
-from solvers.proof.exact import ExactValues, solve_exactly
-from solvers.proof.rationals import fraction
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.bellman import BellmanRows, bellman_rows
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
+from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
+from exact_mdp.solvers.proof.rationals import fraction
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 class Values(Protocol):
@@ -190,7 +190,7 @@ def exact_gaps(mdp: MDP, best: Values, pairs: Iterable[int]) -> dict[int, tuple[
     Examples
     --------
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [["1/3", 3], [0, 0]])
-    >>> from solvers import certify
+    >>> from exact_mdp import certify
     >>> top, bottom = exact_gaps(mdp, certify(mdp), [0])[0]
     >>> Fraction(top, bottom)
     Fraction(8, 3)

@@ -25,11 +25,11 @@ from math import inf
 
 import numpy as np
 
-from mdp.model import MDP
-from mdp.table import Floats
-from solvers.bounds.gains import SLACK, TINY
-from solvers.solution import SolverError
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import SLACK, TINY
+from exact_mdp.solvers.solution import SolverError
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

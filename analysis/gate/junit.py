@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
-from mdp.io.files import write_atomically
+from exact_mdp.mdp.io.files import write_atomically
 
 # What XML 1.0 does not allow, in section 2.2.
 FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

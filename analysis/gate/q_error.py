@@ -16,11 +16,11 @@ from math import inf
 
 import numpy as np
 
-from mdp.chain import reachable
-from mdp.model import MDP
-from mdp.policies.arrays import by_time
-from mdp.policies.policy import Policy
-from mdp.table import Floats, Numbers
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import by_time
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import Floats, Numbers
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,9 +33,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.gate.action_bounds import ActionBounds
-from analysis.gate.exact_policy import Values, exact_gaps, exact_policy
-from analysis.gate.forgiveness import (
+from exact_mdp.analysis.gate.action_bounds import ActionBounds
+from exact_mdp.analysis.gate.exact_policy import Values, exact_gaps, exact_policy
+from exact_mdp.analysis.gate.forgiveness import (
     Forgiveness,
     Range,
     bounds_at_start,
@@ -44,22 +44,22 @@ from analysis.gate.forgiveness import (
     of_floats,
     per_use,
 )
-from mdp.chain import components, is_acyclic
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers import solve
-from solvers.bounds.bounds import Bounds, bounds, gains
-from solvers.bounds.gains import SLACK, TINY, UNIT
-from solvers.bounds.linear import FixedPoint
-from solvers.dynamic.policy_iteration import improved
-from solvers.proof.certificate import Certificate
-from solvers.solution import Bounded, Certified, Claim, SolverError
-from solvers.values.evaluate import evaluate
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.visits import at_start
+from exact_mdp.mdp.chain import components, is_acyclic
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, gains
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.dynamic.policy_iteration import improved
+from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
+from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import at_start
 
 if TYPE_CHECKING:
-    from solvers.proof.certificate import Certificate
+    from exact_mdp.solvers.proof.certificate import Certificate
 
 
 def proven(mdp: MDP) -> Certificate:
@@ -70,7 +70,7 @@ def proven(mdp: MDP) -> Certificate:
     >>> print(proven(MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])).start)
     2 (certified)
     """
-    from solvers.proof.certificate import certify
+    from exact_mdp.solvers.proof.certificate import certify
 
     found = certify(mdp)
     if faults := found.violations():

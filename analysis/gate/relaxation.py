@@ -26,15 +26,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from mdp.chain import reachable, spans
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.space import StateSpace
-from mdp.table import Floats, Integers
-from solvers.bounds.bounds import levels, margin_weights
-from solvers.bounds.gains import SLACK, gamma
-from solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.mdp.chain import reachable, spans
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import levels, margin_weights
+from exact_mdp.solvers.bounds.gains import SLACK, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 
 Flags = NDArray[np.bool_]
 ITERATIONS = 1000
@@ -166,7 +166,7 @@ class Rows:
 
         Examples
         --------
-        >>> from mdp import Scenario
+        >>> from exact_mdp import Scenario
         >>> rows = Rows.of(Scenario.load("yuan2025").compile(), ("status",))
         >>> rows.available.shape, int(rows.asked.sum())
         ((16, 4), 16)

@@ -16,14 +16,14 @@ from functools import cached_property
 
 import numpy as np
 
-from analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
-from analysis.gate.regret import Regret, regret
-from analysis.gate.relaxation import Relaxations, Rows, one_hot
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from solvers.bounds.gains import SLACK
-from solvers.solution import Bounded, Certified
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
+from exact_mdp.analysis.gate.regret import Regret, regret
+from exact_mdp.analysis.gate.relaxation import Relaxations, Rows, one_hot
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.solvers.bounds.gains import SLACK
+from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,8 +97,8 @@ def representation(
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from solvers.values.policy_chain import PolicyChain
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.solvers.values.policy_chain import PolicyChain
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> policy = Policy.of(mdp, "always:directive")
     >>> found = representation(mdp, policy, regret(mdp, PolicyChain.of(mdp, policy)))
@@ -131,7 +131,7 @@ def row_changes(mdp: MDP, policy: Policy) -> tuple[RowChange, ...]:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> changes = row_changes(mdp, Policy.of(mdp, "always:none"))
     >>> [(change.row, change.best, round(change.gain, 3)) for change in changes]

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import SeedSequence
 
-from analysis.learning.outcomes import common_rows
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Numbers
-from solvers import evaluate
-from solvers.learning.q_learning import TrainingRun
-from solvers.learning.sampler import Rows, child, rows_of, scores, stream, tables
-from solvers.values.policy_values import policy_values
+from exact_mdp.analysis.learning.outcomes import common_rows
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.learning.q_learning import TrainingRun
+from exact_mdp.solvers.learning.sampler import Rows, child, rows_of, scores, stream, tables
+from exact_mdp.solvers.values.policy_values import policy_values
 
 EXPERIMENTS = 40
 
@@ -59,8 +59,8 @@ def learning_curve(
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from solvers.learning.q_learning import QLearning
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.solvers.learning.q_learning import QLearning
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> curve = learning_curve(mdp, QLearning(epochs=50).train(mdp, seed=0), seed=1)
     >>> curve.exact.shape, bool(abs(curve.sampled - curve.exact).mean() < 15)
@@ -125,7 +125,7 @@ def _curve(
     sizes: tuple[int, int],
     seed: int | SeedSequence,
 ) -> LearningCurve:
-    from solvers import kernels
+    from exact_mdp.solvers import kernels
 
     experiments, max_steps = sizes
     if experiments < 2:

@@ -21,13 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.learning.outcomes import Interval, share_interval
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.learning.mean_field import MeanField, settle
-from solvers.learning.q_learning import QLearning
-from solvers.learning.sampler import rows_of
+from exact_mdp.analysis.learning.outcomes import Interval, share_interval
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.learning.mean_field import MeanField, settle
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.sampler import rows_of
 
 DRAWS = 2**18
 
@@ -116,7 +116,7 @@ def predict(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> found = predict(Scenario.load("yuan2025").compile(), QLearning(), episodes=100, replicas=4)
     >>> found.label, found.gaps.round(2).tolist()
     ('status 0000', [9.31, 4.34, 0.0, 1.52])

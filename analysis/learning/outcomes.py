@@ -17,14 +17,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.gate.column_policies import BestPolicy, best_policy
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers, Numbers
-from solvers import Bounded, solve
-from solvers.learning.q_learning import TrainingRun
-from solvers.learning.sampler import Rows, rows_of
-from solvers.values.policy_values import policy_values
+from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers import Bounded, solve
+from exact_mdp.solvers.learning.q_learning import TrainingRun
+from exact_mdp.solvers.learning.sampler import Rows, rows_of
+from exact_mdp.solvers.values.policy_values import policy_values
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CANDIDATES = 5
@@ -139,9 +139,9 @@ def outcomes(mdp: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> Ou
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from solvers.learning.q_learning import QLearning
-    >>> from solvers.learning.training import train_many
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.solvers.learning.q_learning import QLearning
+    >>> from exact_mdp.solvers.learning.training import train_many
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=300), 12, seed=0))
     >>> found.counts.sum(), bool((found.learning_error <= found.regret).all())

@@ -15,15 +15,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.gate.column_policies import BestPolicy
-from analysis.perception.cost import PriceOfPerception, price_of_perception
-from analysis.perception.needed import ALL, AccuracyNeeded, accuracy_needed, confusion_at
-from analysis.perception.policies import NODES, best_perceived_policy, chosen_policy, status_names
-from mdp.care.process import Process
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.pomdp.values import acting, at_start, rounding, values
-from solvers.solution import Claim
+from exact_mdp.analysis.gate.column_policies import BestPolicy
+from exact_mdp.analysis.perception.cost import PriceOfPerception, price_of_perception
+from exact_mdp.analysis.perception.needed import ALL, AccuracyNeeded, accuracy_needed, confusion_at
+from exact_mdp.analysis.perception.policies import (
+    NODES,
+    best_perceived_policy,
+    chosen_policy,
+    status_names,
+)
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
+from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -86,7 +91,7 @@ def accuracy_curves(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> found = accuracy_curves(Scenario.load("yuan2025").compile(), levels=[0.9, 1])
     >>> found.values["all"].round(4).tolist()
     [140.7766, 146.2359]
@@ -162,7 +167,7 @@ def hedging(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> found = hedging(Scenario.load("yuan2025").compile(), levels=[1, 0.9])
     >>> [best.proven for best in found.best], (found.values >= found.taken_as_true).tolist()
     ([True, True], [True, True])

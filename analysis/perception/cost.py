@@ -16,22 +16,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.gate.column_policies import BestPolicy, is_proven
-from analysis.perception.errors import ErrorCosts, error_costs
-from analysis.perception.policies import (
+from exact_mdp.analysis.gate.column_policies import BestPolicy, is_proven
+from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
+from exact_mdp.analysis.perception.policies import (
     NODES,
     best_perceived_policy,
     chosen_policy,
     place_by_place,
     status_names,
 )
-from analysis.perception.uncertain import UncertainValue, value_under_counts
-from mdp.care.process import Process
-from mdp.model import MDP
-from solvers import solve
-from solvers.pomdp.pomdp import BeliefSolution, solve_beliefs
-from solvers.pomdp.values import acting, at_start, rounding, values
-from solvers.solution import Bounded
+from exact_mdp.analysis.perception.uncertain import UncertainValue, value_under_counts
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.pomdp.pomdp import BeliefSolution, solve_beliefs
+from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
+from exact_mdp.solvers.solution import Bounded
 
 __all__ = [
     "ErrorCosts",
@@ -96,8 +96,8 @@ def price_of_perception(
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
     >>> found = price_of_perception(mdp, independent([0.9] * 4, [0.9] * 4), tolerance=0.05)
     >>> f"{found.taken_as_true.value:.2f} {found.memoryless.value.value:.2f}"

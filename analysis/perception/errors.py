@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.perception.policies import chosen_policy, status_names
-from mdp.care.process import Process
-from mdp.model import MDP
-from mdp.table import Floats
-from solvers.bounds.gains import SLACK, gamma
-from solvers.pomdp.values import acting, at_start, largest, rounding, values, visits
-from solvers.solution import Bounded, Claim
+from exact_mdp.analysis.perception.policies import chosen_policy, status_names
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import SLACK, gamma
+from exact_mdp.solvers.pomdp.values import acting, at_start, largest, rounding, values, visits
+from exact_mdp.solvers.solution import Bounded, Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -127,8 +127,8 @@ def error_costs(mdp: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> found = error_costs(mdp, "optimal", independent([0.9] * 4, [0.9] * 4))
     >>> whole = found.perfect.value - found.value.value

@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.perception.policies import chosen_policy, status_names
-from analysis.sensitivity.exact_chain import rational
-from analysis.sensitivity.thresholds.roots import Root, roots, sign, simple
-from mdp.care.process import Process
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP
-from mdp.table import Floats, exact
-from solvers.solution import Claim
+from exact_mdp.analysis.perception.policies import chosen_policy, status_names
+from exact_mdp.analysis.sensitivity.exact_chain import rational
+from exact_mdp.analysis.sensitivity.thresholds.roots import Root, roots, sign, simple
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, exact
+from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
@@ -41,7 +41,7 @@ def confusion_at(mdp: MDP, accuracy: float, status: str = ALL) -> Floats:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> matrix = confusion_at(Scenario.load("yuan2025").compile(), 0.9, "anger")
     >>> matrix[0b0000, [0b0000, 0b0010, 0b0100]].round(3).tolist()
     [0.9, 0.1, 0.0]
@@ -112,7 +112,7 @@ def accuracy_needed(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> found = accuracy_needed(Scenario.load("yuan2025").with_(tasks=[1]).compile())
     >>> f"{float(found.enough):.6f}", found.monotone, len(found.crossings)
     ('...', True, 1)

@@ -23,15 +23,15 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.gate.column_policies import BestPolicy, searched
-from analysis.gate.relaxation import Expansion, Flags, Rows, one_hot
-from mdp.care.process import Process
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.table import Floats, Integers
-from solvers import solve
-from solvers.pomdp.values import acting, at_start, rounding, values, visits
+from exact_mdp.analysis.gate.column_policies import BestPolicy, searched
+from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Rows, one_hot
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values, visits
 
 CELLS = 2**22  # places × statuses × actions × relaxations solved at once
 NODES = 10_000
@@ -65,8 +65,8 @@ def best_perceived_policy(
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> best = best_perceived_policy(mdp, independent([0.9] * 4, [0.9] * 4))
     >>> best.proven, round(best.value.value, 4), round(best.mixed_upper_bound, 4)
@@ -97,8 +97,8 @@ def place_by_place(process: Process, policies: Sequence[object]) -> Policy:
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
     >>> process = Process.of(Scenario.load("yuan2025").compile(), independent([0.9] * 4, [0.9] * 4))
     >>> policy = place_by_place(process, ["random"])
     >>> value, _ = values(process, acting(process, process.table(policy)))

@@ -11,14 +11,14 @@ from math import inf
 
 import numpy as np
 
-from analysis.perception.policies import chosen_policy
-from mdp.care.counts import LEVEL, Counted
-from mdp.care.process import Process
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats
-from solvers.pomdp.values import acting, at_start, rounding, values
-from solvers.solution import Bounded, Claim
+from exact_mdp.analysis.perception.policies import chosen_policy
+from exact_mdp.mdp.care.counts import LEVEL, Counted
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
+from exact_mdp.solvers.solution import Bounded, Claim
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +71,7 @@ def value_under_counts(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> seen = Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16)
     >>> found = value_under_counts(mdp, "optimal", seen, seed=0, draws=200)

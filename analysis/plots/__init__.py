@@ -4,29 +4,29 @@ Readable in greyscale and by colour-blind readers: actions differ in lightness, 
 the letters written into them, curves in line style.
 """
 
-from analysis.plots.diagrams import plot_influence, plot_status_transitions
-from analysis.plots.learning import (
+from exact_mdp.analysis.plots.diagrams import plot_influence, plot_status_transitions
+from exact_mdp.analysis.plots.learning import (
     plot_distinct,
     plot_instability,
     plot_learning_curves,
     plot_regrets,
     plot_value_bands,
 )
-from analysis.plots.perception import (
+from exact_mdp.analysis.plots.perception import (
     plot_accuracy_curves,
     plot_confusion,
     plot_error_costs,
     plot_hedging,
     plot_prices,
 )
-from analysis.plots.policy import plot_policy_map, plot_return_distribution
-from analysis.plots.sensitivity import (
+from exact_mdp.analysis.plots.policy import plot_policy_map, plot_return_distribution
+from exact_mdp.analysis.plots.sensitivity import (
     plot_thresholds,
     plot_tornado,
     plot_two_way,
     plot_value_curves,
 )
-from analysis.plots.style import action_styles, save, style
+from exact_mdp.analysis.plots.style import action_styles, save, style
 
 __all__ = [
     "action_styles",

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from analysis.plots.style import axes_or_new, plain_text
-from mdp import Scenario
+from exact_mdp.analysis.plots.style import axes_or_new, plain_text
+from exact_mdp.mdp import Scenario
 
 
 def influence_graph(scenario: Scenario) -> nx.DiGraph:

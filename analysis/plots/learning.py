@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.learning.curves import LearningCurve
-from analysis.learning.instability import Prediction
-from analysis.learning.outcomes import Outcomes, share_interval
-from analysis.plots.style import LINES, PALETTE, axes_or_new, plain_text
-from mdp.table import Floats
+from exact_mdp.analysis.learning.curves import LearningCurve
+from exact_mdp.analysis.learning.instability import Prediction
+from exact_mdp.analysis.learning.outcomes import Outcomes, share_interval
+from exact_mdp.analysis.plots.style import LINES, PALETTE, axes_or_new, plain_text
+from exact_mdp.mdp.table import Floats
 
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7])
 

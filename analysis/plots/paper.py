@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch, Rectangle
 
-from analysis.plots.style import LINES, PALETTE, action_styles, axes_or_new, plain_text
-from mdp.table import Floats, Integers
+from exact_mdp.analysis.plots.style import LINES, PALETTE, action_styles, axes_or_new, plain_text
+from exact_mdp.mdp.table import Floats, Integers
 
 SHADES = (PALETTE[6], PALETTE[3], PALETTE[7])
 

@@ -11,11 +11,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from analysis.plots.style import action_styles, axes_or_new, plain_text
+from exact_mdp.analysis.plots.style import action_styles, axes_or_new, plain_text
 
 if TYPE_CHECKING:
-    from analysis.perception.accuracy import AccuracyCurves, AccuracyNeeded, Hedging
-    from analysis.perception.cost import ErrorCosts, PriceOfPerception
+    from exact_mdp.analysis.perception.accuracy import AccuracyCurves, AccuracyNeeded, Hedging
+    from exact_mdp.analysis.perception.cost import ErrorCosts, PriceOfPerception
 
 MISSED, SEEN = "#FFFFFF", "#56B4E9"
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from analysis.plots.style import action_styles, axes_or_new, plain_text
-from mdp import MDP
-from solvers.values.returns import ReturnDistribution
+from exact_mdp.analysis.plots.style import action_styles, axes_or_new, plain_text
+from exact_mdp.mdp import MDP
+from exact_mdp.solvers.values.returns import ReturnDistribution
 
 
 @plain_text

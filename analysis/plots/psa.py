@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plots.style import axes_or_new, plain_text
-from analysis.sensitivity.psa.intervals import tolerances_of
+from exact_mdp.analysis.plots.style import axes_or_new, plain_text
+from exact_mdp.analysis.sensitivity.psa.intervals import tolerances_of
 
 if TYPE_CHECKING:
-    from analysis.sensitivity.psa.expected_loss import LossCurve
-    from analysis.sensitivity.psa.result import PSA
-    from analysis.sensitivity.psa.value_of_information import PartialInformation
+    from exact_mdp.analysis.sensitivity.psa.expected_loss import LossCurve
+    from exact_mdp.analysis.sensitivity.psa.result import PSA
+    from exact_mdp.analysis.sensitivity.psa.value_of_information import PartialInformation
 
 INK, BAR = "#000000", "#56B4E9"
 DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)))

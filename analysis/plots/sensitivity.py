@@ -13,14 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.patches import Patch
 
-from analysis.plots.style import LINES, action_styles, axes_or_new, plain_text
-from analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.plots.style import LINES, action_styles, axes_or_new, plain_text
+from exact_mdp.analysis.sensitivity.base import unit_of
 
 if TYPE_CHECKING:
-    from analysis.sensitivity.one_way import Curve, Tornado
-    from analysis.sensitivity.robust.robust import RobustCurve
-    from analysis.sensitivity.thresholds.thresholds import Thresholds
-    from analysis.sensitivity.thresholds.two_way import TwoWay
+    from exact_mdp.analysis.sensitivity.one_way import Curve, Tornado
+    from exact_mdp.analysis.sensitivity.robust.robust import RobustCurve
+    from exact_mdp.analysis.sensitivity.thresholds.thresholds import Thresholds
+    from exact_mdp.analysis.sensitivity.thresholds.two_way import TwoWay
 
 
 BELOW, ABOVE, LINE = "#FFFFFF", "#56B4E9", "#000000"

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plots.style import axes_or_new, plain_text
-from analysis.sensitivity.draws.morris import effects_of
-from analysis.sensitivity.draws.sobol import indices_of
-from mdp.errors import ModelError
+from exact_mdp.analysis.plots.style import axes_or_new, plain_text
+from exact_mdp.analysis.sensitivity.draws.morris import effects_of
+from exact_mdp.analysis.sensitivity.draws.sobol import indices_of
+from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
-    from analysis.sensitivity.draws.morris import Morris
-    from analysis.sensitivity.draws.sobol import Sobol
-    from mdp.table import Floats, Integers
+    from exact_mdp.analysis.sensitivity.draws.morris import Morris
+    from exact_mdp.analysis.sensitivity.draws.sobol import Sobol
+    from exact_mdp.mdp.table import Floats, Integers
 
 FIRST, TOTAL, LINE = "#56B4E9", "#FFFFFF", "#000000"
 HALF = 0.38  # height of one of a parameter's two bars

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from mdp.io.files import write_atomically
+from exact_mdp.mdp.io.files import write_atomically
 
 Arguments = ParamSpec("Arguments")
 

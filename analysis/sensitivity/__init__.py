@@ -1,36 +1,41 @@
 """Which numbers decide: derivatives, one-way and two-way analyses, exact thresholds.
 
->>> from mdp import Scenario
->>> from analysis.sensitivity import gradient
+>>> from exact_mdp import Scenario
+>>> from exact_mdp.analysis.sensitivity import gradient
 >>> found = gradient(Scenario.load("yuan2025"), names=["reward.task-complete"])
 >>> print(found["reward.task-complete"].value)
 1 (certified)
 """
 
-from analysis.sensitivity.draws.morris import Effects, Morris, morris
-from analysis.sensitivity.draws.sampled import Sampled, sampled
-from analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
-from analysis.sensitivity.gradient import Derivative, Gradient, gradient
-from analysis.sensitivity.moments import Movement, moments_gradient, movement_frame
-from analysis.sensitivity.multi_model import MultiModel, multi_model
-from analysis.sensitivity.one_way import Bar, Curve, Point, Tornado, one_way, tornado
-from analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
-from analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
-from analysis.sensitivity.psa.psa import psa
-from analysis.sensitivity.psa.result import PSA
-from analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
-from analysis.sensitivity.ranges import Range, around, load_ranges, whole
-from analysis.sensitivity.robust.box import BoxExtreme, BoxOptimum, box_extreme, box_optimum
-from analysis.sensitivity.robust.robust import Robust, RobustCurve, robust_curve
-from analysis.sensitivity.structural import (
+from exact_mdp.analysis.sensitivity.draws.morris import Effects, Morris, morris
+from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
+from exact_mdp.analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
+from exact_mdp.analysis.sensitivity.gradient import Derivative, Gradient, gradient
+from exact_mdp.analysis.sensitivity.moments import Movement, moments_gradient, movement_frame
+from exact_mdp.analysis.sensitivity.multi_model import MultiModel, multi_model
+from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Point, Tornado, one_way, tornado
+from exact_mdp.analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
+from exact_mdp.analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.analysis.sensitivity.psa.result import PSA
+from exact_mdp.analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
+from exact_mdp.analysis.sensitivity.ranges import Range, around, load_ranges, whole
+from exact_mdp.analysis.sensitivity.robust.box import (
+    BoxExtreme,
+    BoxOptimum,
+    box_extreme,
+    box_optimum,
+)
+from exact_mdp.analysis.sensitivity.robust.robust import Robust, RobustCurve, robust_curve
+from exact_mdp.analysis.sensitivity.structural import (
     Reading,
     Structural,
     combinations,
     one_at_a_time,
     structural,
 )
-from analysis.sensitivity.thresholds.joint import JointRadius, joint_radius
-from analysis.sensitivity.thresholds.thresholds import (
+from exact_mdp.analysis.sensitivity.thresholds.joint import JointRadius, joint_radius
+from exact_mdp.analysis.sensitivity.thresholds.thresholds import (
     Switch,
     Threshold,
     Thresholds,
@@ -38,7 +43,7 @@ from analysis.sensitivity.thresholds.thresholds import (
     threshold_frame,
     thresholds,
 )
-from analysis.sensitivity.thresholds.two_way import TwoWay, two_way
+from exact_mdp.analysis.sensitivity.thresholds.two_way import TwoWay, two_way
 
 __all__ = [
     "PSA",

@@ -14,12 +14,12 @@ from hashlib import sha256
 
 import numpy as np
 
-from mdp.model import MDP
-from mdp.parametric import DISCOUNT, Parameter
-from mdp.table import Floats, Integers
-from solvers import solve
-from solvers.solution import Solution
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import DISCOUNT, Parameter
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.solution import Solution
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def unit_of(parameter: Parameter) -> str:

@@ -28,26 +28,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.gate.regret import proven
-from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from analysis.sensitivity.gradient import Checked, claimed
-from analysis.sensitivity.rational_rows import worth
-from mdp.chain import reachable
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.row_change import RowChange
-from mdp.table import Floats, Numbers, common, integers
-from solvers import evaluate, solve
-from solvers.bounds.bounds import gains
-from solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from solvers.solution import Bounded, Certified
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.visits import visits
+from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction, rational
+from exact_mdp.analysis.sensitivity.gradient import Checked, claimed
+from exact_mdp.analysis.sensitivity.rational_rows import worth
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.row_change import RowChange
+from exact_mdp.mdp.table import Floats, Numbers, common, integers
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.bounds.bounds import gains
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 if TYPE_CHECKING:
     from flint import fmpq
 
-    from solvers.proof.certificate import Certificate
+    from exact_mdp.solvers.proof.certificate import Certificate
 
 
 class ExactPass:

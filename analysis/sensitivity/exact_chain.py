@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.row_change import reward_entries, transition_entries
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.row_change import reward_entries, transition_entries
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_mat

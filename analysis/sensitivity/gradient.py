@@ -22,20 +22,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.gate.regret import proven
-from analysis.sensitivity.base import unit_of
-from analysis.sensitivity.derivatives import ExactPass
-from mdp.care.scenario import Scenario
-from mdp.chain import is_acyclic
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric, parameter_of, parametric
-from mdp.row_change import Piece, RowChange, pieces, row_change
-from solvers.solution import Bounded, Certified, Claim
+from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.sensitivity.derivatives import ExactPass
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.chain import is_acyclic
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.row_change import Piece, RowChange, pieces, row_change
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from analysis.sensitivity.derivatives import BoundedPass
+    from exact_mdp.analysis.sensitivity.derivatives import BoundedPass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,7 +217,7 @@ def gradient(
 
     Examples
     --------
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> found = gradient(moving(mdp, {"stay": [(0, 0)]}), names=["stay"])
     >>> print(found["stay"].value, found["stay"].elasticity)
@@ -231,7 +231,7 @@ def gradient(
     exact = cheap(mdp) if exact is None else exact
     best = isinstance(policy, str) and policy == "optimal"
     if not exact:
-        from analysis.sensitivity.derivatives import BoundedPass
+        from exact_mdp.analysis.sensitivity.derivatives import BoundedPass
 
         return _gradient(model, mdp, BoundedPass(mdp, policy), chosen, best)
     return _gradient(model, mdp, ExactPass(mdp, policy), chosen, best)
@@ -288,7 +288,7 @@ def _steps(model: Parametric, start: Number) -> dict[str, tuple[Number | None, N
 def _optimal(mdp: MDP, like: Number) -> Number:
     if isinstance(like, Certified):
         return proven(mdp).start
-    from solvers import solve
+    from exact_mdp.solvers import solve
 
     return solve(mdp).start
 

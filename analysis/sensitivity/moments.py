@@ -19,16 +19,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.sensitivity.base import unit_of
-from analysis.sensitivity.derivatives import earnings
-from analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from analysis.sensitivity.gradient import Checked, claimed, floating
-from analysis.sensitivity.rational_rows import by_pair, by_pair_slopes, dot, worth
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric, parameter_of, parametric
-from mdp.row_change import (
+from exact_mdp.analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.sensitivity.derivatives import earnings
+from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction, rational
+from exact_mdp.analysis.sensitivity.gradient import Checked, claimed, floating
+from exact_mdp.analysis.sensitivity.rational_rows import by_pair, by_pair_slopes, dot, worth
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.row_change import (
     Entries,
     Piece,
     Samples,
@@ -39,9 +39,9 @@ from mdp.row_change import (
     sampled,
     square_entries,
 )
-from mdp.table import Numbers
-from solvers.bounds.gains import TINY, UNIT
-from solvers.solution import Bounded, Certified
+from exact_mdp.mdp.table import Numbers
+from exact_mdp.solvers.bounds.gains import TINY, UNIT
+from exact_mdp.solvers.solution import Bounded, Certified
 
 if TYPE_CHECKING:
     from flint import fmpq
@@ -81,7 +81,7 @@ def moments_gradient(
 
     Examples
     --------
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])  # geometric: 1/q, (1 - q)/q²
     >>> found = moments_gradient(moving(mdp, {"stay": [(0, 0)]}), [0, 0], names=["stay"])
     >>> str(found["stay"].mean), str(found["stay"].variance)

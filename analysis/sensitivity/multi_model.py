@@ -37,14 +37,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.sensitivity.weighted_models import Problem, weighted
-from mdp.chain import reachable, spans
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers import evaluate, solve
-from solvers.solution import Bounded, Solution
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.visits import visits
+from exact_mdp.analysis.sensitivity.weighted_models import Problem, weighted
+from exact_mdp.mdp.chain import reachable, spans
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.solution import Bounded, Solution
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 if TYPE_CHECKING:
     from pandas import DataFrame

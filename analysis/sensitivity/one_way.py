@@ -17,15 +17,15 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from analysis.sensitivity.base import BaseCase, unit_of
-from analysis.sensitivity.ranges import Range, admitted, around, checked
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric, parameter_of, parametric
-from mdp.table import Floats
-from solvers import evaluate, solve
-from solvers.solution import Bounded
+from exact_mdp.analysis.sensitivity.base import BaseCase, unit_of
+from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -208,7 +208,7 @@ def tornado(
 
     Examples
     --------
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> (bar,) = tornado(moving(mdp, {"stay": [(0, 0)]}), names=["stay"]).bars
     >>> [round(end.optimal.value, 9) for end in (bar.low, bar.high)]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from mdp.care.family import ScenarioFamily
-from mdp.chain import termination
-from mdp.errors import ModelError
-from mdp.io.files import SMALL, read_text
-from mdp.io.structured import toml_of
-from mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of, room_of
-from mdp.table import beside, exact, shown
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.chain import termination
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import SMALL, read_text
+from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of, room_of
+from exact_mdp.mdp.table import beside, exact, shown
 
 RELATIVE = Fraction(1, 5)
 HALVINGS = 40  # of the distance from today's value to an end without a model
@@ -31,7 +31,7 @@ class Range:
     >>> Range(low=Fraction(1), high=Fraction(0))
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: the range from 1 to 0 is empty
+    exact_mdp.mdp.errors.ModelError: the range from 1 to 0 is empty
       where: range
       fix:   put the smaller number first
     """
@@ -96,8 +96,8 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
 
     Examples
     --------
-    >>> from mdp.model import MDP
-    >>> from mdp.parametric import parametric
+    >>> from exact_mdp.mdp.model import MDP
+    >>> from exact_mdp.mdp.parametric import parametric
     >>> model = parametric(MDP.from_arrays([[[1]]], [1], "9/10"))
     >>> rate = parameter_of(model, "discount")
     >>> admitted(model, rate, around(rate))

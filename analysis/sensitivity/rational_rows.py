@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from analysis.sensitivity.exact_chain import rational
-from mdp.model import MDP
-from mdp.row_change import Entries
-from mdp.table import Integers, Numbers
+from exact_mdp.analysis.sensitivity.exact_chain import rational
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.row_change import Entries
+from exact_mdp.mdp.table import Integers, Numbers
 
 if TYPE_CHECKING:
     from flint import fmpq

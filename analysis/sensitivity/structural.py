@@ -30,16 +30,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.sensitivity.structural_outputs import PRESENT, Today, hashed, quiet_outputs
-from mdp.care.compile import compile_scenario
-from mdp.care.laws import excess, warn_of_excess
-from mdp.care.scenario import READINGS, Scenario
-from mdp.errors import ModelError
-from mdp.fingerprint import fingerprint
-from mdp.table import exact
-from solvers import solve
-from solvers.parallel.many import many
-from solvers.solution import Bounded
+from exact_mdp.analysis.sensitivity.structural_outputs import PRESENT, Today, hashed, quiet_outputs
+from exact_mdp.mdp.care.compile import compile_scenario
+from exact_mdp.mdp.care.laws import excess, warn_of_excess
+from exact_mdp.mdp.care.scenario import READINGS, Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.table import exact
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.parallel.many import many
+from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -23,23 +23,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.sensitivity.base import digest
-from analysis.sensitivity.draws.sampled import values
-from analysis.sensitivity.gradient import gradient
-from analysis.sensitivity.thresholds.joint import joint_radius
-from mdp.care.family import ScenarioFamily
-from mdp.care.perception import perceived
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError, ScenarioWarning
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.space import StateSpace
-from mdp.table import Floats, Integers
-from solvers import evaluate, solve
-from solvers.solution import Solution
+from exact_mdp.analysis.sensitivity.base import digest
+from exact_mdp.analysis.sensitivity.draws.sampled import values
+from exact_mdp.analysis.sensitivity.gradient import gradient
+from exact_mdp.analysis.sensitivity.thresholds.joint import joint_radius
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.perception import perceived
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError, ScenarioWarning
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.solution import Solution
 
 if TYPE_CHECKING:
-    from solvers.solution import Solution
+    from exact_mdp.solvers.solution import Solution
 
 
 Mask = NDArray[np.bool_]

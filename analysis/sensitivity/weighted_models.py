@@ -9,14 +9,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers, float_array
-from solvers import evaluate
-from solvers.bounds.bounds import levels
-from solvers.solution import Bounded
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.visits import visits
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, float_array
+from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 
 class Problem:

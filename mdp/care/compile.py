@@ -25,12 +25,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from mdp.care.laws import Kernels, status_kernels
-from mdp.care.rules import Rules, kinds
-from mdp.care.scenario import SKIP
-from mdp.care.size import check_explicit
-from mdp.model import MDP
-from mdp.table import (
+from exact_mdp.mdp.care.laws import Kernels, status_kernels
+from exact_mdp.mdp.care.rules import Rules, kinds
+from exact_mdp.mdp.care.scenario import SKIP
+from exact_mdp.mdp.care.size import check_explicit
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
     Floats,
     Integers,
@@ -43,7 +43,7 @@ from mdp.table import (
 )
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
 
 ENTRIES = 2**20  # of a product held at once

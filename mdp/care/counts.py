@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError
-from mdp.io.files import read_text
-from mdp.model import MDP
-from mdp.space import Column
-from mdp.table import Floats, Integers
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import read_text
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.space import Column
+from exact_mdp.mdp.table import Floats, Integers
 
 LEVEL = 0.95
 PAIRS = ["true", "perceived"]

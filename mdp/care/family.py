@@ -17,11 +17,11 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import combinations
 
-from mdp.care.compile import compile_scenario
-from mdp.care.laws import excess, warn_of_excess
-from mdp.care.scenario import Scenario
-from mdp.model import MDP
-from mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of, placed
+from exact_mdp.mdp.care.compile import compile_scenario
+from exact_mdp.mdp.care.laws import excess, warn_of_excess
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of, placed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,11 +29,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mdp.errors import ScenarioWarning
-from mdp.table import Floats, Integers, Numbers, common, integers, multiply, shown
+from exact_mdp.mdp.errors import ScenarioWarning
+from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, multiply, shown
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
 
 ZERO = Fraction(0)
@@ -75,7 +75,7 @@ def chances(scenario: Scenario) -> Chances:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
     >>> found = chances(scenario)
     >>> [found.names[k] for k in found.step[0b0010, 0, 0] if k < len(found.names)]
@@ -124,7 +124,7 @@ def excess(scenario: Scenario, found: Chances | None = None) -> str | None:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
     >>> excess(scenario) is None
     True

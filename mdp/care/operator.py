@@ -38,12 +38,12 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mdp.care.laws import chances, status_kernels
-from mdp.care.rules import Rules, kinds
-from mdp.errors import ModelError, suggest
-from mdp.parametric import Parameter
-from mdp.space import StateSpace
-from mdp.table import (
+from exact_mdp.mdp.care.laws import chances, status_kernels
+from exact_mdp.mdp.care.rules import Rules, kinds
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import (
     EXACT_IN_FLOAT,
     Floats,
     Integers,
@@ -55,7 +55,7 @@ from mdp.table import (
 )
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,7 +193,7 @@ class CareOperator:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> operator = Scenario.load("yuan2025").operator()
     >>> operator
     CareOperator(yuan2025: 241 states, 4 actions, 961 pairs, discount 1, 13 kB)

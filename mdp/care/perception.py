@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mdp.errors import ModelError, suggest
-from mdp.io.files import SMALL, read_text
-from mdp.io.structured import toml_of
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, beside, exact, float_array
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io.files import SMALL, read_text
+from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, beside, exact, float_array
 
 
 def perceived(mdp: MDP, policy: object, confusion: ArrayLike) -> Policy:
@@ -46,7 +46,7 @@ def perceived(mdp: MDP, policy: object, confusion: ArrayLike) -> Policy:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> blind = np.full((16, 16), 1 / 16)
     >>> perceived(mdp, {f"{s:04b}": "none" for s in range(16)}, blind).weights(mdp)[:4]
@@ -127,7 +127,7 @@ def read(path: str | Path, mdp: MDP) -> Floats:
     size, where = status_size(mdp), str(path)
     suffix = Path(path).suffix.lower()
     if holds_examples(path):
-        from mdp.care.counts import read_counts
+        from exact_mdp.mdp.care.counts import read_counts
 
         counts = read_counts(path, mdp)
         if counts.missing:

@@ -23,12 +23,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mdp.care.perception import checked, status_size
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.space import StateSpace
-from mdp.table import Floats, Integers
+from exact_mdp.mdp.care.perception import checked, status_size
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Floats, Integers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,7 +151,7 @@ class Process:
 
         Examples
         --------
-        >>> from mdp import Scenario
+        >>> from exact_mdp import Scenario
         >>> process = Process.of(Scenario.load("yuan2025").compile(), np.eye(16))
         >>> len(process.order), process.depth, [move.place for move in process.moves[4]]
         (15, 15, [5, 5])

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mdp.care.scenario import SKIP
-from mdp.space import Column, StateSpace
-from mdp.table import EXACT_IN_INT64, Integers, Numbers, common
+from exact_mdp.mdp.care.scenario import SKIP
+from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, Numbers, common
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
 
 class Rules:
@@ -119,7 +119,7 @@ def kinds(scenario: Scenario) -> Integers:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> kinds(Scenario.load("yuan2025").with_(tasks=[3, 1])).tolist()
     [0, 0, 1, 2]
     """

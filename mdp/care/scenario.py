@@ -21,14 +21,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from mdp.errors import ModelError, check_names, check_text, suggest
-from mdp.model import as_discount
-from mdp.parametric import Parameter
-from mdp.table import MOST_DIGITS, exact
+from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
+from exact_mdp.mdp.model import as_discount
+from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.table import MOST_DIGITS, exact
 
 if TYPE_CHECKING:
-    from mdp.care.operator import CareOperator
-    from mdp.model import MDP
+    from exact_mdp.mdp.care.operator import CareOperator
+    from exact_mdp.mdp.model import MDP
 
 READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -125,7 +125,7 @@ class Scenario:
     @classmethod
     def load(cls, name: str | Path) -> Scenario:
         """Read a shipped scenario by name, or any scenario from a `.toml` file."""
-        from mdp.care.toml import load
+        from exact_mdp.mdp.care.toml import load
 
         return load(name)
 
@@ -226,8 +226,8 @@ class Scenario:
         ScenarioWarning
             Where numbers that add up to a chance pass 1, which is then cut off at 1.
         """
-        from mdp.care.compile import compile_scenario
-        from mdp.care.laws import warn_of_excess
+        from exact_mdp.mdp.care.compile import compile_scenario
+        from exact_mdp.mdp.care.laws import warn_of_excess
 
         mdp = compile_scenario(self)
         warn_of_excess(self)
@@ -241,8 +241,8 @@ class Scenario:
         ScenarioWarning
             As `compile`.
         """
-        from mdp.care.laws import warn_of_excess
-        from mdp.care.operator import care_operator
+        from exact_mdp.mdp.care.laws import warn_of_excess
+        from exact_mdp.mdp.care.operator import care_operator
 
         operator = care_operator(self)
         warn_of_excess(self)

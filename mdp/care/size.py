@@ -18,12 +18,12 @@ from fractions import Fraction
 from math import lcm, prod
 from typing import TYPE_CHECKING
 
-from mdp.care.laws import chances
-from mdp.errors import ModelError
-from mdp.table import EXACT_IN_INT64, Integers, common
+from exact_mdp.mdp.care.laws import chances
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, common
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
+    from exact_mdp.mdp.care.scenario import Scenario
 
 MOST_BYTES = 10 * 10**9
 NARROW, WIDE = 45, 230  # bytes for each outcome, 64-bit integers or Python's
@@ -35,12 +35,12 @@ def check_explicit(scenario: Scenario) -> None:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> check_explicit(Scenario.load("yuan2025").with_(tasks=[10_000]))
     >>> check_explicit(Scenario.load("yuan2025").with_(tasks=[90_000]))
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: the explicit model would have 7,200,000 states and up to 619,195,841...
+    exact_mdp.mdp.errors.ModelError: the explicit model would have 7,200,000 states and up to...
     """
     where = f"scenario {scenario.name}"
     fix = (
@@ -78,7 +78,7 @@ class Size:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
     >>> Size(scenario).outcomes, len(scenario.compile().table.next)
     (16481, 11005)

@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from mdp.care.scenario import (
+from exact_mdp.mdp.care.scenario import (
     READINGS,
     SHARED_WEIGHTS,
     SKIP,
@@ -22,12 +22,12 @@ from mdp.care.scenario import (
     as_tasks,
     check_reading,
 )
-from mdp.errors import ModelError, suggest
-from mdp.io.files import SMALL, read_text
-from mdp.io.structured import toml_of
-from mdp.model import as_discount
-from mdp.parametric import Parameter
-from mdp.table import exact
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io.files import SMALL, read_text
+from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.model import as_discount
+from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.table import exact
 
 TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
 SETTINGS = ("name", "title", "source", "statuses", "actions", "tasks", "max_trial", "discount")
@@ -42,7 +42,7 @@ def shipped() -> list[str]:
     >>> "yuan2025" in shipped()
     True
     """
-    folder = files("mdp") / "scenarios"
+    folder = files("exact_mdp.mdp") / "scenarios"
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
 
 
@@ -56,7 +56,7 @@ def load(name: str | Path) -> Scenario:
                 where="scenarios",
                 fix=f"{suggest(text, shipped())} (or give the path of a .toml file)",
             )
-        source = files("mdp") / "scenarios" / f"{text}.toml"
+        source = files("exact_mdp.mdp") / "scenarios" / f"{text}.toml"
         return parse(source.read_text(encoding="utf-8"), where=text)
     return parse(read_text(name, most=SMALL), where=text)
 

@@ -17,9 +17,9 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from mdp.errors import ModelError, shown_text
-from mdp.io.files import LARGEST, opened
-from mdp.table import Numbers
+from exact_mdp.mdp.errors import ModelError, shown_text
+from exact_mdp.mdp.io.files import LARGEST, opened
+from exact_mdp.mdp.table import Numbers
 
 FREE, RATIO = 2**26, 50
 """A compressed archive may claim up to 64 MiB, or 50 times its own size, whichever is more."""

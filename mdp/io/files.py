@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError
 
 SMALL = 2**24
 LARGE = 2**28
@@ -74,7 +74,7 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     ...     file.read()
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: cannot read the file: a device, not a regular file
+    exact_mdp.mdp.errors.ModelError: cannot read the file: a device, not a regular file
       where: /dev/null
       fix:   name a regular file
     """
@@ -175,7 +175,7 @@ def read_text(path: str | Path, *, most: int = LARGE) -> str:
     >>> read_text("no such file")
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: cannot read the file: No such file or directory
+    exact_mdp.mdp.errors.ModelError: cannot read the file: No such file or directory
       where: no such file
       fix:   check the path
     """

@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP
-from mdp.space import StateSpace
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.space import StateSpace
 
 END = "end"
 

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mdp.care.scenario import Scenario
-from mdp.care.toml import load as read_scenario
-from mdp.care.toml import shipped
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.toml import load as read_scenario
+from exact_mdp.mdp.care.toml import shipped
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
 
 GYMNASIUM = "gymnasium:"
 FILES = (".toml", ".npz", ".umb")
@@ -68,12 +68,12 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
     if text.startswith(GYMNASIUM):
         mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), 1 if discount is None else discount)
     elif suffix == ".npz":
-        from mdp.io import npz
+        from exact_mdp.mdp.io import npz
 
         mdp = npz.load(text)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
     elif suffix == ".umb":
-        from mdp.io import umb
+        from exact_mdp.mdp.io import umb
 
         file, reward = _umb_parts(text)
         mdp = umb.load(file, discount=discount, reward=reward)
@@ -120,17 +120,17 @@ def save_model(mdp: MDP, path: str | Path) -> None:
     >>> save_model(load_model("yuan2025", sets=["tasks=[1]"]), "model.txt")
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: cannot write a model as .txt
+    exact_mdp.mdp.errors.ModelError: cannot write a model as .txt
       where: model.txt
       fix:   name it .npz or .umb
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
-        from mdp.io import npz
+        from exact_mdp.mdp.io import npz
 
         npz.save(mdp, path)
     elif suffix == ".umb":
-        from mdp.io import umb
+        from exact_mdp.mdp.io import umb
 
         umb.save(mdp, path)
     else:

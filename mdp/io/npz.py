@@ -45,13 +45,13 @@ from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError, shown_text
-from mdp.io.arrays import read_arrays
-from mdp.io.files import write_atomically
-from mdp.model import MDP
-from mdp.parametric import Parameter
-from mdp.space import Column, StateSpace
-from mdp.table import Numbers, OutcomeTable, exact
+from exact_mdp.mdp.errors import ModelError, shown_text
+from exact_mdp.mdp.io.arrays import read_arrays
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.mdp.table import Numbers, OutcomeTable, exact
 
 FORMAT, VERSION = "exact-mdp model", 1
 LONGEST = 4000

@@ -12,8 +12,8 @@ import tomllib
 from collections.abc import Callable
 from typing import Any
 
-from mdp.errors import ModelError, short
-from mdp.table import MOST_DIGITS, exact
+from exact_mdp.mdp.errors import ModelError, short
+from exact_mdp.mdp.table import MOST_DIGITS, exact
 
 DEEPEST = 100  # tables and lists within each other; the deepest file that is read has five
 

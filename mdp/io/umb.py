@@ -37,13 +37,22 @@ from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError, shown_text
-from mdp.io.files import write_atomically
-from mdp.io.npz import parts_of
-from mdp.io.umb_read import GROUP, Content, read
-from mdp.io.umb_write import archive_of
-from mdp.model import MDP, as_discount, as_start
-from mdp.table import Integers, Numbers, OutcomeTable, common, exact, integers, ones, shown
+from exact_mdp.mdp.errors import ModelError, shown_text
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.io.npz import parts_of
+from exact_mdp.mdp.io.umb_read import GROUP, Content, read
+from exact_mdp.mdp.io.umb_write import archive_of
+from exact_mdp.mdp.model import MDP, as_discount, as_start
+from exact_mdp.mdp.table import (
+    Integers,
+    Numbers,
+    OutcomeTable,
+    common,
+    exact,
+    integers,
+    ones,
+    shown,
+)
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
 

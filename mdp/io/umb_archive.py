@@ -15,8 +15,8 @@ import tarfile
 from pathlib import Path
 from typing import IO, cast
 
-from mdp.errors import ModelError
-from mdp.io.files import LARGEST, read_bytes
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import LARGEST, read_bytes
 
 FREE, RATIO = 2**26, 200
 """An archive may unpack to 64 MiB, or to 200 times its own size, whichever is more."""

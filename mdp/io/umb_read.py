@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError, suggest
-from mdp.io.umb_archive import files_of
-from mdp.table import OutcomeTable
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io.umb_archive import files_of
+from exact_mdp.mdp.table import OutcomeTable
 
 GROUP, REWARD = "exact-mdp", "reward"
 CARRIER = "start"

@@ -14,10 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from mdp.io.npz import as_header
-from mdp.io.umb_read import CARRIER, DOUBTS, GROUP, REWARD, component_key, key_of, needs_umbi
-from mdp.model import MDP
-from mdp.table import Numbers
+from exact_mdp.mdp.io.npz import as_header
+from exact_mdp.mdp.io.umb_read import (
+    CARRIER,
+    DOUBTS,
+    GROUP,
+    REWARD,
+    component_key,
+    key_of,
+    needs_umbi,
+)
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Numbers
 
 TERMINAL = "terminal"
 

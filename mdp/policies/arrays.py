@@ -22,10 +22,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.space import StateSpace
-from mdp.table import FLOAT_ROW_TOLERANCE, Integers, Numbers
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Integers, Numbers
 
 Flags = NDArray[np.bool_]
 ReadAs = Literal["q", "policy"]
@@ -83,7 +83,7 @@ def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy
     [[0.5, 0.5], [nan, nan]]
     >>> policy_of_array(mdp, table)
     Traceback (most recent call last):
-    mdp.errors.ModelError: the rows may be probabilities or action values, which differ
+    exact_mdp.mdp.errors.ModelError: the rows may be probabilities or action values, which differ
       where: policy, state 0
       fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q)
     """

@@ -13,14 +13,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mdp.errors import ModelError, suggest
-from mdp.io.arrays import read_array
-from mdp.io.files import read_text, write_atomically
-from mdp.model import MDP
-from mdp.policies.arrays import too_small
-from mdp.policies.policy import Policy, check_action
-from mdp.space import StateSpace
-from mdp.table import Numbers, exact
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io.arrays import read_array
+from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import too_small
+from exact_mdp.mdp.policies.policy import Policy, check_action
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Numbers, exact
 
 T = TypeVar("T")
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mdp.errors import ModelError, check_names, suggest
-from mdp.model import MDP
-from mdp.policies.arrays import (
+from exact_mdp.mdp.errors import ModelError, check_names, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import (
     ArrayPolicy,
     ReadAs,
     action_numbers,
@@ -27,8 +27,8 @@ from mdp.policies.arrays import (
     policy_of_array,
     rows_read,
 )
-from mdp.space import StateSpace
-from mdp.table import (
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
     FLOAT_ROW_TOLERANCE,
     Floats,
@@ -61,7 +61,7 @@ class Policy:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> policy = Policy.of(mdp, "always:directive")
     >>> policy.weights(mdp)[:4]
@@ -315,7 +315,7 @@ class Policy:
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads the status alone) `.json`, atomically."""
-        from mdp.policies.files import write
+        from exact_mdp.mdp.policies.files import write
 
         write(self, path)
 
@@ -358,7 +358,7 @@ def taken(mdp: MDP, policy: Any, *, kind: str = "auto") -> Taken:
     """
     asked = checked_kind(kind)
     if isinstance(policy, str | Path) and Path(policy).suffix.lower() in (".npy", ".npz"):
-        from mdp.policies.files import array_file
+        from exact_mdp.mdp.policies.files import array_file
 
         return array_file(policy, lambda array: _of_array(mdp, array, asked))
     if not isinstance(policy, Policy):
@@ -387,7 +387,7 @@ def _of_words(mdp: MDP, policy: object) -> Policy | None:
     if isinstance(policy, Policy):
         return policy
     if isinstance(policy, Mapping):
-        from mdp.policies.files import from_mapping
+        from exact_mdp.mdp.policies.files import from_mapping
 
         return from_mapping(mdp, policy, where="policy")
     if isinstance(policy, str) and policy == "random":
@@ -395,7 +395,7 @@ def _of_words(mdp: MDP, policy: object) -> Policy | None:
     if isinstance(policy, str) and policy.startswith("always:"):
         return Policy.always(mdp, policy.removeprefix("always:"))
     if isinstance(policy, str | Path):
-        from mdp.policies.files import read
+        from exact_mdp.mdp.policies.files import read
 
         return read(policy, mdp)
     return None

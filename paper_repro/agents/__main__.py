@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import click
 
-from analysis.exit_status import Programs
-from paper_repro.agents.cli import fetch_model, prompts, render, replay, run
-from paper_repro.agents.cli_measure import claims, measure, variants
+from exact_mdp.analysis.exit_status import Programs
+from exact_mdp.paper_repro.agents.cli import fetch_model, prompts, render, replay, run
+from exact_mdp.paper_repro.agents.cli_measure import claims, measure, variants
 
 
 class Recording(Programs):

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from paper_repro.agents.protocol import BackendError, Reply, Request
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
 
 LONGEST = 1200  # characters of a described behaviour or an utterance
 

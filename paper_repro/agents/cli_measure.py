@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from paper_repro.agents.cli import (
+from exact_mdp.paper_repro.agents.cli import (
     FILE,
     FOLDER,
     Range,
@@ -52,12 +52,12 @@ def measure(
     price: tuple[float, float] | None, out: Path, kind: str, **backend: Any,
 ) -> None:  # fmt: skip
     """Measure a backend's perception: confusion.csv, intervals, and what it would cost."""
-    from paper_repro.agents import measure as measuring
-    from paper_repro.agents.measure import Notebook, counted, write
-    from paper_repro.agents.prompts import FOLDER as OWN
-    from paper_repro.agents.protocol import Tap
-    from paper_repro.agents.scripted import Scripted
-    from paper_repro.agents.setup import conversation
+    from exact_mdp.paper_repro.agents import measure as measuring
+    from exact_mdp.paper_repro.agents.measure import Notebook, counted, write
+    from exact_mdp.paper_repro.agents.prompts import FOLDER as OWN
+    from exact_mdp.paper_repro.agents.protocol import Tap
+    from exact_mdp.paper_repro.agents.scripted import Scripted
+    from exact_mdp.paper_repro.agents.setup import conversation
 
     chosen = Tap(backend_of(kind, **backend) if not recordings else Scripted())
     talk = conversation(
@@ -127,11 +127,11 @@ def variants(
     **backend: Any,
 ) -> None:  # fmt: skip
     """Put the four prompts of action execution side by side."""
-    from mdp import Scenario
-    from mdp.space import Column
-    from paper_repro.agents.prompts import FOLDER as OWN
-    from paper_repro.agents.setup import modules_of, side_by_side
-    from paper_repro.agents.text_view import plain
+    from exact_mdp.mdp import Scenario
+    from exact_mdp.mdp.space import Column
+    from exact_mdp.paper_repro.agents.prompts import FOLDER as OWN
+    from exact_mdp.paper_repro.agents.setup import modules_of, side_by_side
+    from exact_mdp.paper_repro.agents.text_view import plain
 
     model = Scenario.load(scenario)
     for assignment in sets:
@@ -158,7 +158,7 @@ def variants(
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def claims(as_json: bool) -> None:
     """List the claims of the paper's Section 4.2, and which of them can be checked here."""
-    from paper_repro.agents.claims import statements
+    from exact_mdp.paper_repro.agents.claims import statements
 
     found = statements()
     if as_json:

@@ -16,13 +16,13 @@ from fractions import Fraction
 from hashlib import sha256
 from typing import Any
 
-from mdp.care.scenario import SKIP
-from mdp.fingerprint import fingerprint
-from paper_repro.agents import DISCLAIMER
-from paper_repro.agents.modules import Modules, Place
-from paper_repro.agents.protocol import Backend, Reply, Request
-from paper_repro.agents.recording import FORMAT
-from paper_repro.agents.world import World, seed_of
+from exact_mdp.mdp.care.scenario import SKIP
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.paper_repro.agents import DISCLAIMER
+from exact_mdp.paper_repro.agents.modules import Modules, Place
+from exact_mdp.paper_repro.agents.protocol import Backend, Reply, Request
+from exact_mdp.paper_repro.agents.recording import FORMAT
+from exact_mdp.paper_repro.agents.world import World, seed_of
 
 SILENT = ("none", SKIP)
 

@@ -25,13 +25,13 @@ from urllib.request import getproxies_environment, proxy_bypass_environment
 
 import numpy as np
 
-from mdp.errors import ModelError
-from paper_repro.agents.chat import Malformed, Style, ask, decoded
-from paper_repro.agents.protocol import BackendError, Reply, Request
-from paper_repro.agents.text_view import plain
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.paper_repro.agents.chat import Malformed, Style, ask, decoded
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
+from exact_mdp.paper_repro.agents.text_view import plain
 
 if TYPE_CHECKING:
-    from paper_repro.agents.transport import Address, Answer, Route
+    from exact_mdp.paper_repro.agents.transport import Address, Answer, Route
 
 AGAIN = (408, 409, 429, 500, 502, 503, 504)
 LONGEST_WAIT = 60.0
@@ -114,7 +114,7 @@ class Endpoint:
                 fix=f"give seconds above 0, up to {LONGEST_TIMEOUT:g}",
             )
         try:
-            from paper_repro.agents.transport import Address
+            from exact_mdp.paper_repro.agents.transport import Address
         except ImportError as error:
             raise ModelError(
                 "the package httpcore is not installed",
@@ -177,7 +177,7 @@ class Endpoint:
 
     def _post(self, body: dict[str, Any]) -> tuple[dict[str, Any], int]:
         """Send a body until there is an answer; return it with the number of attempts."""
-        from paper_repro.agents.transport import Transient
+        from exact_mdp.paper_repro.agents.transport import Transient
 
         jitter = np.random.default_rng(body.get("seed", 0))
         for attempt in range(1, self.style.tries + 1):
@@ -195,7 +195,7 @@ class Endpoint:
         raise AssertionError("tries is at least 1")
 
     def _once(self, body: dict[str, Any]) -> dict[str, Any]:
-        from paper_repro.agents.transport import Transient, Unsafe, post
+        from exact_mdp.paper_repro.agents.transport import Transient, Unsafe, post
 
         address: Address = self.__dict__["_address"]
         key = self._secret()
@@ -263,7 +263,7 @@ def _key(variable: str) -> Key:
 
 def _route(address: Address, key: bool, trust: bool) -> Route:
     """Return how an address is reached: directly, unless the environment is to be trusted."""
-    from paper_repro.agents.transport import Route
+    from exact_mdp.paper_repro.agents.transport import Route
 
     proxy, user = None, None
     proxies = getproxies_environment() if trust and not address.loopback else {}
@@ -278,7 +278,7 @@ def _route(address: Address, key: bool, trust: bool) -> Route:
 
 def _proxy(text: str, variable: str) -> tuple[Address, tuple[str, str] | None]:
     """Return a proxy's address, and the name and password for it."""
-    from paper_repro.agents.transport import Address
+    from exact_mdp.paper_repro.agents.transport import Address
 
     scheme, _, rest = text.partition("://")
     words, at, place = rest.rpartition("@")

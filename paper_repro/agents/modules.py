@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mdp.errors import ModelError
-from paper_repro.agents.chat import behaviour_schema, execution_schema, perception_schema
-from paper_repro.agents.prompts import Prompts, encode, read_toml
-from paper_repro.agents.protocol import Request
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.paper_repro.agents.chat import behaviour_schema, execution_schema, perception_schema
+from exact_mdp.paper_repro.agents.prompts import Prompts, encode, read_toml
+from exact_mdp.paper_repro.agents.protocol import Request
 
 FOLDER = Path(__file__).parent / "activities"
 PARTS = ("step", "item", "doing", "cue", "directive")

@@ -15,10 +15,10 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from mdp.errors import ModelError, suggest
-from mdp.io.files import SMALL, read_text
-from mdp.io.structured import toml_of
-from paper_repro.agents.protocol import PURPOSES
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io.files import SMALL, read_text
+from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.paper_repro.agents.protocol import PURPOSES
 
 FOLDER = Path(__file__).parent / "prompts"
 

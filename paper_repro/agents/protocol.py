@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError
 
 PURPOSES = ("behaviour", "perception", "execution")
 

@@ -16,8 +16,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from mdp.errors import ModelError
-from mdp.io.files import read_bytes
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import read_bytes
 
 MOST_COUNTED = 10**18  # of anything that a recording counts: steps, tokens
 EVENTS = ("completed", "failed", "skipped")

@@ -14,14 +14,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mdp.errors import ModelError
-from mdp.io.files import read_bytes, write_atomically
-from paper_repro.agents import recording, text_view
-from paper_repro.agents.chat import violations
-from paper_repro.agents.conversation import Conversation, totals
-from paper_repro.agents.html_view import page
-from paper_repro.agents.protocol import BackendError, Reply, Request
-from paper_repro.agents.recording import Recorder, Recording
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import read_bytes, write_atomically
+from exact_mdp.paper_repro.agents import recording, text_view
+from exact_mdp.paper_repro.agents.chat import violations
+from exact_mdp.paper_repro.agents.conversation import Conversation, totals
+from exact_mdp.paper_repro.agents.html_view import page
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
+from exact_mdp.paper_repro.agents.recording import Recorder, Recording
 
 NAME = "conversation.jsonl"
 

@@ -11,14 +11,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mdp import Scenario
-from mdp.errors import ModelError, suggest
-from paper_repro.agents.conversation import Conversation
-from paper_repro.agents.measure import bits
-from paper_repro.agents.modules import HISTORY, VARIANTS, Activity, Modules, Place
-from paper_repro.agents.prompts import FOLDER, Prompts, look_up
-from paper_repro.agents.protocol import Backend
-from paper_repro.agents.world import World, seed_of
+from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.paper_repro.agents.conversation import Conversation
+from exact_mdp.paper_repro.agents.measure import bits
+from exact_mdp.paper_repro.agents.modules import HISTORY, VARIANTS, Activity, Modules, Place
+from exact_mdp.paper_repro.agents.prompts import FOLDER, Prompts, look_up
+from exact_mdp.paper_repro.agents.protocol import Backend
+from exact_mdp.paper_repro.agents.world import World, seed_of
 
 
 def modules_of(
@@ -68,7 +68,7 @@ def conversation(
 
     Examples
     --------
-    >>> from paper_repro.agents.scripted import Scripted
+    >>> from exact_mdp.paper_repro.agents.scripted import Scripted
     >>> talk = conversation(Scripted(), policy="always:directive", seed=1)
     >>> next(talk.steps())["action"]
     'directive'

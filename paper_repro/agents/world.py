@@ -16,11 +16,11 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp import MDP, Policy, Scenario
-from mdp.care.scenario import SKIP
-from mdp.errors import ModelError
-from mdp.policies.policy import check_action
-from paper_repro.agents.protocol import PURPOSES
+from exact_mdp.mdp import MDP, Policy, Scenario
+from exact_mdp.mdp.care.scenario import SKIP
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.policies.policy import check_action
+from exact_mdp.paper_repro.agents.protocol import PURPOSES
 
 DRAWS = ("start", "policy", "transition", *PURPOSES)
 
@@ -131,12 +131,12 @@ class World:
 
 def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
     """Return a policy by name: optimal, random, reported:START, always:ACTION or a file."""
-    from solvers import solve
+    from exact_mdp.solvers import solve
 
     if name == "optimal":
         return Policy.from_choices(mdp, solve(mdp).policy)
     if name.startswith("reported:"):
-        from paper_repro import numbers, reported
+        from exact_mdp.paper_repro import numbers, reported
 
         start = name.removeprefix("reported:")
         check_action(start, tuple(reported.AVERAGE_RETURN), "policy reported")

@@ -6,7 +6,7 @@
 that the text leaves open against other readings as well.
 """
 
-from paper_repro.claims.claim import Finding, PaperClaim, Verdict
-from paper_repro.claims.judge import Judged, all_claims, chosen, judge
+from exact_mdp.paper_repro.claims.claim import Finding, PaperClaim, Verdict
+from exact_mdp.paper_repro.claims.judge import Judged, all_claims, chosen, judge
 
 __all__ = ["Finding", "Judged", "PaperClaim", "Verdict", "all_claims", "chosen", "judge"]

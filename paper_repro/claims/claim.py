@@ -29,10 +29,10 @@ from math import erfc, sqrt
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
-from solvers.solution import Bounded, Certified, Claim, Estimated
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, Estimated
 
 if TYPE_CHECKING:
-    from paper_repro.view import View
+    from exact_mdp.paper_repro.view import View
 
 Kind = Literal["input", "finding"]
 STANDARD_ERRORS = 3.0
@@ -207,7 +207,7 @@ def event(count: int, total: int, why: str, *, limit: float = RARE, **details: A
     >>> event(40, 100, "of 100 runs").verdict.value, event(0, 500, "").verdict.value
     ('reproduced', 'not reproduced')
     """
-    from analysis.learning.outcomes import share_interval
+    from exact_mdp.analysis.learning.outcomes import share_interval
 
     low, high = share_interval(count, total)
     verdict = Verdict.NOT_DETERMINED

@@ -12,9 +12,9 @@ from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from paper_repro.claims.claim import Finding, PaperClaim, Verdict, undecided
-from paper_repro.claims.policies import ANGRY, optimal_actions
-from paper_repro.view import View
+from exact_mdp.paper_repro.claims.claim import Finding, PaperClaim, Verdict, undecided
+from exact_mdp.paper_repro.claims.policies import ANGRY, optimal_actions
+from exact_mdp.paper_repro.view import View
 
 # In the order of `agents.claims.statements`, with the places of each.
 NAMES = {
@@ -43,7 +43,7 @@ def claims() -> Iterator[PaperClaim]:
 @cache
 def _statements() -> tuple[tuple[str, str, str], ...]:
     """Return claim, who can check it, and what was found, of every statement."""
-    from paper_repro.agents.claims import statements
+    from exact_mdp.paper_repro.agents.claims import statements
 
     return tuple((each.claim, each.kind, each.found) for each in statements())
 
@@ -64,10 +64,10 @@ def _encouraged(view: View) -> bool:
 
 def _saved(view: View) -> bool:
     """Hold a scripted conversation and look for each timestep's four parts in the text file."""
-    from paper_repro.agents.scripted import Scripted
-    from paper_repro.agents.session import hold
-    from paper_repro.agents.setup import conversation
-    from paper_repro.agents.text_view import plain, vector
+    from exact_mdp.paper_repro.agents.scripted import Scripted
+    from exact_mdp.paper_repro.agents.session import hold
+    from exact_mdp.paper_repro.agents.setup import conversation
+    from exact_mdp.paper_repro.agents.text_view import plain, vector
 
     with TemporaryDirectory() as folder:
         record = hold(conversation(Scripted(), seed=0), Path(folder) / "talk", limit=3)

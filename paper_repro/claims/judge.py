@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from mdp.errors import ModelError, suggest
-from paper_repro.claims import interaction, learning, model, policies, returns
-from paper_repro.claims.claim import Finding, PaperClaim, Verdict
-from paper_repro.claims.under import SCOPE_ONE_CHANGE, SCOPE_VIEWS, Under, tally
-from paper_repro.readings.study import Readings
-from paper_repro.view import View
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.paper_repro.claims import interaction, learning, model, policies, returns
+from exact_mdp.paper_repro.claims.claim import Finding, PaperClaim, Verdict
+from exact_mdp.paper_repro.claims.under import SCOPE_ONE_CHANGE, SCOPE_VIEWS, Under, tally
+from exact_mdp.paper_repro.readings.study import Readings
+from exact_mdp.paper_repro.view import View
 
 Progress = Callable[[str], None]
 

@@ -16,8 +16,8 @@ from math import sqrt
 
 import numpy as np
 
-from paper_repro import reported
-from paper_repro.claims.claim import (
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.claim import (
     Finding,
     PaperClaim,
     Verdict,
@@ -28,11 +28,11 @@ from paper_repro.claims.claim import (
     undecided,
     usual,
 )
-from paper_repro.claims.policies import ANGRY
-from paper_repro.learned import CONVERGED, SCHEDULES, settings
-from paper_repro.readings.learning import compatible, stated
-from paper_repro.view import View
-from solvers.solution import Bounded, Estimated
+from exact_mdp.paper_repro.claims.policies import ANGRY
+from exact_mdp.paper_repro.learned import CONVERGED, SCHEDULES, settings
+from exact_mdp.paper_repro.readings.learning import compatible, stated
+from exact_mdp.paper_repro.view import View
+from exact_mdp.solvers.solution import Bounded, Estimated
 
 SHOWN = {"constant": "constant ε", "decaying": "decaying ε"}
 EXPERIMENTS_OF_A_POINT = 40
@@ -91,8 +91,8 @@ def _settings() -> Iterator[PaperClaim]:
 
 def _evaluation() -> Iterator[PaperClaim]:
     """Yield the settings of Section 3.2.5, as the code that uses them holds them."""
-    from analysis.learning import curves as learning_curves
-    from analysis.learning.outcomes import CANDIDATES
+    from exact_mdp.analysis.learning import curves as learning_curves
+    from exact_mdp.analysis.learning.outcomes import CANDIDATES
 
     place = ("Section 3.2.5",)
     entries = [

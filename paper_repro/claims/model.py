@@ -12,11 +12,11 @@ from fractions import Fraction
 from functools import partial
 from itertools import pairwise
 
-from paper_repro import reported
-from paper_repro.claims.claim import Finding, Kind, PaperClaim, entry, statement
-from paper_repro.model_rows import gains, marginal
-from paper_repro.view import View
-from solvers.solution import Certified
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.claim import Finding, Kind, PaperClaim, entry, statement
+from exact_mdp.paper_repro.model_rows import gains, marginal
+from exact_mdp.paper_repro.view import View
+from exact_mdp.solvers.solution import Certified
 
 BITS = {"forgetfulness": 8, "confusion": 4, "anger": 2, "disengagement": 1}
 CHARGED = ("forget", "confuse", "anger", "disengaged")  # the weight of each status, in order
@@ -302,7 +302,7 @@ def _start(view: View) -> Finding:
 
 
 def _end(view: View) -> Finding:
-    from mdp.chain import is_acyclic
+    from exact_mdp.mdp.chain import is_acyclic
 
     mdp = view.mdp
     ends = [mdp.space.label(state) for state in range(mdp.n_states) if mdp.terminal[state]]

@@ -13,11 +13,11 @@ from itertools import product
 
 import numpy as np
 
-from paper_repro import reported
-from paper_repro.claims.claim import Finding, PaperClaim, Verdict, statement
-from paper_repro.numbers import FINAL
-from paper_repro.view import View
-from solvers.solution import Certified
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.claim import Finding, PaperClaim, Verdict, statement
+from exact_mdp.paper_repro.numbers import FINAL
+from exact_mdp.paper_repro.view import View
+from exact_mdp.solvers.solution import Certified
 
 ANGRY = ["".join(bits) for bits in product("01", repeat=4) if bits[2] == "1"]
 
@@ -109,7 +109,7 @@ def _respectively(view: View) -> Finding:
 
 
 def _regret(view: View) -> Finding:
-    from analysis import check
+    from exact_mdp.analysis import check
 
     audit = check(view.mdp, view.study.policies[f"reported.{FINAL}"])
     lost = audit.regret.at_start

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 
-from paper_repro import reported
-from paper_repro.claims.claim import (
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.claim import (
     JOINT_LIMIT,
     STANDARD_ERRORS,
     Finding,
@@ -24,9 +24,9 @@ from paper_repro.claims.claim import (
     statement,
     undecided,
 )
-from paper_repro.numbers import FINAL
-from paper_repro.view import View
-from solvers.solution import Bounded
+from exact_mdp.paper_repro.numbers import FINAL
+from exact_mdp.paper_repro.view import View
+from exact_mdp.solvers.solution import Bounded
 
 ORDER = sorted(reported.AVERAGE_RETURN, key=lambda start: -reported.AVERAGE_RETURN[start])
 OTHER_RUNS = 10_000  # Section 3.2.5 gives this number where Section 4.1 gives 1,000
@@ -245,8 +245,8 @@ def _ranking(view: View) -> Finding:
 
 
 def _ranking_by_experiments(view: View) -> Finding:
-    from paper_repro.readings.ranking import ranked, sums
-    from solvers.values.returns import return_distribution
+    from exact_mdp.paper_repro.readings.ranking import ranked, sums
+    from exact_mdp.solvers.values.returns import return_distribution
 
     laws = [
         return_distribution(view.mdp, view.study.policies[f"reported.{start}"]) for start in ORDER

@@ -9,10 +9,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.table import Floats
-from paper_repro import reported
-from paper_repro.claims.claim import JOINT_LIMIT, READ_OFF_A_PLOT, STANDARD_ERRORS, Verdict
-from paper_repro.readings.study import Readings
+from exact_mdp.mdp.table import Floats
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.claim import (
+    JOINT_LIMIT,
+    READ_OFF_A_PLOT,
+    STANDARD_ERRORS,
+    Verdict,
+)
+from exact_mdp.paper_repro.readings.study import Readings
 
 Flags = NDArray[np.bool_]
 

@@ -21,7 +21,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 
-from analysis.readings import (
+from exact_mdp.analysis.readings import (
     OptionSupport,
     ReadingSpace,
     credible,
@@ -29,10 +29,10 @@ from analysis.readings import (
     posterior,
     support,
 )
-from mdp.errors import ModelError
-from mdp.table import Floats, Integers
-from paper_repro import reported
-from paper_repro.readings.search import STARTS, ReadingSearch
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.search import STARTS, ReadingSearch
 
 ROUNDING = 0.05  # the averages are reported with one decimal
 TOLERANCE = 5.0  # standard deviation of a number read off a plot

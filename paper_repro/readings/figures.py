@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.readings import OptionSupport, option_label
-from paper_repro import reported
-from paper_repro.readings.evidence import TOLERANCE
-from paper_repro.readings.joint import TOGETHER, Joint, contradictions, largest_possible
-from paper_repro.readings.learning import SETTINGS
-from paper_repro.readings.search import STARTS
-from paper_repro.readings.study import ReadingStudy
+from exact_mdp.analysis.readings import OptionSupport, option_label
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import TOLERANCE
+from exact_mdp.paper_repro.readings.joint import TOGETHER, Joint, contradictions, largest_possible
+from exact_mdp.paper_repro.readings.learning import SETTINGS
+from exact_mdp.paper_repro.readings.search import STARTS
+from exact_mdp.paper_repro.readings.study import ReadingStudy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

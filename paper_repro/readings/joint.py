@@ -18,10 +18,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.table import Floats
-from paper_repro import reported
-from paper_repro.readings.evidence import TOLERANCE, Evidence, reported_averages, spread_of_average
-from paper_repro.readings.search import STARTS
+from exact_mdp.mdp.table import Floats
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import (
+    TOLERANCE,
+    Evidence,
+    reported_averages,
+    spread_of_average,
+)
+from exact_mdp.paper_repro.readings.search import STARTS
 
 TOGETHER = 3.0  # standard deviations
 PART = 128  # readings at a time

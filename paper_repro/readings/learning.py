@@ -18,18 +18,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.learning.outcomes import Interval, share_interval
-from analysis.readings import ReadingSpace, posterior
-from mdp import Scenario
-from mdp.errors import ModelError
-from mdp.table import Floats, Integers, Numbers
-from paper_repro import reported
-from paper_repro.readings.evidence import Evidence
-from paper_repro.readings.search import STARTS, ReadingSearch
-from solvers.learning.q_learning import QLearning, Trainer
-from solvers.learning.sampler import as_sequence, child
-from solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
-from solvers.parallel.many import many
+from exact_mdp.analysis.learning.outcomes import Interval, share_interval
+from exact_mdp.analysis.readings import ReadingSpace, posterior
+from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import Evidence
+from exact_mdp.paper_repro.readings.search import STARTS, ReadingSearch
+from exact_mdp.solvers.learning.q_learning import QLearning, Trainer
+from exact_mdp.solvers.learning.sampler import as_sequence, child
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from exact_mdp.solvers.parallel.many import many
 
 SETTINGS = {
     "constant": QLearning(exploration=PAPER_CONSTANT, snapshot_episode=0),
@@ -196,7 +196,7 @@ def compatible(policy: Numbers) -> bool:
 
     Examples
     --------
-    >>> from paper_repro.readings.search import completions, policies
+    >>> from exact_mdp.paper_repro.readings.search import completions, policies
     >>> compatible(policies(completions()[-1:])[0]), compatible(np.zeros(16, dtype=int))
     (True, False)
     """
@@ -214,7 +214,7 @@ def stated(policy: Numbers, orders: Sequence[str] = tuple(reported.ORDERS)) -> b
 
     Examples
     --------
-    >>> from paper_repro.readings.search import completions, policies
+    >>> from exact_mdp.paper_repro.readings.search import completions, policies
     >>> swapped = policies(completions()[-1:])[0]
     >>> stated(swapped), stated(swapped, ["as written"])
     (True, False)

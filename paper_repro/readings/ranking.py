@@ -24,11 +24,11 @@ from math import ceil, floor, log, log2, sqrt
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.table import Floats
-from solvers.bounds.gains import UNIT
-from solvers.solution import Bounded
-from solvers.values.returns import ReturnDistribution
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import UNIT
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.returns import ReturnDistribution
 
 OUTSIDE = 1e-18  # probability that may be left out
 

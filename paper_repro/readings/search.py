@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.readings import ReadingSpace, equivalent
-from mdp import ModelError, Scenario
-from mdp.care.scenario import READINGS
-from mdp.model import as_discount
-from mdp.table import Floats, Integers, Numbers
-from paper_repro import reported
-from solvers.parallel.many import many
+from exact_mdp.analysis.readings import ReadingSpace, equivalent
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.model import as_discount
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.paper_repro import reported
+from exact_mdp.solvers.parallel.many import many
 
 TASKS = ((3,), (3, 1), (2,), (4,), (1, 1, 1), (6,))
 DISCOUNTS = (Fraction(1), Fraction(19, 20))
@@ -243,7 +243,7 @@ def _evaluate(
     Where chances pass 1 under a reading nothing is told here, for thousands of them; whoever
     compiles one is told.
     """
-    from solvers.care import optimal, policy_values_of_last
+    from exact_mdp.solvers.care import optimal, policy_values_of_last
 
     draws = np.array([[float(as_discount(rate))] for rate in space.options["evaluation_discount"]])
     anything = np.full((1, 16, len(reported.ACTIONS)), 1 / len(reported.ACTIONS))

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.readings import EXCLUDED, FAVOURED, IDENTIFIED, OptionSupport, option_label
-from paper_repro import reported
-from paper_repro.readings.evidence import ROUNDING, TOLERANCE, Evidence
-from paper_repro.readings.joint import STATEMENTS, TOGETHER, Joint, contradictions
-from paper_repro.readings.learning import SETTINGS, LearningEvidence, combined
-from paper_repro.readings.search import STARTS, ReadingSearch
-from paper_repro.readings.verdict import AS_FOUND
+from exact_mdp.analysis.readings import EXCLUDED, FAVOURED, IDENTIFIED, OptionSupport, option_label
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import ROUNDING, TOLERANCE, Evidence
+from exact_mdp.paper_repro.readings.joint import STATEMENTS, TOGETHER, Joint, contradictions
+from exact_mdp.paper_repro.readings.learning import SETTINGS, LearningEvidence, combined
+from exact_mdp.paper_repro.readings.search import STARTS, ReadingSearch
+from exact_mdp.paper_repro.readings.verdict import AS_FOUND
 
 WITHOUT_RANDOM = "without the random strategy"  # the variant that leaves that curve out
 

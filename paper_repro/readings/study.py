@@ -17,18 +17,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.readings import ReadingSpace
-from mdp.table import Integers
-from paper_repro.readings.evidence import EXPERIMENTS, Evidence, evidence, variants
-from paper_repro.readings.joint import Joint, joint
-from paper_repro.readings.learning import SEEDS, TRAINED, LearningEvidence, learning, to_train
-from paper_repro.readings.search import PAPER_READINGS, STARTS, ReadingSearch, search
-from paper_repro.readings.statements import Sentence, statements
-from paper_repro.readings.verdict import ReadingVerdict, verdicts
-from paper_repro.view import Sizes, View
+from exact_mdp.analysis.readings import ReadingSpace
+from exact_mdp.mdp.table import Integers
+from exact_mdp.paper_repro.readings.evidence import EXPERIMENTS, Evidence, evidence, variants
+from exact_mdp.paper_repro.readings.joint import Joint, joint
+from exact_mdp.paper_repro.readings.learning import (
+    SEEDS,
+    TRAINED,
+    LearningEvidence,
+    learning,
+    to_train,
+)
+from exact_mdp.paper_repro.readings.search import PAPER_READINGS, STARTS, ReadingSearch, search
+from exact_mdp.paper_repro.readings.statements import Sentence, statements
+from exact_mdp.paper_repro.readings.verdict import ReadingVerdict, verdicts
+from exact_mdp.paper_repro.view import Sizes, View
 
 if TYPE_CHECKING:
-    from paper_repro.claims.under import Under
+    from exact_mdp.paper_repro.claims.under import Under
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +76,7 @@ class Readings:
     @cached_property
     def support(self) -> dict[str, Under]:
         """How many of all readings agree with each claim that their averages decide."""
-        from paper_repro.claims.under import search_support
+        from exact_mdp.paper_repro.claims.under import search_support
 
         return search_support(self)
 

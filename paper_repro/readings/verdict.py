@@ -19,18 +19,18 @@ from math import sqrt
 
 import numpy as np
 
-from analysis.gate.audit import Audit
-from analysis.gate.check import check
-from analysis.gate.disagreements import Disagreement
-from mdp import MDP, Policy
-from mdp.table import Floats
-from paper_repro.readings.evidence import EXPERIMENTS, Evidence
-from paper_repro.readings.ranking import ranked, sums
-from paper_repro.readings.search import STARTS, ReadingSearch
-from solvers import evaluate
-from solvers.solution import Bounded, Certified
-from solvers.values.evaluate import Evaluation
-from solvers.values.returns import return_distribution
+from exact_mdp.analysis.gate.audit import Audit
+from exact_mdp.analysis.gate.check import check
+from exact_mdp.analysis.gate.disagreements import Disagreement
+from exact_mdp.mdp import MDP, Policy
+from exact_mdp.mdp.table import Floats
+from exact_mdp.paper_repro.readings.evidence import EXPERIMENTS, Evidence
+from exact_mdp.paper_repro.readings.ranking import ranked, sums
+from exact_mdp.paper_repro.readings.search import STARTS, ReadingSearch
+from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.values.evaluate import Evaluation
+from exact_mdp.solvers.values.returns import return_distribution
 
 AS_FOUND = ("non-directive", "directive", "supportive")  # action in 0000, best policy first
 

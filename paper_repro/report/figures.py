@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from analysis.plots import (
+from exact_mdp.analysis.plots import (
     plot_distinct,
     plot_influence,
     plot_policy_map,
@@ -26,7 +26,7 @@ from analysis.plots import (
     save,
     style,
 )
-from analysis.plots.paper import (
+from exact_mdp.analysis.plots.paper import (
     Average,
     plot_agreement,
     plot_averages,
@@ -34,14 +34,14 @@ from analysis.plots.paper import (
     plot_experiments,
     plot_trials,
 )
-from mdp import MDP, Policy
-from paper_repro import reported
-from paper_repro.claims.learning import SHOWN
-from paper_repro.learned import SCHEDULES, random_baseline
-from paper_repro.numbers import FINAL, Study
-from paper_repro.view import SEED, View
-from solvers import evaluate
-from solvers.values.returns import return_distribution
+from exact_mdp.mdp import MDP, Policy
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.learning import SHOWN
+from exact_mdp.paper_repro.learned import SCHEDULES, random_baseline
+from exact_mdp.paper_repro.numbers import FINAL, Study
+from exact_mdp.paper_repro.view import SEED, View
+from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.values.returns import return_distribution
 
 ROUNDING = 1e-9
 
@@ -132,7 +132,7 @@ def _distinct_maps(study: Study) -> list[tuple[dict[str, int], str]]:
 def _action_legend(figure: Figure, mdp: MDP, *, columns: int) -> None:
     from matplotlib.patches import Patch
 
-    from analysis.plots import action_styles
+    from exact_mdp.analysis.plots import action_styles
 
     handles = [
         Patch(facecolor=s.fill, edgecolor="black", hatch=s.hatch, label=f"{s.short} {s.name}")

@@ -8,11 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from paper_repro import reported
-from paper_repro.claims import Judged
-from paper_repro.report.report import row
-from paper_repro.report.summary import counted
-from solvers.solution import Bounded, Estimated
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims import Judged
+from exact_mdp.paper_repro.report.report import row
+from exact_mdp.paper_repro.report.summary import counted
+from exact_mdp.solvers.solution import Bounded, Estimated
 
 
 def entry_of(each: Judged) -> dict[str, Any]:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-from paper_repro import reported
-from paper_repro.numbers import FINAL
-from paper_repro.readings.statements import method
-from paper_repro.readings.study import ReadingStudy
-from paper_repro.readings.verdict import ReadingVerdict
-from paper_repro.report.report import Part, Shown, anchor
-from paper_repro.report.tables import Table
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.numbers import FINAL
+from exact_mdp.paper_repro.readings.statements import method
+from exact_mdp.paper_repro.readings.study import ReadingStudy
+from exact_mdp.paper_repro.readings.verdict import ReadingVerdict
+from exact_mdp.paper_repro.report.report import Part, Shown, anchor
+from exact_mdp.paper_repro.report.tables import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +24,7 @@ LISTED = 10  # readings in the table
 
 def readings_part(study: ReadingStudy) -> tuple[Part, dict[str, Drawing]]:
     """Return what the search over all readings found, and how its figures are drawn."""
-    from paper_repro.readings.figures import FIGURES
+    from exact_mdp.paper_repro.readings.figures import FIGURES
 
     title = "Which reading of the text is it?"
     drawn = {name: partial(draw, study) for name, draw in FIGURES.items()}
@@ -40,7 +40,7 @@ def readings_part(study: ReadingStudy) -> tuple[Part, dict[str, Drawing]]:
 
 def agents_part() -> tuple[Part, dict[str, Drawing]]:
     """Return what can be shown of the two agents, and how its figures are drawn."""
-    from paper_repro.report.section42 import claims, figures
+    from exact_mdp.paper_repro.report.section42 import claims, figures
 
     title, drawn = "The two agents", figures()
     intro = (

@@ -1,6 +1,6 @@
 """The report: one document, written as Markdown and as a page that needs nothing else.
 
-Both come from templates (`paper_repro/templates`) and the same data. In the page figures are
+Both come from templates (`paper_repro/report/templates`) and the same data. In the page figures are
 inline SVG pictures (`data:` addresses), styles are inline, and nothing is loaded from anywhere.
 """
 
@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from paper_repro import reported
-from paper_repro.claims import Judged
-from paper_repro.claims.claim import RULES
-from paper_repro.numbers import FINAL
-from paper_repro.report import summary
-from paper_repro.report.places import FIGURES, PLACES, SECTIONS, section_of
-from paper_repro.report.tables import Table
-from paper_repro.view import View
-from solvers.solution import Claim
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims import Judged
+from exact_mdp.paper_repro.claims.claim import RULES
+from exact_mdp.paper_repro.numbers import FINAL
+from exact_mdp.paper_repro.report import summary
+from exact_mdp.paper_repro.report.places import FIGURES, PLACES, SECTIONS, section_of
+from exact_mdp.paper_repro.report.tables import Table
+from exact_mdp.paper_repro.view import View
+from exact_mdp.solvers.solution import Claim
 
 TEMPLATES = Path(__file__).parent / "templates"
 ENTRIES = ("table", "assistance.", "skip.")  # claims that are single entries of a table

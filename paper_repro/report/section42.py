@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.perception.accuracy import (
+from exact_mdp.analysis.perception.accuracy import (
     AccuracyCurves,
     AccuracyNeeded,
     Hedging,
@@ -26,15 +26,20 @@ from analysis.perception.accuracy import (
     accuracy_needed,
     prices,
 )
-from analysis.perception.cost import ErrorCosts, UncertainValue, error_costs, value_under_counts
-from mdp import MDP, Policy, Scenario
-from mdp.care.counts import Counted, counted
-from solvers import solve
+from exact_mdp.analysis.perception.cost import (
+    ErrorCosts,
+    UncertainValue,
+    error_costs,
+    value_under_counts,
+)
+from exact_mdp.mdp import MDP, Policy, Scenario
+from exact_mdp.mdp.care.counts import Counted, counted
+from exact_mdp.solvers import solve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from analysis.perception.cost import PriceOfPerception
+    from exact_mdp.analysis.perception.cost import PriceOfPerception
 
 SCENARIO = "yuan2025"
 NOISE = 0.05  # of the scripted agent whose perception is measured
@@ -74,7 +79,7 @@ def claims() -> list[Row]:
     >>> sorted({row.verdict for row in claims()})
     ['checked here', 'needs people to judge', "needs the authors' model"]
     """
-    from paper_repro.agents import claims as told
+    from exact_mdp.paper_repro.agents import claims as told
 
     verdicts = {told.EXACT: CHECKED, told.MODEL: MODEL, told.PEOPLE: PEOPLE}
     return [
@@ -86,9 +91,9 @@ def claims() -> list[Row]:
 @cache
 def measured() -> Measured:
     """Return the perception of the scripted agent as `measure` counts it, and what it costs."""
-    from paper_repro.agents.measure import labelled
-    from paper_repro.agents.scripted import Scripted
-    from paper_repro.agents.setup import modules_of
+    from exact_mdp.paper_repro.agents.measure import labelled
+    from exact_mdp.paper_repro.agents.scripted import Scripted
+    from exact_mdp.paper_repro.agents.setup import modules_of
 
     scenario = Scenario.load(SCENARIO)
     mdp = scenario.compile()
@@ -120,9 +125,9 @@ def conversation_text(seed: int = 3, timesteps: int = 6) -> str:
     """Return the first timesteps of a scripted conversation, as the paper's record shows them."""
     from itertools import islice
 
-    from paper_repro.agents import text_view
-    from paper_repro.agents.scripted import Scripted
-    from paper_repro.agents.setup import conversation
+    from exact_mdp.paper_repro.agents import text_view
+    from exact_mdp.paper_repro.agents.scripted import Scripted
+    from exact_mdp.paper_repro.agents.setup import conversation
 
     talk = conversation(Scripted(noise=NOISE), seed=seed)
     header = talk.header()
@@ -148,8 +153,8 @@ def _confusion() -> Figure:
     """
     import matplotlib.pyplot as plt
 
-    from analysis.plots.perception import plot_confusion
-    from analysis.plots.style import titled
+    from exact_mdp.analysis.plots.perception import plot_confusion
+    from exact_mdp.analysis.plots.style import titled
 
     figure, ax = plt.subplots(figsize=(5.6, 5.6))
     found = measured()
@@ -165,8 +170,8 @@ def _errors() -> Figure:
     """
     import matplotlib.pyplot as plt
 
-    from analysis.plots.perception import plot_error_costs
-    from analysis.plots.style import titled
+    from exact_mdp.analysis.plots.perception import plot_error_costs
+    from exact_mdp.analysis.plots.style import titled
 
     figure, ax = plt.subplots(figsize=(6.4, 3.2))
     found = measured()
@@ -189,8 +194,8 @@ def _accuracy() -> Figure:
     """
     import matplotlib.pyplot as plt
 
-    from analysis.plots.perception import plot_accuracy_curves
-    from analysis.plots.style import titled
+    from exact_mdp.analysis.plots.perception import plot_accuracy_curves
+    from exact_mdp.analysis.plots.style import titled
 
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     _, _, curves, needed = worsening()
@@ -207,8 +212,8 @@ def _memory() -> Figure:
     """
     import matplotlib.pyplot as plt
 
-    from analysis.plots.perception import plot_prices
-    from analysis.plots.style import titled
+    from exact_mdp.analysis.plots.perception import plot_prices
+    from exact_mdp.analysis.plots.style import titled
 
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     plot_prices(LEVELS, worsening()[0], ax=ax)
@@ -220,8 +225,8 @@ def _hedging() -> Figure:
     """The best action for each perceived status as perception worsens, without memory."""
     import matplotlib.pyplot as plt
 
-    from analysis.plots.perception import plot_hedging
-    from analysis.plots.style import titled
+    from exact_mdp.analysis.plots.perception import plot_hedging
+    from exact_mdp.analysis.plots.style import titled
 
     figure, ax = plt.subplots(figsize=(7.4, 5.0))
     plot_hedging(worsening()[1], ax=ax)

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from paper_repro import reported
-from paper_repro.claims import Judged, Verdict
-from paper_repro.claims.claim import Kind
-from paper_repro.numbers import FINAL
-from paper_repro.view import View
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims import Judged, Verdict
+from exact_mdp.paper_repro.claims.claim import Kind
+from exact_mdp.paper_repro.numbers import FINAL
+from exact_mdp.paper_repro.view import View
 
 ABOUT = (
     "The paper lets a simulated robot learn, by trial and error, which kind of spoken help to give "

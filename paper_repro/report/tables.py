@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from paper_repro import reported
-from paper_repro.claims.model import BITS, NONE
-from paper_repro.model_rows import marginal
-from paper_repro.view import View
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.model import BITS, NONE
+from exact_mdp.paper_repro.model_rows import marginal
+from exact_mdp.paper_repro.view import View
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,11 +27,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from mdp import threads
-from mdp.chain import require_termination, topological_levels
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.gains import (
+from exact_mdp.mdp import threads
+from exact_mdp.mdp.chain import require_termination, topological_levels
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import (
     COMPILED,
     SLACK,
     TINY,
@@ -42,9 +42,9 @@ from solvers.bounds.gains import (
     greedy,
     rounding_facts,
 )
-from solvers.bounds.linear import LinearSystem, policy_chain
-from solvers.bounds.sweeps import sweeps_of
-from solvers.solution import SolverError, Status
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.bounds.sweeps import sweeps_of
+from exact_mdp.solvers.solution import SolverError, Status
 
 __all__ = ["Bounds", "Gain", "Weights", "bounds", "gains", "greedy", "levels", "margin_weights"]
 
@@ -249,7 +249,7 @@ def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
         open_pairs = ~ended[mdp.pair_state]
         error = margin.error[open_pairs].max(initial=0.0)
         return np.where(open_pairs, -margin.value, 1.0), float(error)
-    from solvers.kernels import bellman
+    from exact_mdp.solvers.kernels import bellman
 
     matrix = mdp.transition
     rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)

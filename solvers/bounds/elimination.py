@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.table import Floats, Integers, Numbers
-from solvers.bounds.gains import COMPILED
-from solvers.solution import SolverError, Status
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.bounds.gains import COMPILED
+from exact_mdp.solvers.solution import SolverError, Status
 
 MOST_ENTRIES = 100_000_000  # in each factor: 1.2 GB with their places, 2.4 GB for both
 MOST_OPERATIONS = 1e11  # about a minute or two
@@ -53,7 +53,7 @@ def reach(chain: sp.csr_array) -> tuple[int, int]:
     (2, 1)
     """
     if chain.nnz >= COMPILED:
-        from solvers.kernels import band as kernel
+        from exact_mdp.solvers.kernels import band as kernel
 
         found = np.zeros(2, dtype=np.int64)
         kernel.reach(chain.indptr, chain.indices, found)
@@ -114,7 +114,7 @@ def _narrow(matrix: sp.csr_array) -> sp.csr_array:
 def _substitution(
     chain: sp.csr_array, discount: float, order: Integers, sequence: Integers
 ) -> Solve:
-    from solvers.kernels import band as kernel
+    from exact_mdp.solvers.kernels import band as kernel
 
     if not kernel.falls(chain.indptr, chain.indices, order):
         raise ValueError(NO_FALL)
@@ -146,7 +146,7 @@ def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve
     """
     if chain.nnz < COMPILED:
         return _superlu(matrix_of(chain, discount).tocsc(), permc_spec="NATURAL")
-    from solvers.kernels import band as kernel
+    from exact_mdp.solvers.kernels import band as kernel
 
     lower = within[0]
     factors = np.empty((chain.shape[0], sum(within) + 1))
@@ -204,7 +204,7 @@ def fill(matrix: sp.csc_array) -> int | None:
     >>> fill(sp.csc_array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 1.0]]))
     4
     """
-    from solvers.kernels import band as kernel
+    from exact_mdp.solvers.kernels import band as kernel
 
     states = matrix.shape[0]
     row = matrix.indices

@@ -30,10 +30,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp import threads
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.solution import SolverError, Status
+from exact_mdp.mdp import threads
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.solution import SolverError, Status
 
 UNIT = 2.0**-53
 TINY = 2.0**-1000
@@ -222,7 +222,7 @@ def _leak(mdp: MDP) -> tuple[Floats, float]:
         )
         return found, float(np.abs(found).max()) * UNIT
     if len(weight) >= COMPILED:
-        from solvers.kernels import bellman
+        from exact_mdp.solvers.kernels import bellman
 
         found = np.empty(mdp.n_pairs)
         ends = threads.block_ends(offsets)
@@ -272,7 +272,7 @@ def _differences(
         found[:2, first:last] = 0.0
         return
     if mdp.n_transitions >= COMPILED:
-        from solvers.kernels import bellman
+        from exact_mdp.solvers.kernels import bellman
 
         rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
         bellman.gains(first, last, *rows, value, found[0], found[1])

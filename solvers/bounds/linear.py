@@ -33,12 +33,12 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.model import MDP
-from mdp.table import Floats, Integers, Numbers
-from solvers.bounds import elimination
-from solvers.bounds.elimination import Solve, TooLarge, matrix_of
-from solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma
-from solvers.solution import SolverError, Status
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.bounds import elimination
+from exact_mdp.solvers.bounds.elimination import Solve, TooLarge, matrix_of
+from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.solution import SolverError, Status
 
 DIRECT_STATES = 500
 MOST_FILL = 4
@@ -270,7 +270,7 @@ def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float)
 def patiently(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:
     """Return x (S,), or None where neither GMRES nor `PATIENT` steps of BiCGSTAB lead there."""
     if chain.nnz >= COMPILED:
-        from solvers.kernels import krylov
+        from exact_mdp.solvers.kernels import krylov
 
         value, basis = np.empty(len(constant)), np.empty((DIRECTIONS + 2, len(constant)))
         small = np.empty((DIRECTIONS + 4, DIRECTIONS + 1))
@@ -291,7 +291,7 @@ def _bicgstab(
     chain: sp.csr_array, discount: float, constant: Floats, rtol: float, steps: int
 ) -> Floats | None:
     if chain.nnz >= COMPILED or chain.shape[0] >= LONG:
-        from solvers.kernels import krylov
+        from exact_mdp.solvers.kernels import krylov
 
         value, room = np.empty(len(constant)), np.empty((6, len(constant)))
         rows = _rows(chain, discount)

@@ -46,10 +46,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from mdp.model import MDP
-from mdp.table import Floats, Integers, Numbers
-from mdp.threads import block_ends, run_blocks
-from solvers.bounds.gains import (
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.threads import block_ends, run_blocks
+from exact_mdp.solvers.bounds.gains import (
     COMPILED,
     SLACK,
     TINY,
@@ -61,12 +61,11 @@ from solvers.bounds.gains import (
     greedy,
     rounding_facts,
 )
-from solvers.kernels import bellman
-from solvers.solution import SolverError, Status
+from exact_mdp.solvers.solution import SolverError, Status
 
 if TYPE_CHECKING:
-    from solvers.bounds.bounds import Weights
-    from solvers.bounds.gains import RoundingFacts
+    from exact_mdp.solvers.bounds.bounds import Weights
+    from exact_mdp.solvers.bounds.gains import RoundingFacts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,7 +180,7 @@ class Sweeps:
 
         Returns the greatest change. Compiled for models of any size.
         """
-        from solvers.kernels import bellman
+        from exact_mdp.solvers.kernels import bellman
 
         mdp, matrix = self.mdp, self.mdp.transition
         rows = (mdp.pair_offsets, matrix.indptr, matrix.indices, matrix.data, mdp.reward)
@@ -320,7 +319,7 @@ class Remembered:
 
     def move(self, value: Floats) -> None:
         """Go on to h = `value` (S,)."""
-        from solvers.kernels.bellman import climb
+        from exact_mdp.solvers.kernels.bellman import climb
 
         most = float(np.nextafter(climb(value, self.before), np.inf))
         grown = max(self.flow[0] * most, self.flow[1] * most)
@@ -347,6 +346,8 @@ class CompiledSweeps(Sweeps):
     @np.errstate(over="ignore", invalid="ignore")
     def improve(self, value: Floats, shift: float = 0.0) -> Pass:
         """See `Sweeps.improve`; where all values are the same, there is no policy to follow."""
+        from exact_mdp.solvers.kernels import bellman
+
         mdp, sizes = self.mdp, self._sizes(value)
         if sizes.span == 0:
             return finite(self._alone(float(value[0]), shift, sizes))
@@ -384,6 +385,8 @@ class CompiledSweeps(Sweeps):
         return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 
     def _judge(self, value: Floats, shift: float) -> Judged:
+        from exact_mdp.solvers.kernels import bellman
+
         mdp, facts, weights, memory = self.mdp, self.facts, self.weights, self._memory
         step, pairs = np.empty(mdp.n_states), np.empty(mdp.n_states, dtype=np.int64)
         memory.move(value)
@@ -409,6 +412,8 @@ class CompiledSweeps(Sweeps):
         return Judged(step=step, pairs=pairs, low=float(low), high=float(high), floor=float(floor))
 
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
+        from exact_mdp.solvers.kernels import bellman
+
         ended, rate, step, rows = (
             self.mdp.terminal,
             self.mdp.discount,

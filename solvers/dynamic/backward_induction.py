@@ -32,17 +32,17 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mdp.chain import numbered_in_order, runs_in_order, spans
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers, Numbers
-from solvers.bounds.bounds import bounds, levels
-from solvers.bounds.gains import SLACK, TINY, UNIT
-from solvers.dynamic.stopping import conclude
-from solvers.solution import Solution, SolverError, Status
+from exact_mdp.mdp.chain import numbered_in_order, runs_in_order, spans
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.bounds.bounds import bounds, levels
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.dynamic.stopping import conclude
+from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 if TYPE_CHECKING:
-    from mdp.care.operator import CareOperator
+    from exact_mdp.mdp.care.operator import CareOperator
 
 # Loading the compiler takes 0.33 s once in a process, as long as NumPy does for four million
 # transitions of the care model; the compiled loop needs 6 ms a million. A process that has had so
@@ -76,7 +76,7 @@ class BackwardInduction:
         """Return the optimum; raises ModelError where states come back to themselves."""
         started = perf_counter()
         if not isinstance(mdp, MDP):
-            from solvers.dynamic.operator import solve_operator
+            from exact_mdp.solvers.dynamic.operator import solve_operator
 
             return solve_operator(mdp)
         in_order = numbered_in_order(mdp)
@@ -192,7 +192,7 @@ def _extra(mdp: MDP) -> int:
 
 
 def _compiled_pass(mdp: MDP, level: Integers | None) -> Pass:
-    from solvers.kernels.layered import backward
+    from exact_mdp.solvers.kernels.layered import backward
 
     states, matrix = mdp.n_states, mdp.transition
     order = np.empty(0, np.int64) if level is None else np.argsort(level, kind="stable")
@@ -272,7 +272,7 @@ def _array_pass(mdp: MDP, level: Integers | None) -> Pass:
 def ladder(levels: int) -> Callable[[Floats, float, Floats], None]:
     """Return the function that adds errors up: see `solvers.kernels.layered.ladder`."""
     if "numba" in sys.modules and levels >= 1000:
-        from solvers.kernels import layered
+        from exact_mdp.solvers.kernels import layered
 
         return cast("Callable[[Floats, float, Floats], None]", layered.ladder)
 

@@ -33,16 +33,16 @@ from typing import Any, Literal
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.table import Integers
-from solvers.bounds.bounds import greedy, margin_weights
-from solvers.bounds.gains import gains
-from solvers.dynamic.policy_iteration import improved
-from solvers.dynamic.program import ProgramRun, check_size, sides, visits
-from solvers.dynamic.stopping import conclude
-from solvers.solution import Solution, SolverError, Status
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.bounds import greedy, margin_weights
+from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.dynamic.policy_iteration import improved
+from exact_mdp.solvers.dynamic.program import ProgramRun, check_size, sides, visits
+from exact_mdp.solvers.dynamic.stopping import conclude
+from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
 FORMS = ("primal", "dual")

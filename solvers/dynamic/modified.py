@@ -17,10 +17,10 @@ from time import perf_counter
 
 import numpy as np
 
-from mdp.model import MDP
-from solvers.dynamic.partial_evaluation import Iterate
-from solvers.dynamic.stopping import Watch, check_settings, conclude
-from solvers.solution import Solution, Status
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.dynamic.partial_evaluation import Iterate
+from exact_mdp.solvers.dynamic.stopping import Watch, check_settings, conclude
+from exact_mdp.solvers.solution import Solution, Status
 
 
 @dataclass(frozen=True, kw_only=True)

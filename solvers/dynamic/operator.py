@@ -26,15 +26,15 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mdp.care.operator import CareOperator, Expect, Law, as_gains
-from mdp.errors import ModelError
-from mdp.table import Floats, Integers
-from solvers.bounds.gains import SLACK, TINY, UNIT
-from solvers.dynamic.backward_induction import ladder
-from solvers.solution import Bounded, Solution, SolverError, Status
+from exact_mdp.mdp.care.operator import CareOperator, Expect, Law, as_gains
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.dynamic.backward_induction import ladder
+from exact_mdp.solvers.solution import Bounded, Solution, SolverError, Status
 
 if TYPE_CHECKING:
-    from mdp.model import MDP
+    from exact_mdp.mdp.model import MDP
 
 UNITS = UNIT * (1 + 2.0**-10)
 COMPILED_FROM, LOADED_FROM = 0.3, 0.002  # seconds that the loops in NumPy would take, about
@@ -51,7 +51,7 @@ def solve_operator(operator: CareOperator) -> Solution:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
     >>> print(solve_operator(scenario.operator()).start)
     146.235870743 ± ... (bounded)
@@ -87,7 +87,7 @@ def operator_mean(operator: CareOperator, policy: ArrayLike) -> Bounded:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> print(operator_mean(Scenario.load("yuan2025").operator(), np.full((16, 4), 0.25)))
     85.0285... ± ... (bounded)
     """
@@ -245,7 +245,7 @@ def _expect(operator: CareOperator) -> Expect:
 
 def compiled_expect(law: Law, x: Floats) -> Floats:
     """Return what `Law.expect` does, by the compiled loops; the same bits on any threads."""
-    from solvers.kernels.operator import expect
+    from exact_mdp.solvers.kernels.operator import expect
 
     rules, vectors, count = law.chance.shape
     found = np.empty((rules, vectors))
@@ -267,7 +267,7 @@ def compiled_expect(law: Law, x: Floats) -> Floats:
 
 def compiled_induce(operator: CareOperator) -> tuple[Floats, Integers, Floats, Floats]:
     """Return what `induce` does, by compiled loops over the small matrix of the law."""
-    from solvers.kernels import operator as kernels
+    from exact_mdp.solvers.kernels import operator as kernels
 
     rules = operator.rules
     value = np.zeros(operator.n_states)

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mdp.table import Floats
-from solvers.bounds.gains import COMPILED
-from solvers.bounds.linear import LinearSystem, policy_chain
-from solvers.bounds.sweeps import Judged, Pass, Sweeps
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import COMPILED
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.bounds.sweeps import Judged, Pass, Sweeps
 
 FIRST_SWEEPS = 12
 CORRECTIONS = 30

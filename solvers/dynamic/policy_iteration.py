@@ -15,13 +15,13 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.bounds import Bounds, bounds, greedy, levels, margin_weights
-from solvers.bounds.gains import gains
-from solvers.bounds.linear import LinearSystem, policy_chain
-from solvers.dynamic.stopping import check_settings, conclude
-from solvers.solution import Solution, Status
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, greedy, levels, margin_weights
+from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.dynamic.stopping import check_settings, conclude
+from exact_mdp.solvers.solution import Solution, Status
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,13 +25,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.chain import spans
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.bounds import Bounds, levels
-from solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.mdp.chain import spans
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import Bounds, levels
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 
 MOST_OPERATIONS = 5e10  # for one factor; an optimiser makes about twenty, at 10^9 a second
 MOST_ENTRIES = 4e8  # 3.2 GB
@@ -66,7 +66,7 @@ class ProgramRun:
 
     Examples
     --------
-    >>> from solvers import LinearProgram, solve
+    >>> from exact_mdp.solvers import LinearProgram, solve
     >>> mdp = MDP.from_arrays([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1, -1], [2, 1]], "1/2")
     >>> run = LinearProgram(start=solve(mdp)).solve(mdp).program
     >>> run.by, run.used, run.lower <= 2 <= run.upper, run.gap < 1e-12

@@ -16,14 +16,14 @@ from typing import Protocol
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats
-from solvers.bounds.bounds import Bounds, margin_weights
-from solvers.bounds.gains import SLACK, TINY, UNIT
-from solvers.bounds.sweeps import Pass, sweeps_of
-from solvers.dynamic.partial_evaluation import Iterate
-from solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.bounds.sweeps import Pass, sweeps_of
+from exact_mdp.solvers.dynamic.partial_evaluation import Iterate
+from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20

@@ -10,8 +10,8 @@ both factors. Multipliers that are 0 are passed over.
 
 from __future__ import annotations
 
-from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import at, compiled, span
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.kernels.compiling import at, compiled, span
 
 
 @compiled

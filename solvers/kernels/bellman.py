@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import at, compiled, inlined, span
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.kernels.compiling import at, compiled, inlined, span
 
 UNIT = 2.0**-53
 TINY = 2.0**-1000

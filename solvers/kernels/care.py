@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import compiled, inlined
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
 TRIAL, COMPLETE, SKIPPED, TIMESTEP, TASK = 0, 1, 2, 3, 4
 ALWAYS, LAST_COMPLETED, NONE_SKIPPED = 0, 1, 2

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import at, compiled, span
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.kernels.compiling import at, compiled, span
 
 LEAST = 1e-14  # a cosine that is nothing but rounding
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import at, compiled, inlined
-from solvers.kernels.tables import Tables
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.kernels.compiling import at, compiled, inlined
+from exact_mdp.solvers.kernels.tables import Tables
 
 Q_LEARNING, SARSA, EXPECTED_SARSA, DOUBLE_Q = 0, 1, 2, 3
 FIRST, LAST, RANDOM = 0, 1, 2

@@ -5,8 +5,8 @@ See `mdp.care.operator` for the form and `solvers.dynamic.operator` for the algo
 
 from __future__ import annotations
 
-from mdp.table import Floats, Numbers
-from solvers.kernels.compiling import compiled, inlined
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
 
 @inlined

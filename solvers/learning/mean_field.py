@@ -29,15 +29,15 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from mdp.errors import ModelError
-from mdp.model import MDP, as_discount
-from mdp.table import Floats, Integers, Numbers
-from solvers.bounds.gains import SLACK, UNIT, gamma
-from solvers.bounds.linear import LinearSystem
-from solvers.dynamic.stopping import check_counts
-from solvers.learning.sampler import Rows, rows_of
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.visits import visits
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP, as_discount
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.dynamic.stopping import check_counts
+from exact_mdp.solvers.learning.sampler import Rows, rows_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 MOST_ENTRIES = 3000
 
@@ -196,7 +196,7 @@ def mean_field(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> found = settle(mdp, [3] * 16, epsilon=0.1)
     >>> found.consistent, found.q[0].round(2).tolist()

@@ -24,13 +24,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import SeedSequence
 
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP, as_discount
-from mdp.policies.policy import Policy
-from mdp.space import StateSpace
-from mdp.table import Floats, Numbers
-from solvers.learning.sampler import as_policy, as_sequence, rows_of, stream, tables
-from solvers.learning.schedules import PAPER_CONSTANT, PAPER_RATE, Schedule, checked
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP, as_discount
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.learning.sampler import as_policy, as_sequence, rows_of, stream, tables
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_RATE, Schedule, checked
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -72,7 +72,7 @@ class QLearning:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> run = QLearning(epochs=20).train(mdp, seed=0)
     >>> run.q.shape, len(run.snapshots), len(run.last)
@@ -199,7 +199,7 @@ class Trainer:
 
     def run(self, seed: int | SeedSequence) -> TrainingRun:
         """Return one run; see `QLearning.train`."""
-        from solvers import kernels
+        from exact_mdp.solvers import kernels
 
         own, rows = self.settings, self.rows.space.size
         entries, double = rows * self.mdp.n_actions, own.method == "double-q-learning"

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.policy import Policy
-from mdp.space import StateSpace
-from mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 
 if TYPE_CHECKING:
-    from solvers.kernels import Tables
+    from exact_mdp.solvers.kernels import Tables
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> rows = rows_of(Scenario.load("yuan2025").compile(), ("trial", "status"))
     >>> rows.offered.shape, rows.space.label(20)
     ((80, 4), 'trial 1, status 0100')
@@ -93,7 +93,7 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
 
 def tables(mdp: MDP, rows: Rows) -> Tables:
     """Return the model as flat arrays for `solvers.kernels`."""
-    from solvers import kernels
+    from exact_mdp.solvers import kernels
 
     table = mdp.table
     cut = np.empty(len(table.next))

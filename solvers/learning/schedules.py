@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.table import Floats
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats
 
 
 class Schedule(Protocol):

@@ -20,15 +20,15 @@ from threading import Event
 import numpy as np
 from numpy.random import SeedSequence
 
-from mdp.errors import ModelError
-from mdp.fingerprint import fingerprint
-from mdp.model import MDP
-from mdp.space import StateSpace
-from mdp.table import Numbers
-from solvers.learning.q_learning import QLearning, Trainer, TrainingRun
-from solvers.learning.sampler import as_sequence, child
-from solvers.parallel.many import as_done, check_jobs
-from solvers.parallel.pieces import damaged, kept, open_folder, read_piece, write_piece
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Numbers
+from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
+from exact_mdp.solvers.learning.sampler import as_sequence, child
+from exact_mdp.solvers.parallel.many import as_done, check_jobs
+from exact_mdp.solvers.parallel.pieces import damaged, kept, open_folder, read_piece, write_piece
 
 BLOCK = 1
 RECORD = "training.json"
@@ -72,7 +72,7 @@ def train_many(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> runs = train_many(mdp, QLearning(epochs=5), 3, seed=0)
     >>> len(runs), runs[0].q.shape

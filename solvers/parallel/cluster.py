@@ -31,8 +31,8 @@ from itertools import islice
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from mdp.errors import ModelError
-from solvers.parallel.sources import TRAVEL, difference, here, require, unlike
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.solvers.parallel.sources import TRAVEL, difference, here, require, unlike
 
 ANSWER_WITHIN = 30.0  # seconds for a scheduler, a first worker, an answer; see above
 LOOK_AFTER = 1.0  # seconds without a result after which scheduler and workers are looked for
@@ -42,7 +42,7 @@ GONE = ("closing", "closed")  # what a client says of itself that has given its 
 ADDRESS = re.compile(r"[a-z]+://(\[[^\]/]+\]|[^\s/:]+):[0-9]{1,5}")
 
 # Asked as text, which every version of Python and of Dask can carry.
-CODE = "__import__('solvers.parallel.sources', fromlist=['here']).here()"
+CODE = "__import__('exact_mdp.solvers.parallel.sources', fromlist=['here']).here()"
 VERSIONS = (
     "{'Python': '.'.join(__import__('platform').python_version_tuple()[:2])}"
     f" | {{name: __import__('importlib.metadata', fromlist=['version']).version(name)"

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError
-from solvers.parallel.cluster import ATTEMPTS, died, on_cluster
-from solvers.parallel.pieces import Arrays, kept, open_folder, read_piece, write_piece
-from solvers.parallel.sources import here, require
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.solvers.parallel.cluster import ATTEMPTS, died, on_cluster
+from exact_mdp.solvers.parallel.pieces import Arrays, kept, open_folder, read_piece, write_piece
+from exact_mdp.solvers.parallel.sources import here, require
 
 RECORD = "work.json"
 

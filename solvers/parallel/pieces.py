@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.io.arrays import read_arrays
-from mdp.io.files import read_text, write_atomically
-from mdp.io.structured import json_of
-from mdp.table import Numbers
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.arrays import read_arrays
+from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.structured import json_of
+from exact_mdp.mdp.table import Numbers
 
 Arrays = dict[str, Numbers]
 DIGEST = "sha256"  # the name of the array that holds the digest of the others
@@ -56,7 +56,7 @@ def open_folder(
     ...     open_folder(folder, {"seed": 1}, name="run.json")
     Traceback (most recent call last):
     ...
-    mdp.errors.ModelError: the folder holds pieces whose record differs in seed
+    exact_mdp.mdp.errors.ModelError: the folder holds pieces whose record differs in seed
       where: ...
       fix:   choose another folder, or delete this one
     """

@@ -16,9 +16,9 @@ from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("mdp", "solvers", "analysis", "paper_repro")
 NUMBERS = ("numpy", "scipy", "numba")  # a result depends on them,
 TRAVEL = ("dask", "distributed")  # and whether it arrives on these

@@ -16,11 +16,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mdp.care.process import Process
-from mdp.errors import ModelError
-from mdp.table import Floats
-from solvers.pomdp.search import Vectors
-from solvers.pomdp.values import fast_informed, qmdp
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.pomdp.search import Vectors
+from exact_mdp.solvers.pomdp.values import fast_informed, qmdp
 
 
 class BeliefController:
@@ -41,8 +41,8 @@ class BeliefController:
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> process = Process.of(mdp, independent([0.9] * 4, [0.9] * 4))
     >>> controller = BeliefController(process, fib_vectors(process))

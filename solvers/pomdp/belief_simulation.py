@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mdp.care.process import Process
-from mdp.table import Floats, Integers
-from solvers.pomdp.search import Vectors
-from solvers.values.simulate import Simulation, generator_of
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.pomdp.search import Vectors
+from exact_mdp.solvers.values.simulate import Simulation, generator_of
 
 
 def simulate_beliefs(
@@ -33,9 +33,9 @@ def simulate_beliefs(
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
-    >>> from solvers.pomdp.belief import qmdp_vectors
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
+    >>> from exact_mdp.solvers.pomdp.belief import qmdp_vectors
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> process = Process.of(mdp, independent([0.9] * 4, [0.9] * 4))
     >>> found = simulate_beliefs(process, qmdp_vectors(process), 4000, seed=0)

@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from math import inf
 from time import perf_counter
 
-from mdp.care.process import Process
-from mdp.errors import ModelError
-from solvers.dynamic.stopping import check_counts
-from solvers.pomdp.search import Search, Vectors
-from solvers.solution import Claim
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.solvers.dynamic.stopping import check_counts
+from exact_mdp.solvers.pomdp.search import Search, Vectors
+from exact_mdp.solvers.solution import Claim
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,8 +99,8 @@ def solve_beliefs(
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
     >>> found = solve_beliefs(Process.of(mdp, independent([0.9] * 4, [0.8] * 4)), tolerance=1e-6)
     >>> found.closed, f"{found.lower:.4f} {found.upper:.4f}"

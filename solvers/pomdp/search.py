@@ -11,9 +11,9 @@ from time import perf_counter
 
 import numpy as np
 
-from mdp.care.process import Move, Process
-from mdp.table import Floats, Integers
-from solvers.pomdp.values import acting, fast_informed, rounding, values
+from exact_mdp.mdp.care.process import Move, Process
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.pomdp.values import acting, fast_informed, rounding, values
 
 CHECKED = 1e-12  # an improvement below this share of the values is not worth keeping
 LEFT = 0.5  # a trial goes on where more than this share of the tolerance is open

@@ -28,9 +28,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.care.process import Move, Process
-from mdp.table import Floats
-from solvers.bounds.gains import SLACK, gamma
+from exact_mdp.mdp.care.process import Move, Process
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import SLACK, gamma
 
 
 def acting(process: Process, table: Floats, confusion: Floats | None = None) -> Floats:
@@ -58,7 +58,7 @@ def values(process: Process, weights: Floats) -> tuple[Floats, Floats]:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> process = Process.of(Scenario.load("yuan2025").compile(), np.eye(16))
     >>> value, _ = values(process, acting(process, process.table("always:directive")))
     >>> round(float(at_start(process, value)[0]), 6)
@@ -134,8 +134,8 @@ def fast_informed(process: Process, allowed: Flags | None = None) -> Floats:
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.care.perception import independent
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> process = Process.of(mdp, independent([0.9] * 4, [0.9] * 4))
     >>> known, guessed = qmdp(process)[0, :, 0].max(), fast_informed(process)[0, :, 0, 0].max()

@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers, Numbers, divide
-from solvers.proof.rationals import fractions, primes_of
-from solvers.solution import Certified, Claim
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, Numbers, divide
+from exact_mdp.solvers.proof.rationals import fractions, primes_of
+from exact_mdp.solvers.solution import Certified, Claim
 
 if TYPE_CHECKING:
-    from solvers.solution import Solution
+    from exact_mdp.solvers.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,20 +134,20 @@ class Certificate:
         mdp : MDP, optional
             The model; needed where the certificate was read from a file.
         """
-        from solvers.proof.checker import exact_violations
+        from exact_mdp.solvers.proof.checker import exact_violations
 
         return exact_violations(self, _model(mdp, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
-        from solvers.proof.file import save
+        from exact_mdp.solvers.proof.file import save
 
         save(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> Certificate:
         """Read a certificate; raises ModelError where the file is not an exact certificate."""
-        from solvers.proof.file import load_exact
+        from exact_mdp.solvers.proof.file import load_exact
 
         return load_exact(path)
 
@@ -203,20 +203,20 @@ class BoundedCertificate:
 
     def violations(self, mdp: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound."""
-        from solvers.proof.checker import bounded_violations
+        from exact_mdp.solvers.proof.checker import bounded_violations
 
         return bounded_violations(self, _model(mdp, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
-        from solvers.proof.file import save
+        from exact_mdp.solvers.proof.file import save
 
         save(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> BoundedCertificate:
         """Read a certificate; raises ModelError where the file is not a bounded certificate."""
-        from solvers.proof.file import load_bounded
+        from exact_mdp.solvers.proof.file import load_bounded
 
         return load_bounded(path)
 
@@ -266,12 +266,12 @@ def certify(
     []
     """
     if bounded:
-        from solvers.proof.certify import certify_bounded
+        from exact_mdp.solvers.proof.certify import certify_bounded
 
         return certify_bounded(mdp, tol=tol, solution=solution)
     if tol is not None or solution is not None:
         raise ModelError("tol and solution are for bounds", where="certify", fix="add bounded=True")
-    from solvers.proof.certify import certify_exact
+    from exact_mdp.solvers.proof.certify import certify_exact
 
     return certify_exact(mdp)
 

@@ -16,19 +16,19 @@ from math import lcm
 
 import numpy as np
 
-from mdp.bellman import BellmanRows, bellman_rows
-from mdp.chain import reachable, require_termination, termination, topological_levels
-from mdp.errors import ModelError
-from mdp.fingerprint import fingerprint
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.bounds import levels, margin_weights
-from solvers.dynamic.backward_induction import BackwardInduction
-from solvers.dynamic.modified import ModifiedPolicyIteration
-from solvers.proof.certificate import BoundedCertificate, Certificate
-from solvers.proof.checker import UNIT, gains
-from solvers.proof.exact import solve_exactly
-from solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.mdp.bellman import BellmanRows, bellman_rows
+from exact_mdp.mdp.chain import reachable, require_termination, termination, topological_levels
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import levels, margin_weights
+from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
+from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
+from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.proof.checker import UNIT, gains
+from exact_mdp.solvers.proof.exact import solve_exactly
+from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 
 def certify_exact(mdp: MDP) -> Certificate:

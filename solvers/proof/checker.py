@@ -26,14 +26,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mdp.bellman import BellmanRows, bellman_rows, row_sums
-from mdp.chain import reachable
-from mdp.fingerprint import fingerprint
-from mdp.model import MDP
-from mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.bellman import BellmanRows, bellman_rows, row_sums
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 
 if TYPE_CHECKING:
-    from solvers.proof.certificate import BoundedCertificate, Certificate
+    from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 
 
 def exact_violations(found: Certificate, mdp: MDP) -> list[str]:

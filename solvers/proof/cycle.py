@@ -27,11 +27,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.bellman import BellmanRows, row_sums
-from mdp.chain import spans
-from mdp.errors import ModelError
-from mdp.table import Integers, Numbers
-from solvers.proof.linear import Equations
+from exact_mdp.mdp.bellman import BellmanRows, row_sums
+from exact_mdp.mdp.chain import spans
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.solvers.proof.linear import Equations
 
 if TYPE_CHECKING:
     from flint import fmpz, fmpz_mat

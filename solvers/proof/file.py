@@ -43,11 +43,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.io.files import LARGEST, read_text, write_atomically
-from mdp.table import Floats, Integers
-from solvers.proof.certificate import BoundedCertificate, Certificate
-from solvers.proof.rationals import fraction
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.proof.rationals import fraction
 
 FORMAT, VERSION = "exact-mdp certificate", 1
 HEXADECIMAL = re.compile(r"-?[0-9a-f]+").fullmatch

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.errors import ModelError
-from mdp.table import Integers, Numbers, magnitude
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Integers, Numbers, magnitude
 
 if TYPE_CHECKING:
     from flint import fmpz

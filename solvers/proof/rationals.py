@@ -17,7 +17,7 @@ from typing import cast
 
 import numpy as np
 
-from mdp.table import Numbers
+from exact_mdp.mdp.table import Numbers
 
 SMALL = 512  # bits: products of primes that are longer do not pay
 

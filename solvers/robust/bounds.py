@@ -25,14 +25,14 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.bounds import levels
-from solvers.bounds.gains import SLACK, UNIT
-from solvers.bounds.linear import LinearSystem
-from solvers.robust.rows import Ambiguity, Block, Inner, blocks_of, entries, inner
-from solvers.solution import SolverError, Status
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.robust.rows import Ambiguity, Block, Inner, blocks_of, entries, inner
+from exact_mdp.solvers.solution import SolverError, Status
 
 WEIGHT_ITERATIONS = 200
 

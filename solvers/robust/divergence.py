@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.gains import UNIT, gamma
-from solvers.robust.rows import Block
-from solvers.robust.sets import check_radii, of_pairs, radii_of
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import UNIT, gamma
+from exact_mdp.solvers.robust.rows import Block
+from exact_mdp.solvers.robust.sets import check_radii, of_pairs, radii_of
 
 STEPS = 200
 NEAR = 1e-12
@@ -49,7 +49,7 @@ class Likelihood:
 
     Examples
     --------
-    >>> from solvers.robust.rows import blocks_of
+    >>> from exact_mdp.solvers.robust.rows import blocks_of
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> (block,) = blocks_of(mdp, np.arange(1))
     >>> q, short = Likelihood(radius=0.5).least(block, np.array([[0.0, 1.0]]))
@@ -104,7 +104,7 @@ class RelativeEntropy:
 
     Examples
     --------
-    >>> from solvers.robust.rows import blocks_of
+    >>> from exact_mdp.solvers.robust.rows import blocks_of
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> (block,) = blocks_of(mdp, np.arange(1))
     >>> q, short = RelativeEntropy(radius=0.1).least(block, np.array([[0.0, 1.0]]))

@@ -21,17 +21,17 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.chain import spans
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.gains import SLACK
-from solvers.bounds.linear import DIRECT_STATES, LinearSystem
-from solvers.dynamic.stopping import RELATIVE_TOLERANCE, check_counts
-from solvers.robust.bounds import Game, Margins, RobustBounds, margins, robust_bounds
-from solvers.robust.rows import Ambiguity, blocks_of, inner
-from solvers.solution import Bounded, Claim, PrecisionWarning, SolverError, Status
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.chain import spans
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK
+from exact_mdp.solvers.bounds.linear import DIRECT_STATES, LinearSystem
+from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, check_counts
+from exact_mdp.solvers.robust.bounds import Game, Margins, RobustBounds, margins, robust_bounds
+from exact_mdp.solvers.robust.rows import Ambiguity, blocks_of, inner
+from exact_mdp.solvers.solution import Bounded, Claim, PrecisionWarning, SolverError, Status
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Nature = Literal["worst", "best"]
 Objective = Literal["max", "min"]
@@ -139,7 +139,7 @@ def solve_robust(
 
     Examples
     --------
-    >>> from solvers.robust.sets import Intervals
+    >>> from exact_mdp.solvers.robust.sets import Intervals
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])  # worth 1 / (1 - p)
     >>> print(solve_robust(mdp, Intervals.relative(mdp, 0.2)).start)
     1.66666666667 ± ... (bounded)

@@ -18,9 +18,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.bounds.gains import SLACK, TINY, gamma
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 
 ROOM = 2**22  # outcomes in one block
 
@@ -140,7 +140,7 @@ def inner(
 
     Examples
     --------
-    >>> from solvers.robust.sets import L1Ball
+    >>> from exact_mdp.solvers.robust.sets import L1Ball
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> found = inner(
     ...     L1Ball(radius=0.5),

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, float_array
-from solvers.bounds.gains import UNIT
-from solvers.robust.rows import Block
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, float_array
+from exact_mdp.solvers.bounds.gains import UNIT
+from exact_mdp.solvers.robust.rows import Block
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

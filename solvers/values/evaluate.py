@@ -20,15 +20,15 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.arrays import ReadAs
-from mdp.table import Floats
-from solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from solvers.bounds.linear import FixedPoint, LinearSystem
-from solvers.solution import Bounded, Claim, SolverError
-from solvers.values.policy_chain import Mask, PolicyChain
-from solvers.values.visits import at_start, ever, pair_visits, steps, visits
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import ReadAs
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
+from exact_mdp.solvers.solution import Bounded, Claim, SolverError
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
+from exact_mdp.solvers.values.visits import at_start, ever, pair_visits, steps, visits
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -47,7 +47,7 @@ class Evaluation:
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> found = evaluate(Scenario.load("yuan2025").compile(), "random")
     >>> print(f"{found.mean:.4f} {found.sd:.4f} {found.steps:.4f} {found.skip_probability:.4f}")
     85.0285 71.5334 7.4267 0.5481
@@ -241,7 +241,7 @@ class Evaluation:
 
     @cached_property
     def _quantiles(self) -> dict[float, float] | str:
-        from solvers.values.returns import return_distribution
+        from exact_mdp.solvers.values.returns import return_distribution
 
         try:
             distribution = return_distribution(self.mdp, self.chain)

@@ -21,14 +21,22 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.policies.arrays import ReadAs
-from mdp.policies.policy import Policy, taken
-from mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, OutcomeTable, divide, exact
-from solvers.bounds.bounds import levels
-from solvers.bounds.linear import LinearSystem
-from solvers.solution import Solution
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import ReadAs
+from exact_mdp.mdp.policies.policy import Policy, taken
+from exact_mdp.mdp.table import (
+    FLOAT_ROW_TOLERANCE,
+    Floats,
+    Integers,
+    Numbers,
+    OutcomeTable,
+    divide,
+    exact,
+)
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.solution import Solution
 
 Mask = NDArray[np.bool_]
 SHOWN = 4

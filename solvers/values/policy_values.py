@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mdp.chain import reachable
-from mdp.model import MDP
-from mdp.table import Floats, Numbers
-from solvers.bounds.bounds import levels
-from solvers.bounds.gains import SLACK, TINY, gamma
-from solvers.learning.sampler import Rows, as_policy
-from solvers.values.evaluate import evaluate
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
+from exact_mdp.solvers.learning.sampler import Rows, as_policy
+from exact_mdp.solvers.values.evaluate import evaluate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,8 +53,8 @@ def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> PolicyValues:
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from solvers.learning.sampler import rows_of
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.solvers.learning.sampler import rows_of
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> found = policy_values(mdp, rows_of(mdp), np.full((1, 16), 3))
     >>> round(float(found.value[0]), 6), bool(found.error[0] < 1e-9)
@@ -67,7 +67,7 @@ def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> PolicyValues:
             value=np.array([each.mean for each in found]),
             error=np.array([each.error_bound for each in found]),
         )
-    from solvers import kernels
+    from exact_mdp.solvers import kernels
 
     asked = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
     order = asked[np.argsort(level[asked], kind="stable")]

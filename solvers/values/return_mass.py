@@ -29,11 +29,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.chain import spans
-from mdp.errors import ModelError
-from mdp.table import Floats, Integers, Numbers, integers
-from solvers.bounds.gains import TINY
-from solvers.values.policy_chain import Mask, PolicyChain
+from exact_mdp.mdp.chain import spans
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats, Integers, Numbers, integers
+from exact_mdp.solvers.bounds.gains import TINY
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 
 REMAINING = 1e-12
 # Of what may be left in a cycle anyway: without it, a slow one would drag long tails along.

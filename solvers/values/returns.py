@@ -22,14 +22,14 @@ from math import lcm, sqrt
 
 import numpy as np
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
-from solvers.bounds.gains import SLACK, UNIT, gamma
-from solvers.dynamic.stopping import check_counts
-from solvers.solution import Claim
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
+from exact_mdp.solvers.dynamic.stopping import check_counts
+from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
 
 DENSE_RANGE = 10_000
 NEGLIGIBLE = 1e-280

@@ -14,11 +14,11 @@ from math import ceil, inf, log, log1p, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers.solution import Claim, Estimated
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.solution import Claim, Estimated
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 NEGLIGIBLE = 1e-12
 

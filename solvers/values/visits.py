@@ -15,12 +15,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from mdp.model import MDP
-from mdp.table import Floats
-from solvers.bounds.gains import SLACK, UNIT, gamma
-from solvers.bounds.linear import FixedPoint, LinearSystem
-from solvers.solution import Bounded
-from solvers.values.policy_chain import Mask, PolicyChain, closure, transposed
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure, transposed
 
 
 def occupancy(mdp: MDP, policy: object) -> Floats:

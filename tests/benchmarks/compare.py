@@ -83,8 +83,8 @@ def reference(workload: Workload) -> tuple[NDArray[np.float64], float]:
 
     At discount 1 the bound is the residual times the number of layers.
     """
-    from mdp import MDP
-    from solvers import PolicyIteration, solve
+    from exact_mdp.mdp import MDP
+    from exact_mdp.solvers import PolicyIteration, solve
 
     mdp = MDP.from_pairs(
         workload.state, workload.action, workload.transition, workload.reward,

@@ -39,8 +39,13 @@ Contender = Callable[[Workload], Callable[[], Answer]]
 
 def _ours(method: str | None) -> Contender:
     def prepare(work: Workload) -> Callable[[], Answer]:
-        from mdp import MDP
-        from solvers import ModifiedPolicyIteration, PolicyIteration, ValueIteration, solve
+        from exact_mdp.mdp import MDP
+        from exact_mdp.solvers import (
+            ModifiedPolicyIteration,
+            PolicyIteration,
+            ValueIteration,
+            solve,
+        )
 
         chosen: dict[str | None, Any] = {
             None: None,
@@ -181,8 +186,8 @@ def _storm(work: Workload) -> Callable[[], Answer]:
 
 
 def _linear_program(work: Workload) -> Callable[[], Answer]:
-    from mdp import MDP
-    from solvers import LinearProgram, solve
+    from exact_mdp.mdp import MDP
+    from exact_mdp.solvers import LinearProgram, solve
 
     def run() -> Answer:
         started = perf_counter()

@@ -16,8 +16,8 @@ import numpy as np
 from contenders import ALONE
 from matplotlib.ticker import NullFormatter
 
-from analysis.plots.style import LINES, save, style
-from mdp.io.files import write_atomically
+from exact_mdp.analysis.plots.style import LINES, save, style
+from exact_mdp.mdp.io.files import write_atomically
 
 PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy", "highspy")
 INK = ("#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7")

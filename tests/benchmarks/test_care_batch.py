@@ -11,9 +11,9 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from mdp import MDP, Scenario
-from solvers import solve
-from solvers.care import optimal, policy_values
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.care import optimal, policy_values
 
 pytestmark = pytest.mark.bench
 

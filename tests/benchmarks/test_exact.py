@@ -12,10 +12,10 @@ import pytest
 from cases.reference import solve_exact
 from strategies import model_of
 
-from mdp import MDP, Scenario
-from mdp.bellman import bellman_rows
-from solvers import certify
-from solvers.proof.exact import solve_exactly
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.bellman import bellman_rows
+from exact_mdp.solvers import certify
+from exact_mdp.solvers.proof.exact import solve_exactly
 
 pytestmark = pytest.mark.bench
 

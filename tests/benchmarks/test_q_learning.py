@@ -11,11 +11,11 @@ import gymnasium
 import numpy as np
 import pytest
 
-from mdp import MDP, Scenario
-from mdp.environment import YUAN2025
-from solvers.learning.q_learning import QLearning, Trainer
-from solvers.learning.sampler import child, rows_of
-from solvers.learning.training import train_many
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.environment import YUAN2025
+from exact_mdp.solvers.learning.q_learning import QLearning, Trainer
+from exact_mdp.solvers.learning.sampler import child, rows_of
+from exact_mdp.solvers.learning.training import train_many
 
 pytestmark = pytest.mark.bench
 

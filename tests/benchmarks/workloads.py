@@ -163,7 +163,7 @@ def inventory(capacity: int, discount: float = 0.9999, most: int = 20) -> Worklo
 
 def layered(subtasks: int, discount: float = 0.99) -> Workload:
     """The care model with one task of so many subtasks: 16 statuses, 5 trials."""
-    from mdp import Scenario
+    from exact_mdp.mdp import Scenario
 
     scenario = Scenario.load("yuan2025").with_(tasks=[subtasks], discount=str(discount))
     mdp = scenario.compile()

@@ -17,20 +17,20 @@ import numpy as np
 import pytest
 from umb_files import archive_of
 
-from analysis.sensitivity.psa.uncertainty import load_uncertainty
-from analysis.sensitivity.ranges import load_ranges
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.care.counts import read_counts
-from mdp.care.perception import read as read_perception
-from mdp.care.toml import load as read_scenario
-from mdp.io import npz, umb
-from mdp.io.arrays import read_array
-from mdp.io.files import opened, read_bytes, read_text, write_atomically
-from mdp.io.load import load
-from paper_repro.agents import recording
-from solvers import Certificate
-from solvers.parallel.pieces import read_piece
-from solvers.proof.certificate import BoundedCertificate
+from exact_mdp.analysis.sensitivity.psa.uncertainty import load_uncertainty
+from exact_mdp.analysis.sensitivity.ranges import load_ranges
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.care.counts import read_counts
+from exact_mdp.mdp.care.perception import read as read_perception
+from exact_mdp.mdp.care.toml import load as read_scenario
+from exact_mdp.mdp.io import npz, umb
+from exact_mdp.mdp.io.arrays import read_array
+from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
+from exact_mdp.mdp.io.load import load
+from exact_mdp.paper_repro.agents import recording
+from exact_mdp.solvers import Certificate
+from exact_mdp.solvers.parallel.pieces import read_piece
+from exact_mdp.solvers.proof.certificate import BoundedCertificate
 
 MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")
 CARE = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile()
@@ -255,7 +255,7 @@ def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
 
 def test_a_constant_piece_is_not_out_of_proportion(tmp_path: Path) -> None:
     """Pieces of a run are compressed as far as they go; our own are never refused."""
-    from solvers.parallel.pieces import write_piece
+    from exact_mdp.solvers.parallel.pieces import write_piece
 
     write_piece(tmp_path / "a.npz", {"zeros": np.zeros(20_000_000)})
     found = read_piece(tmp_path / "a.npz")

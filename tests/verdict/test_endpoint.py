@@ -27,14 +27,14 @@ from fake_endpoint import (
     saying,
 )
 
-from mdp import ModelError, Scenario
-from paper_repro.agents.__main__ import main
-from paper_repro.agents.chat import Malformed, Style, decoded
-from paper_repro.agents.endpoint import Endpoint
-from paper_repro.agents.modules import Place
-from paper_repro.agents.protocol import BackendError, Request
-from paper_repro.agents.setup import modules_of
-from paper_repro.agents.text_view import plain
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.paper_repro.agents.__main__ import main
+from exact_mdp.paper_repro.agents.chat import Malformed, Style, decoded
+from exact_mdp.paper_repro.agents.endpoint import Endpoint
+from exact_mdp.paper_repro.agents.modules import Place
+from exact_mdp.paper_repro.agents.protocol import BackendError, Request
+from exact_mdp.paper_repro.agents.setup import modules_of
+from exact_mdp.paper_repro.agents.text_view import plain
 
 KEY = "sk-test-0123456789abcdef"
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "NO_PROXY")
@@ -304,7 +304,7 @@ def test_the_deadline_holds_while_a_name_is_looked_up(
 @pytest.mark.usefixtures("nothing_left_open")
 def test_the_deadline_holds_for_what_is_sent() -> None:
     """A server that reads nothing does not hold a long question up."""
-    from paper_repro.agents.transport import Address, Route, Transient, post
+    from exact_mdp.paper_repro.agents.transport import Address, Route, Transient, post
 
     def script(state: RawServer, line: socket.socket) -> None:
         state.halt.wait(3)

@@ -6,7 +6,7 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from analysis.sensitivity.psa.value_of_information import evppi
+from exact_mdp.analysis.sensitivity.psa.value_of_information import evppi
 
 Z = 1.959963984540054
 STEP = 0.02  # what the second action costs below the step

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mdp import MDP, ModelError
-from mdp.table import OutcomeTable, ones
-from solvers import SolverError, certify, evaluate, solve
-from solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.table import OutcomeTable, ones
+from exact_mdp.solvers import SolverError, certify, evaluate, solve
+from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 
 
 @pytest.mark.parametrize("stay", [1.0, 1 + 2.0**-52, 1 + 2.0**-40])

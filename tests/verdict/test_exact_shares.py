@@ -9,14 +9,14 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.gate.check import check
-from analysis.gate.regret import regret
-from mdp import MDP
-from mdp.errors import ModelError
-from mdp.io.load import save_model
-from mdp.policies.policy import Policy
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.returns import return_distribution
+from exact_mdp.analysis.gate.check import check
+from exact_mdp.analysis.gate.regret import regret
+from exact_mdp.mdp import MDP
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.returns import return_distribution
 
 TINY = Fraction(1, 10**30)
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from cli_runner import run
 
-from analysis.gate.check import check
-from analysis.gate.exact_policy import exact_visits
-from mdp import MDP
-from mdp.io.load import save_model
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.visits import visits
+from exact_mdp.analysis.gate.check import check
+from exact_mdp.analysis.gate.exact_policy import exact_visits
+from exact_mdp.mdp import MDP
+from exact_mdp.mdp.io.load import save_model
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 HARDLY = Fraction(1, 10**20)
 

@@ -12,8 +12,8 @@ import pytest
 from cli_runner import PROGRAM, launch, run
 from click.testing import CliRunner
 
-from paper_repro.__main__ import main as reproduce
-from paper_repro.agents.__main__ import main as agents
+from exact_mdp.paper_repro.__main__ import main as reproduce
+from exact_mdp.paper_repro.agents.__main__ import main as agents
 
 LONG_HEX = "0x" + "f" * 9000
 YUAN = Path(__file__).parents[2] / "mdp" / "scenarios" / "yuan2025.toml"
@@ -126,7 +126,7 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
     def fail(*_: object, **__: object) -> None:
         raise fault
 
-    monkeypatch.setattr("mdp.io.load.load", fail)
+    monkeypatch.setattr("exact_mdp.mdp.io.load.load", fail)
     done = run("check", "yuan2025", "optimal")
     assert (done.status, done.out) == (3, "")
     told(done.err)
@@ -138,11 +138,11 @@ def test_the_other_programs_end_in_the_same_way(
     def fail(*_: object, **__: object) -> None:
         raise OverflowError("too large")
 
-    monkeypatch.setattr("paper_repro.run.run", fail)
+    monkeypatch.setattr("exact_mdp.paper_repro.run.run", fail)
     done = CliRunner().invoke(reproduce, ["--quick", "--out", str(tmp_path)])
     assert (done.exit_code, done.stdout) == (3, "")
     told(done.stderr)
-    monkeypatch.setattr("paper_repro.agents.recording.read", fail)
+    monkeypatch.setattr("exact_mdp.paper_repro.agents.recording.read", fail)
     recording = tmp_path / "recording.jsonl"
     recording.write_text("{}", "utf-8")
     done = CliRunner().invoke(agents, ["replay", str(recording)])

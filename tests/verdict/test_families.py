@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.sensitivity import (
+from exact_mdp.analysis.sensitivity import (
     gradient,
     moments_gradient,
     morris,
@@ -21,13 +21,13 @@ from analysis.sensitivity import (
     tornado,
     two_way,
 )
-from analysis.sensitivity.gradient import Checked
-from mdp import MDP, ModelError, Parameter, Scenario
-from mdp.parametric import Family, moving, parametric, room_of
-from mdp.row_change import pieces, row_change
-from mdp.symbolic import degrees_of
-from solvers import certify
-from solvers.solution import Claim
+from exact_mdp.analysis.sensitivity.gradient import Checked
+from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
+from exact_mdp.mdp.parametric import Family, moving, parametric, room_of
+from exact_mdp.mdp.row_change import pieces, row_change
+from exact_mdp.mdp.symbolic import degrees_of
+from exact_mdp.solvers import certify
+from exact_mdp.solvers.solution import Claim
 
 
 def unit(name: str, value: F) -> Parameter:

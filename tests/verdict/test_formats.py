@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from saved_models import MODELS
 
-from analysis.cli import cli
-from mdp import MDP, Column, ModelError, StateSpace
-from mdp.io import umb
-from mdp.io.load import load, load_model, save_model
-from mdp.table import OutcomeTable
+from exact_mdp.analysis.cli import cli
+from exact_mdp.mdp import MDP, Column, ModelError, StateSpace
+from exact_mdp.mdp.io import umb
+from exact_mdp.mdp.io.load import load, load_model, save_model
+from exact_mdp.mdp.table import OutcomeTable
 
 FORMATS = ("npz", "umb")
 DERIVED = ("table", "transition", "reward", "pair_offsets")

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from analysis import assert_policy_optimal, check
-from mdp import MDP, ModelError, Policy
-from mdp.io.load import save_model
-from mdp.policies.policy import taken
-from solvers import evaluate
-from solvers.values.returns import return_distribution
-from solvers.values.simulate import simulate
+from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.policies.policy import taken
+from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.values.returns import return_distribution
+from exact_mdp.solvers.values.simulate import simulate
 
 BOTH = np.array([[0.5, 0.5], [0.1, 0.9]])
 

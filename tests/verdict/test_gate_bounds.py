@@ -10,11 +10,11 @@ from cli_runner import run
 from hypothesis import given, settings
 from strategies import Rows, models
 
-import analysis.gate.check
-from analysis import check
-from mdp import MDP, ModelError
-from mdp.io.load import save_model
-from solvers import Bounded, Certified, Claim
+from exact_mdp import analysis
+from exact_mdp.analysis import check
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.io.load import save_model
+from exact_mdp.solvers import Bounded, Certified, Claim
 
 
 def two(first: object, second: object, *, discount: object = 1) -> MDP:

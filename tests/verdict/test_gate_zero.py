@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis import assert_policy_optimal, check
-from analysis.gate.forgiveness import of_floats
-from mdp import MDP
-from solvers import Claim
+from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp.analysis.gate.forgiveness import of_floats
+from exact_mdp.mdp import MDP
+from exact_mdp.solvers import Claim
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
 

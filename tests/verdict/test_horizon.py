@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from cli_runner import run, strict
 
-from analysis import assert_policy_optimal, check
-from mdp import MDP, ModelError, Policy, Scenario
-from mdp.fingerprint import fingerprint
-from mdp.io import npz
-from solvers import certify, evaluate, return_distribution, simulate, solve
-from solvers.dynamic.policy_iteration import PolicyIteration
+from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.io import npz
+from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
+from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 
 LAKE, WIDE = "FrozenLake-v1", "FrozenLake8x8-v1"
 OPTIMA = {LAKE: (100, 0.7441903), WIDE: (200, 0.9132202)}
@@ -268,7 +268,7 @@ def test_extra_states_that_go_on_are_unrolled_as_well() -> None:
     """An extra state in which the process goes on gets its times, as any other."""
     rows = [(0, 0, [("1/2", 1, 1), ("1/2", 0, 0)]), (1, 0, [(1, 0, 2)])]
     plain = MDP.from_outcomes(rows)
-    from mdp import Column, StateSpace
+    from exact_mdp.mdp import Column, StateSpace
 
     odd = plain.with_(space=StateSpace(columns=(Column(name="place", size=1),), extra=("away",)))
     wanted = certify(plain.within(4)).start_value
@@ -377,7 +377,7 @@ def test_an_operator_takes_no_horizon() -> None:
 
 def test_a_file_of_before_has_no_limit(tmp_path: Path) -> None:
     """Files that were written without the field are read as they were."""
-    from mdp.io.npz import as_header, parts_of
+    from exact_mdp.mdp.io.npz import as_header, parts_of
 
     mdp = MDP.from_gymnasium(LAKE)
     header = json.loads(json.dumps(as_header(mdp)))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from mdp import MDP, ModelError
-from mdp.table import beside
-from solvers.parallel.pieces import write_piece
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.table import beside
+from exact_mdp.solvers.parallel.pieces import write_piece
 
 
 @pytest.mark.parametrize(

@@ -14,14 +14,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from analysis import cli
-from analysis.gate.junit import Case, junit
-from analysis.plots.style import plain_text, save, style
-from mdp import MDP, Column, ModelError, Parameter, Policy, Scenario, StateSpace
-from mdp.care.toml import parse
-from mdp.errors import UNSAFE, shown_text
-from mdp.io import npz, umb
-from mdp.parametric import Family
+from exact_mdp.analysis import cli
+from exact_mdp.analysis.gate.junit import Case, junit
+from exact_mdp.analysis.plots.style import plain_text, save, style
+from exact_mdp.mdp import MDP, Column, ModelError, Parameter, Policy, Scenario, StateSpace
+from exact_mdp.mdp.care.toml import parse
+from exact_mdp.mdp.errors import UNSAFE, shown_text
+from exact_mdp.mdp.io import npz, umb
+from exact_mdp.mdp.parametric import Family
 
 BAD = [
     *map(chr, range(0x20)), *map(chr, range(0x7F, 0xA0)), *map(chr, range(0x202A, 0x202F)),
@@ -40,7 +40,7 @@ GOOD = [
     "`|`",
 ]
 ROWS = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
-TEA = (files("mdp") / "scenarios" / "tea.toml").read_text("utf-8")
+TEA = (files("exact_mdp.mdp") / "scenarios" / "tea.toml").read_text("utf-8")
 
 
 def environment(name: str) -> object:
@@ -192,10 +192,10 @@ def test_every_figure_is_drawn_as_written() -> None:
     import importlib
     import pkgutil
 
-    import analysis.plots
+    from exact_mdp import analysis
 
     for module in pkgutil.iter_modules(analysis.plots.__path__):
-        found = importlib.import_module(f"analysis.plots.{module.name}")
+        found = importlib.import_module(f"exact_mdp.analysis.plots.{module.name}")
         for name, function in vars(found).items():
             if name.startswith("plot_"):
                 assert hasattr(function, "__wrapped__"), f"{module.name}.{name}"

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mixed_numbers import Law, again, floats, kinds, optimal, rows_of
 
-from mdp import MDP, ModelError
-from mdp.io.npz import load, save
-from solvers import certify
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.io.npz import load, save
+from exact_mdp.solvers import certify
 
 REWARDS = (F(1, 7), F(1, 4), F(3), F(-2, 5), F(0), F(2**60 + 1), F(1, 2**70), F(-7, 8))
 EYE = [[1, 0], [0, 1]]

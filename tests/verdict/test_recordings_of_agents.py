@@ -11,20 +11,20 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from mdp import ModelError, Scenario
-from paper_repro.agents import local as model_file
-from paper_repro.agents.__main__ import main
-from paper_repro.agents.chat import Style, ask, execution_schema
-from paper_repro.agents.measure import Notebook
-from paper_repro.agents.modules import FOLDER as ACTIVITIES
-from paper_repro.agents.modules import Activity
-from paper_repro.agents.prompts import FOLDER, Prompts
-from paper_repro.agents.protocol import Request
-from paper_repro.agents.recording import read
-from paper_repro.agents.scripted import Scripted
-from paper_repro.agents.session import NAME, Recorded, hold, replayed
-from paper_repro.agents.setup import conversation, modules_of, recorded
-from paper_repro.agents.text_view import number
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.paper_repro.agents import local as model_file
+from exact_mdp.paper_repro.agents.__main__ import main
+from exact_mdp.paper_repro.agents.chat import Style, ask, execution_schema
+from exact_mdp.paper_repro.agents.measure import Notebook
+from exact_mdp.paper_repro.agents.modules import FOLDER as ACTIVITIES
+from exact_mdp.paper_repro.agents.modules import Activity
+from exact_mdp.paper_repro.agents.prompts import FOLDER, Prompts
+from exact_mdp.paper_repro.agents.protocol import Request
+from exact_mdp.paper_repro.agents.recording import read
+from exact_mdp.paper_repro.agents.scripted import Scripted
+from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, replayed
+from exact_mdp.paper_repro.agents.setup import conversation, modules_of, recorded
+from exact_mdp.paper_repro.agents.text_view import number
 
 SETS = ("tasks=[1,1]",)
 
@@ -107,7 +107,7 @@ def test_tokens_that_were_not_counted_are_not_none(usage: object) -> None:
 
 def test_a_cost_without_all_counts_is_a_least_one(capsys: pytest.CaptureFixture[str]) -> None:
     """'at least' stands before tokens and cost where an answer was not counted."""
-    from paper_repro.agents.cli import tell_use
+    from exact_mdp.paper_repro.agents.cli import tell_use
 
     used = {"attempts": 3, "prompt_tokens": 200, "completion_tokens": 20}
     tell_use(used, (1.0, 1.0), 1)

@@ -10,17 +10,17 @@ import pytest
 import scipy.sparse as sp
 from mixed_numbers import again, rows_of
 
-from analysis import check
-from mdp import MDP, ModelError, Scenario
-from mdp.care.perception import independent
-from mdp.io.npz import load, save
-from solvers import ValueIteration, certify, evaluate, solve
-from solvers.pomdp.belief import Process
-from solvers.pomdp.pomdp import solve_beliefs
-from solvers.robust.robust import solve_robust
-from solvers.robust.sets import Intervals
-from solvers.values.policy_chain import PolicyChain
-from solvers.values.returns import return_distribution
+from exact_mdp.analysis import check
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care.perception import independent
+from exact_mdp.mdp.io.npz import load, save
+from exact_mdp.solvers import ValueIteration, certify, evaluate, solve
+from exact_mdp.solvers.pomdp.belief import Process
+from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
+from exact_mdp.solvers.robust.robust import solve_robust
+from exact_mdp.solvers.robust.sets import Intervals
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.returns import return_distribution
 
 
 def dense(seed: int) -> MDP:

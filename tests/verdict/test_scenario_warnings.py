@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from analysis.sensitivity import (
+from exact_mdp.analysis.sensitivity import (
     box_extreme,
     gradient,
     morris,
@@ -21,10 +21,10 @@ from analysis.sensitivity import (
     thresholds,
     tornado,
 )
-from mdp import Scenario, ScenarioWarning
-from mdp.care.laws import chances, excess
-from mdp.care.scenario import READINGS
-from solvers.care import optimal, policy_values
+from exact_mdp.mdp import Scenario, ScenarioWarning
+from exact_mdp.mdp.care.laws import chances, excess
+from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.solvers.care import optimal, policy_values
 
 SMALL = {"tasks": [1], "max_trial": 2}
 ADDITIVE = {"influence_on_present": "additive"}
@@ -150,7 +150,7 @@ def test_the_command_line_says_it_in_one_line_on_standard_error() -> None:
 
 def test_the_command_line_refuses_it_where_warnings_are_errors() -> None:
     words = ["info", "yuan2025", "--set", "readings.influence_on_present=additive"]
-    code = f"import sys; from analysis.cli import main; sys.exit(main({words!r}))"
+    code = f"import sys; from exact_mdp.analysis.cli import main; sys.exit(main({words!r}))"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True)
     assert done.returncode == 2
     assert done.stdout == b""

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from cli_runner import run, strict
 
-from mdp import MDP
-from solvers import evaluate, return_distribution, simulate
+from exact_mdp.mdp import MDP
+from exact_mdp.solvers import evaluate, return_distribution, simulate
 
 
 def test_steps_of_a_policy_that_never_ends_are_infinite() -> None:
@@ -65,7 +65,7 @@ def test_nothing_earned_is_exactly_nothing() -> None:
 def test_the_command_tells_what_is_unknown(tmp_path: object) -> None:
     from pathlib import Path
 
-    from mdp.io import npz
+    from exact_mdp.mdp.io import npz
 
     path = Path(str(tmp_path)) / "late.npz"
     stay = 1 - F(1, 10**19)

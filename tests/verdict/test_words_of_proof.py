@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from analysis.gate.column_policies import best_policy
-from analysis.sensitivity import psa, sobol
-from mdp import MDP, ModelError, Policy
-from mdp.parametric import moving
+from exact_mdp.analysis.gate.column_policies import best_policy
+from exact_mdp.analysis.sensitivity import psa, sobol
+from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp.mdp.parametric import moving
 
 STEPS = 5
 REWARDS = [[0, -5, 0], [3, 2, 12], [-1, 0, -10], [-12, -5, -10]]

@@ -20,11 +20,11 @@ import pytest
 from cli_runner import run
 from pieces_of_work import KEY, WANTED, draws, same
 
-from mdp import ModelError
-from solvers import sources
-from solvers.parallel import cluster as cluster_module
-from solvers.parallel import many as many_module
-from solvers.parallel.many import many
+from exact_mdp.mdp import ModelError
+from exact_mdp.solvers import sources
+from exact_mdp.solvers.parallel import cluster as cluster_module
+from exact_mdp.solvers.parallel import many as many_module
+from exact_mdp.solvers.parallel.many import many
 
 pytestmark = pytest.mark.xdist_group("cluster")
 
@@ -97,6 +97,7 @@ def changed(folder: Path) -> Path:
     """Return a copy of the packages, one of which has a line more."""
     for package in sources.PACKAGES:
         shutil.copytree(ROOT / package, folder / package)
+    shutil.copytree(ROOT / "exact_mdp", folder / "exact_mdp", symlinks=True)
     with (folder / "mdp" / "model.py").open("a") as file:
         file.write("\n# another line\n")
     return folder
@@ -157,11 +158,11 @@ def test_a_worker_without_the_packages_is_refused(
     scheduler: Any, hire: Hire, tmp_path: Path
 ) -> None:
     """A worker on which the packages cannot be imported is refused with the reason."""
-    (tmp_path / "empty" / "solvers").mkdir(parents=True)
-    (tmp_path / "empty" / "solvers" / "__init__.py").write_text("")
+    (tmp_path / "empty" / "exact_mdp").mkdir(parents=True)
+    (tmp_path / "empty" / "exact_mdp" / "__init__.py").write_text("")
     bad = hire("bad", tmp_path / "empty")
     error = refused(scheduler.scheduler_address)
-    assert f"{bad}: ModuleNotFoundError: No module named 'solvers.parallel.sources'" in error.what
+    assert f"{bad}: ModuleNotFoundError: No module named 'exact_mdp.solvers'" in error.what
 
 
 def test_a_worker_that_does_not_answer_is_refused(scheduler: Any, hire: Hire) -> None:

@@ -12,19 +12,19 @@ from typing import Any
 
 import click
 
-from analysis.cli.options import PERCEPTION_HELP, POLICY_HELP, model_options, tell_limit
-from analysis.cli.render import show
+from exact_mdp.analysis.cli.options import PERCEPTION_HELP, POLICY_HELP, model_options, tell_limit
+from exact_mdp.analysis.cli.render import show
 
 KINDS = MappingProxyType(
     {
-        "gradient": "analysis.cli.sensitivity.gradient:gradient_report",
-        "tornado": "analysis.cli.sensitivity.tornado:tornado_report",
-        "threshold": "analysis.cli.sensitivity.threshold:threshold_report",
-        "psa": "analysis.cli.sensitivity.psa:psa_report",
-        "sobol": "analysis.cli.sensitivity.global_:sobol_report",
-        "morris": "analysis.cli.sensitivity.global_:morris_report",
-        "robust": "analysis.cli.sensitivity.robust:robust_report",
-        "structural": "analysis.cli.sensitivity.structural:structural_report",
+        "gradient": "exact_mdp.analysis.cli.sensitivity.gradient:gradient_report",
+        "tornado": "exact_mdp.analysis.cli.sensitivity.tornado:tornado_report",
+        "threshold": "exact_mdp.analysis.cli.sensitivity.threshold:threshold_report",
+        "psa": "exact_mdp.analysis.cli.sensitivity.psa:psa_report",
+        "sobol": "exact_mdp.analysis.cli.sensitivity.global_:sobol_report",
+        "morris": "exact_mdp.analysis.cli.sensitivity.global_:morris_report",
+        "robust": "exact_mdp.analysis.cli.sensitivity.robust:robust_report",
+        "structural": "exact_mdp.analysis.cli.sensitivity.structural:structural_report",
     }
 )
 
@@ -141,7 +141,7 @@ def sensitivity(
     which parameters decide, alone and together. robust: the worst case within sets around the
     tables. structural: the same outputs under each reading of the text.
     """
-    from mdp.io.load import load
+    from exact_mdp.mdp.io.load import load
 
     _check(kind, options)
     loaded = load(model, sets=sets, discount=discount)
@@ -157,7 +157,7 @@ def sensitivity(
 
 def _check(kind: str, options: dict[str, Any]) -> None:
     """Refuse options that the kind would ignore, and fill in the defaults of those that it has."""
-    from mdp.errors import ModelError
+    from exact_mdp.mdp.errors import ModelError
 
     for name, (option, kinds) in ONLY.items():
         if kind not in kinds and options[name] is not None:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.cli.options import whole_of
-from analysis.cli.render import Grid, number
-from analysis.cli.sensitivity.options import (
+from exact_mdp.analysis.cli.options import whole_of
+from exact_mdp.analysis.cli.render import Grid, number
+from exact_mdp.analysis.cli.sensitivity.options import (
     SHOWN,
     Report,
     model_of,
@@ -24,16 +24,16 @@ from analysis.cli.sensitivity.options import (
     work_from,
     written,
 )
-from analysis.sensitivity.draws.morris import Effects, Morris, morris
-from analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
-from analysis.sensitivity.ranges import usual
-from mdp.errors import ModelError
-from mdp.parametric import DISCOUNT
-from mdp.table import Floats
-from solvers import solve
+from exact_mdp.analysis.sensitivity.draws.morris import Effects, Morris, morris
+from exact_mdp.analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
+from exact_mdp.analysis.sensitivity.ranges import usual
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.parametric import DISCOUNT
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers import solve
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.io.load import Loaded
 
 
 DRAWN = {

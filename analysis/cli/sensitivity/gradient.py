@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from analysis.cli.render import Grid, number
-from analysis.cli.sensitivity.options import (
+from exact_mdp.analysis.cli.render import Grid, number
+from exact_mdp.analysis.cli.sensitivity.options import (
     ROUNDED,
     SHOWN,
     Report,
@@ -15,12 +15,12 @@ from analysis.cli.sensitivity.options import (
     only_first,
     policy_from,
 )
-from analysis.sensitivity.gradient import Derivative, gradient
-from mdp.errors import ModelError
-from solvers.solution import Certified
+from exact_mdp.analysis.sensitivity.gradient import Derivative, gradient
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.solvers.solution import Certified
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.io.load import Loaded
 
 
 def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:

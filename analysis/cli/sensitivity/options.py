@@ -14,9 +14,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.cli.options import policy_of, whole_of
-from analysis.cli.render import Grid, to_json
-from analysis.sensitivity.ranges import (
+from exact_mdp.analysis.cli.options import policy_of, whole_of
+from exact_mdp.analysis.cli.render import Grid, to_json
+from exact_mdp.analysis.sensitivity.ranges import (
     RELATIVE,
     Range,
     admitted,
@@ -25,13 +25,13 @@ from analysis.sensitivity.ranges import (
     load_ranges,
     whole,
 )
-from mdp.errors import ModelError
-from mdp.io.files import write_atomically
-from mdp.parametric import Parametric, parameter_of, parametric
-from mdp.table import FLOAT_RANGE, exact, shown
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.table import FLOAT_RANGE, exact, shown
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.io.load import Loaded
 
 
 def model_of(loaded: Loaded) -> Parametric:
@@ -141,7 +141,7 @@ def written(
         return result
     import click
 
-    from analysis.record import run_record
+    from exact_mdp.analysis.record import run_record
 
     context = click.get_current_context(silent=True)
     words = (context.find_root().obj or ()) if context is not None else ()

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.cli.options import whole_of
-from analysis.cli.render import Grid, number
-from analysis.cli.sensitivity.options import (
+from exact_mdp.analysis.cli.options import whole_of
+from exact_mdp.analysis.cli.render import Grid, number
+from exact_mdp.analysis.cli.sensitivity.options import (
     Report,
     model_of,
     only_first,
@@ -24,11 +24,11 @@ from analysis.cli.sensitivity.options import (
     work_from,
     written,
 )
-from analysis.sensitivity.base import digest
-from analysis.sensitivity.draws.solver import solver_of
-from analysis.sensitivity.psa.distributions import Uncertainty
-from analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
-from analysis.sensitivity.psa.intervals import (
+from exact_mdp.analysis.sensitivity.base import digest
+from exact_mdp.analysis.sensitivity.draws.solver import solver_of
+from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
+from exact_mdp.analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
+from exact_mdp.analysis.sensitivity.psa.intervals import (
     FEW,
     MeanLoss,
     mean_loss,
@@ -36,23 +36,23 @@ from analysis.sensitivity.psa.intervals import (
     quantiles,
     tolerances_of,
 )
-from analysis.sensitivity.psa.psa import psa
-from analysis.sensitivity.psa.result import PSA
-from analysis.sensitivity.psa.uncertainty import (
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.analysis.sensitivity.psa.result import PSA
+from exact_mdp.analysis.sensitivity.psa.uncertainty import (
     EFFECTIVE_SAMPLE_SIZE,
     load_uncertainty,
     uncertainty,
 )
-from analysis.sensitivity.psa.value_of_information import FEWEST, PartialInformation
-from analysis.sensitivity.robust.row_family import row_family
-from mdp.errors import ModelError
-from mdp.parametric import Parametric
-from mdp.table import Floats, exact
-from solvers import solve
-from solvers.solution import Bounded, Estimated
+from exact_mdp.analysis.sensitivity.psa.value_of_information import FEWEST, PartialInformation
+from exact_mdp.analysis.sensitivity.robust.row_family import row_family
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.parametric import Parametric
+from exact_mdp.mdp.table import Floats, exact
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.solution import Bounded, Estimated
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.io.load import Loaded
 
 
 def result_of(

@@ -11,22 +11,39 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.cli.render import Grid, number
-from analysis.cli.sensitivity.options import ROUNDED, SHOWN, Report, only_first, policy_from
-from analysis.cli.sensitivity.options import ranges_from as stated
-from analysis.sensitivity.ranges import RELATIVE, Range
-from analysis.sensitivity.robust.box import box_extreme, box_optimum, box_ranges, exact_value
-from analysis.sensitivity.robust.robust import SETS, Robust, ambiguity_of, difference, robust
-from analysis.sensitivity.robust.search import BoxExtreme, BoxOptimum
-from mdp.care.family import ScenarioFamily
-from mdp.errors import ModelError, suggest
-from mdp.table import LARGEST, beside, exact, shown
-from solvers import solve
-from solvers.solution import Bounded
+from exact_mdp.analysis.cli.render import Grid, number
+from exact_mdp.analysis.cli.sensitivity.options import (
+    ROUNDED,
+    SHOWN,
+    Report,
+    only_first,
+    policy_from,
+)
+from exact_mdp.analysis.cli.sensitivity.options import ranges_from as stated
+from exact_mdp.analysis.sensitivity.ranges import RELATIVE, Range
+from exact_mdp.analysis.sensitivity.robust.box import (
+    box_extreme,
+    box_optimum,
+    box_ranges,
+    exact_value,
+)
+from exact_mdp.analysis.sensitivity.robust.robust import (
+    SETS,
+    Robust,
+    ambiguity_of,
+    difference,
+    robust,
+)
+from exact_mdp.analysis.sensitivity.robust.search import BoxExtreme, BoxOptimum
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.table import LARGEST, beside, exact, shown
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
-    from mdp.care.scenario import Scenario
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.care.scenario import Scenario
+    from exact_mdp.mdp.io.load import Loaded
 
 
 STATED = ("parameters", "ranges", "range_file", "relative", "whole")

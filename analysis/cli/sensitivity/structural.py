@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.cli.render import Grid, number
-from analysis.cli.sensitivity.options import SHOWN, Report, any_range, work_from, written
-from analysis.sensitivity.structural import (
+from exact_mdp.analysis.cli.render import Grid, number
+from exact_mdp.analysis.cli.sensitivity.options import SHOWN, Report, any_range, work_from, written
+from exact_mdp.analysis.sensitivity.structural import (
     CARRIED,
     Reading,
     Structural,
@@ -17,11 +17,11 @@ from analysis.sensitivity.structural import (
     one_at_a_time,
     structural,
 )
-from mdp.errors import ModelError
-from mdp.table import Floats
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.io.load import Loaded
 
 
 def structural_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
@@ -92,7 +92,7 @@ def structural_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
 
 
 def _confusion(loaded: Loaded, options: Mapping[str, Any]) -> Floats | None:
-    from mdp.care.perception import read
+    from exact_mdp.mdp.care.perception import read
 
     path = options.get("perception")
     return None if path is None else read(path, loaded.mdp)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from analysis.cli.render import Grid, number
-from analysis.cli.sensitivity.options import (
+from exact_mdp.analysis.cli.render import Grid, number
+from exact_mdp.analysis.cli.sensitivity.options import (
     SHOWN,
     Report,
     model_of,
@@ -14,14 +14,14 @@ from analysis.cli.sensitivity.options import (
     only_first,
     ranges_from,
 )
-from analysis.sensitivity.base import unit_of
-from analysis.sensitivity.thresholds.joint import joint_radius
-from analysis.sensitivity.thresholds.thresholds import Threshold, Thresholds, thresholds
-from mdp.errors import ModelError
-from solvers import solve
+from exact_mdp.analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.sensitivity.thresholds.joint import joint_radius
+from exact_mdp.analysis.sensitivity.thresholds.thresholds import Threshold, Thresholds, thresholds
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.solvers import solve
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.io.load import Loaded
 
 
 def threshold_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:

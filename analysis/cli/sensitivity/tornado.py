@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from analysis.cli.render import Grid, number
-from analysis.cli.sensitivity.options import (
+from exact_mdp.analysis.cli.render import Grid, number
+from exact_mdp.analysis.cli.sensitivity.options import (
     SHOWN,
     Report,
     model_of,
@@ -14,11 +14,11 @@ from analysis.cli.sensitivity.options import (
     policy_from,
     ranges_from,
 )
-from analysis.sensitivity.base import unit_of
-from analysis.sensitivity.one_way import Bar, tornado
+from exact_mdp.analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.sensitivity.one_way import Bar, tornado
 
 if TYPE_CHECKING:
-    from mdp.io.load import Loaded
+    from exact_mdp.mdp.io.load import Loaded
 
 
 def tornado_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.draws.solver import DrawSolver
-from mdp.errors import ModelError
-from solvers.parallel.many import many
-from solvers.parallel.pieces import Arrays
+from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.solvers.parallel.many import many
+from exact_mdp.solvers.parallel.pieces import Arrays
 
 
 def whole_number(value: object, name: str, least: int) -> int:

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.base import unit_of
-from analysis.sensitivity.draws.sampled import Sampled, sampled
-from analysis.sensitivity.ranges import Range, spans_of
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric, parametric
-from mdp.table import Floats
+from exact_mdp.analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
+from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric, parametric
+from exact_mdp.mdp.table import Floats
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.random import default_rng
 
-from analysis.sensitivity.draws.design import (
+from exact_mdp.analysis.sensitivity.draws.design import (
     Design,
     check_confidence,
     check_output,
@@ -32,13 +32,13 @@ from analysis.sensitivity.draws.design import (
     salib,
     whole_seed,
 )
-from analysis.sensitivity.ranges import Range
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric
-from mdp.table import Floats
-from solvers.learning.sampler import child
+from exact_mdp.analysis.sensitivity.ranges import Range
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.learning.sampler import child
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -160,7 +160,7 @@ def morris(
 
     Examples
     --------
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric import moving
     >>> rows = [(0, 0, [("1/2", 1, 4), ("1/2", 2, 0)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
     >>> model = moving(MDP.from_outcomes(rows, 1), {"p": [(0, 1)]})
     >>> found = morris(model, ranges={"p": (0, 1)}, trajectories=8, seed=0)

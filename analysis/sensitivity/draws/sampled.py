@@ -18,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from analysis.sensitivity.base import BaseCase, digest
-from analysis.sensitivity.draws.solver import by_state
-from mdp.care.family import ScenarioFamily
-from mdp.errors import ModelError
-from mdp.fingerprint import fingerprint
-from mdp.parametric import Parametric, parameter_of
-from mdp.table import Floats
-from solvers import evaluate, solve
-from solvers.care import MOST_STATUSES, cut_off
-from solvers.parallel.many import many
+from exact_mdp.analysis.sensitivity.base import BaseCase, digest
+from exact_mdp.analysis.sensitivity.draws.solver import by_state
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.parametric import Parametric, parameter_of
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.care import MOST_STATUSES, cut_off
+from exact_mdp.solvers.parallel.many import many
 
 BLOCK = 32  # draws in a piece of work where each model is built: a fraction of a second
 BATCH = 8192  # the same for the compiled loops
@@ -97,8 +97,8 @@ def sampled(
 
     Examples
     --------
-    >>> from mdp import MDP
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp import MDP
+    >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> model = moving(mdp, {"stay": [(0, 0)]})
     >>> found = sampled(model, ["stay"], np.array([[0.5], [0.75]]), ["optimal"])
@@ -155,8 +155,8 @@ def values(
 
     Examples
     --------
-    >>> from mdp import MDP
-    >>> from mdp.parametric import parametric
+    >>> from exact_mdp import MDP
+    >>> from exact_mdp.mdp.parametric import parametric
     >>> model = parametric(MDP.from_arrays([[[1]]], [1], "1/2"))
     >>> values(model, ["discount"], np.array([[0.5], [0.75]])).round(9).tolist()
     [2.0, 4.0]
@@ -240,7 +240,7 @@ def _solve_batch(
     threads: int | None,
     piece: tuple[int, Floats],
 ) -> dict[str, Floats]:
-    from solvers.care import optimal, policy_values
+    from exact_mdp.solvers.care import optimal, policy_values
 
     _, draws = piece
     best = optimal(model.scenario, names, draws, threads=threads, warn=False)

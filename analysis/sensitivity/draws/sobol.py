@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.sensitivity.draws.design import (
+from exact_mdp.analysis.sensitivity.draws.design import (
     Design,
     check_confidence,
     check_output,
@@ -30,13 +30,13 @@ from analysis.sensitivity.draws.design import (
     salib,
     whole_seed,
 )
-from analysis.sensitivity.ranges import Range
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric
-from mdp.table import Floats
-from solvers.learning.sampler import child
+from exact_mdp.analysis.sensitivity.ranges import Range
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.learning.sampler import child
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -174,7 +174,7 @@ def sobol(
 
     Examples
     --------
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric import moving
     >>> rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [("1/2", 2, 1), ("1/2", 3, 0)])]
     >>> rows += [(2, 0, [(1, 2, 0)]), (3, 0, [(1, 3, 0)])]
     >>> model = moving(MDP.from_outcomes(rows, 1), {"p": [(0, 1)], "q": [(1, 2)]})

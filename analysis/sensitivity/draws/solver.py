@@ -20,16 +20,16 @@ from typing import Protocol
 
 import numpy as np
 
-from analysis.sensitivity.base import BaseCase
-from mdp.care.family import ScenarioFamily
-from mdp.care.scenario import Scenario
-from mdp.model import MDP
-from mdp.parametric import Parametric
-from mdp.table import Floats, Integers
-from solvers import evaluate, solve
-from solvers.bounds.gains import gains
-from solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
-from solvers.parallel.pieces import Arrays
+from exact_mdp.analysis.sensitivity.base import BaseCase
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
+from exact_mdp.solvers.parallel.pieces import Arrays
 
 
 def distinct(rows: Integers) -> tuple[Integers, Integers]:

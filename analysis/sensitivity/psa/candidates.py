@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.sensitivity.base import BaseCase
-from analysis.sensitivity.draws.solver import DrawSolver, merged
-from mdp.table import Floats
-from solvers.parallel.pieces import Arrays
+from exact_mdp.analysis.sensitivity.base import BaseCase
+from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, merged
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.parallel.pieces import Arrays
 
 POOL = 24  # policies that are considered as candidates
 CANDIDATES = 6  # of them kept, beside the policy held and today's optimum

@@ -20,8 +20,8 @@ from zlib import crc32
 import numpy as np
 from numpy.random import SeedSequence
 
-from mdp.errors import ModelError
-from mdp.table import Floats
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats
 
 KINDS = ("beta", "dirichlet", "normal", "gamma")
 SIZES = (1e-6, 1e15)  # effective sample sizes that floats can draw from

@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.base import digest, unit_of
-from analysis.sensitivity.draws.blocks import run, whole_number
-from analysis.sensitivity.draws.solver import DrawSolver, solver_of
-from analysis.sensitivity.psa.distributions import Uncertainty
-from analysis.sensitivity.psa.intervals import mean_loss
-from analysis.sensitivity.psa.uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.fingerprint import fingerprint
-from mdp.model import MDP
-from mdp.parametric import Parametric, parameter_of, parametric, placed
-from mdp.table import Floats
-from solvers.parallel.pieces import Arrays
+from exact_mdp.analysis.sensitivity.base import digest, unit_of
+from exact_mdp.analysis.sensitivity.draws.blocks import run, whole_number
+from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, solver_of
+from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
+from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss
+from exact_mdp.analysis.sensitivity.psa.uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric, placed
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.parallel.pieces import Arrays
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mdp.table import Floats
-from solvers.solution import Estimated
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.solution import Estimated
 
 NORMAL = 1.959963984540054
 FEW = 50.0  # draws that carry a mean

@@ -15,21 +15,21 @@ from pathlib import Path
 import numpy as np
 from numpy.random import SeedSequence
 
-from analysis.sensitivity.base import digest
-from analysis.sensitivity.draws.blocks import in_blocks, joined, seeded, whole_number
-from analysis.sensitivity.draws.solver import DrawSolver, solver_of
-from analysis.sensitivity.psa.candidates import Candidate, identity, named, selected
-from analysis.sensitivity.psa.distributions import Uncertainty
-from analysis.sensitivity.psa.result import PSA
-from analysis.sensitivity.psa.uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
-from mdp.care.family import ScenarioFamily
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.fingerprint import fingerprint
-from mdp.model import MDP
-from mdp.parametric import Parametric, parameter_of, parametric
-from mdp.table import Floats
-from solvers.parallel.pieces import Arrays
+from exact_mdp.analysis.sensitivity.base import digest
+from exact_mdp.analysis.sensitivity.draws.blocks import in_blocks, joined, seeded, whole_number
+from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, solver_of
+from exact_mdp.analysis.sensitivity.psa.candidates import Candidate, identity, named, selected
+from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
+from exact_mdp.analysis.sensitivity.psa.result import PSA
+from exact_mdp.analysis.sensitivity.psa.uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.parallel.pieces import Arrays
 
 
 def psa(

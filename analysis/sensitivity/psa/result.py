@@ -30,13 +30,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.sensitivity.psa.candidates import TODAY, Candidate
-from analysis.sensitivity.psa.distributions import Uncertainty
-from analysis.sensitivity.psa.intervals import MeanLoss, mean_loss, share_of, wilson
-from analysis.sensitivity.psa.value_of_information import PartialInformation, evpi, evppi
-from mdp.errors import ModelError
-from mdp.table import Floats, Integers
-from solvers.solution import Estimated
+from exact_mdp.analysis.sensitivity.psa.candidates import TODAY, Candidate
+from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
+from exact_mdp.analysis.sensitivity.psa.intervals import MeanLoss, mean_loss, share_of, wilson
+from exact_mdp.analysis.sensitivity.psa.value_of_information import PartialInformation, evpi, evppi
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.solution import Estimated
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -221,9 +221,9 @@ def groups_of(chosen: Uncertainty) -> dict[str, tuple[str, ...]]:
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.parametric import parametric
-    >>> from analysis.sensitivity.psa.uncertainty import uncertainty
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.parametric import parametric
+    >>> from exact_mdp.analysis.sensitivity.psa.uncertainty import uncertainty
     >>> model = parametric(Scenario.load("yuan2025"))
     >>> list(groups_of(uncertainty(model)))
     ['base.*', 'persistence.*', 'influence.*', 'assistance.*', 'skip.*']

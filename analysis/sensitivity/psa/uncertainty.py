@@ -34,11 +34,11 @@ from typing import Any
 
 import numpy as np
 
-from analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
-from mdp.errors import ModelError, suggest
-from mdp.io.files import SMALL, read_text
-from mdp.io.structured import toml_of
-from mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of
+from exact_mdp.analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io.files import SMALL, read_text
+from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of
 
 SETTINGS = ("effective_sample_size", "relative_sd", "distribution", "fixed")
 
@@ -143,8 +143,8 @@ def uncertainty(
 
     Examples
     --------
-    >>> from mdp import Scenario
-    >>> from mdp.parametric import parametric
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.mdp.parametric import parametric
     >>> model = parametric(Scenario.load("yuan2025"))
     >>> found = uncertainty(model, {"base": {"effective_sample_size": 20}})
     >>> found.parts[0].names, found.parts[0].size, found.fixed["persistence.anger"]

@@ -46,10 +46,10 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from analysis.sensitivity.psa.intervals import MeanLoss, mean_loss, mean_of
-from mdp.errors import ModelError
-from mdp.table import Floats
-from solvers.solution import Estimated
+from exact_mdp.analysis.sensitivity.psa.intervals import MeanLoss, mean_loss, mean_of
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.solution import Estimated
 
 FOLDS = 5
 MOST_TERMS = 400  # columns of a regression

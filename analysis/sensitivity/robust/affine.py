@@ -31,8 +31,8 @@ from typing import Self
 
 import numpy as np
 
-from mdp.table import Floats
-from solvers.bounds.gains import UNIT
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import UNIT
 
 ROUNDINGS = 16 * UNIT  # of one operation, relative to the sizes that go into it
 

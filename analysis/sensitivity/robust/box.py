@@ -24,16 +24,22 @@ from fractions import Fraction
 
 import numpy as np
 
-from analysis.sensitivity.ranges import Range, admitted, around, checked
-from analysis.sensitivity.robust.search import BoxExtreme, BoxOptimum, BoxSearch, Side, exact_value
-from mdp.care.family import ScenarioFamily
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
-from mdp.table import Floats, exact
-from solvers import solve
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked
+from exact_mdp.analysis.sensitivity.robust.search import (
+    BoxExtreme,
+    BoxOptimum,
+    BoxSearch,
+    Side,
+    exact_value,
+)
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
+from exact_mdp.mdp.table import Floats, exact
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 __all__ = [
     "BoxExtreme",
@@ -212,7 +218,7 @@ def box_optimum(
 
 def _optimum(mdp: MDP) -> Fraction:
     """Return the exact optimal value at the start."""
-    from solvers import certify
+    from exact_mdp.solvers import certify
 
     value = certify(mdp).value
     return sum((weight * Fraction(value[state]) for state, weight in mdp.start), Fraction(0))

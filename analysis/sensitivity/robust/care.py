@@ -26,13 +26,21 @@ from functools import cached_property
 
 import numpy as np
 
-from analysis.sensitivity.robust.affine import OUT, Forms, Span, chained, expected, stacked, wider
-from mdp.care.compile import compile_scenario
-from mdp.care.laws import Chances, chances
-from mdp.care.scenario import Scenario
-from mdp.table import Floats, Integers
-from solvers.bounds.gains import UNIT
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.analysis.sensitivity.robust.affine import (
+    OUT,
+    Forms,
+    Span,
+    chained,
+    expected,
+    stacked,
+    wider,
+)
+from exact_mdp.mdp.care.compile import compile_scenario
+from exact_mdp.mdp.care.laws import Chances, chances
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import UNIT
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 class CareForms:

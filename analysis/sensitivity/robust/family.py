@@ -16,11 +16,11 @@ from fractions import Fraction
 import numpy as np
 import scipy.sparse as sp
 
-from analysis.sensitivity.robust.care import BoxBounds
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import DISCOUNT, Parametric, parameter_of
-from mdp.row_change import (
+from exact_mdp.analysis.sensitivity.robust.care import BoxBounds
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
+from exact_mdp.mdp.row_change import (
     Entries,
     RowChange,
     pieces,
@@ -28,9 +28,9 @@ from mdp.row_change import (
     row_change,
     transition_entries,
 )
-from mdp.table import Floats, Integers
-from solvers.robust.robust import RobustSolution, solve_robust
-from solvers.robust.sets import Intervals
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.robust.robust import RobustSolution, solve_robust
+from exact_mdp.solvers.robust.sets import Intervals
 
 ROOM = 1e-14  # what rounding may do to an entry
 

@@ -26,17 +26,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mdp.chain import reachable
-from mdp.errors import ModelError, suggest
-from mdp.model import MDP
-from mdp.table import Floats, Integers
-from solvers import evaluate, solve
-from solvers.robust.divergence import Likelihood, RelativeEntropy
-from solvers.robust.robust import Nature, Objective, RobustSolution, solve_robust
-from solvers.robust.rows import Ambiguity
-from solvers.robust.sets import Intervals, L1Ball, radius_of
-from solvers.solution import Bounded
-from solvers.values.policy_chain import PolicyChain
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
+from exact_mdp.solvers.robust.robust import Nature, Objective, RobustSolution, solve_robust
+from exact_mdp.solvers.robust.rows import Ambiguity
+from exact_mdp.solvers.robust.sets import Intervals, L1Ball, radius_of
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -227,7 +227,7 @@ def robust(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> found = robust(Scenario.load("yuan2025").compile())
     >>> print(f"{found.value.value:.4f} {found.worst.value:.4f} {found.robust.start.value:.4f}")
     146.2359 140.7817 140.7817
@@ -274,7 +274,7 @@ def robust_curve(
 
     Examples
     --------
-    >>> from mdp import Scenario
+    >>> from exact_mdp import Scenario
     >>> found = robust_curve(Scenario.load("yuan2025").compile(), "l1", [0, 0.1])
     >>> [round(each.robust.start.value, 3) for _, each in found.points]
     [146.236, 139.106]

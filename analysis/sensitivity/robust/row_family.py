@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Family, moving
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Family, moving
 
 MOST_ROWS = 2000
 

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from analysis.sensitivity.exact_chain import ExactChain, fraction
-from analysis.sensitivity.ranges import Range
-from analysis.sensitivity.robust.care import BoxBounds, CareBox
-from analysis.sensitivity.robust.family import FamilyBox
-from mdp.care.family import ScenarioFamily
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Parametric, parametric
-from mdp.table import Floats
-from solvers.solution import Bounded, Certified
+from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction
+from exact_mdp.analysis.sensitivity.ranges import Range
+from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
+from exact_mdp.analysis.sensitivity.robust.family import FamilyBox
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.solution import Bounded, Certified
 
 if TYPE_CHECKING:
     from pandas import DataFrame

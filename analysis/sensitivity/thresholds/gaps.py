@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.sensitivity.derivatives import refuse_endless
-from analysis.sensitivity.exact_chain import LARGEST, rational
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.row_change import RowChange, reward_entries, transition_entries
-from mdp.table import Integers
-from solvers.bounds.bounds import levels
+from exact_mdp.analysis.sensitivity.derivatives import refuse_endless
+from exact_mdp.analysis.sensitivity.exact_chain import LARGEST, rational
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.row_change import RowChange, reward_entries, transition_entries
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.bounds import levels
 
 if TYPE_CHECKING:
     from flint import fmpq_poly

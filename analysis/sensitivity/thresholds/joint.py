@@ -20,12 +20,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
-from analysis.gate.regret import proven
-from analysis.sensitivity.ranges import around, checked
-from mdp.care.family import ScenarioFamily
-from mdp.care.scenario import Scenario
-from mdp.errors import ModelError
-from mdp.parametric import DISCOUNT
+from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.ranges import around, checked
+from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.parametric import DISCOUNT
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from analysis.sensitivity.exact_chain import rational
+from exact_mdp.analysis.sensitivity.exact_chain import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.gate.regret import proven
-from analysis.sensitivity.thresholds.gaps import Gaps, Rows
-from analysis.sensitivity.thresholds.roots import Root, roots, sign, simple
-from mdp.model import MDP
-from mdp.table import Integers
+from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.thresholds.gaps import Gaps, Rows
+from exact_mdp.analysis.sensitivity.thresholds.roots import Root, roots, sign, simple
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
@@ -233,7 +233,7 @@ class Sweep:
     def _line(self, point: Fraction) -> fmpq_poly:
         from flint import fmpq_poly
 
-        from analysis.sensitivity.exact_chain import rational
+        from exact_mdp.analysis.sensitivity.exact_chain import rational
 
         return fmpq_poly([rational(-point), 1])
 

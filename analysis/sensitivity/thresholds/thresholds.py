@@ -22,17 +22,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.gate.regret import proven
-from analysis.sensitivity.base import unit_of
-from analysis.sensitivity.ranges import Range, admitted, around, checked
-from analysis.sensitivity.thresholds.gaps import Rows
-from analysis.sensitivity.thresholds.sweep import Stretch, Sweep
-from mdp.care.scenario import Scenario
-from mdp.chain import reachable
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric, parameter_of, parametric
-from mdp.row_change import Piece, row_change
-from solvers.solution import Claim
+from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked
+from exact_mdp.analysis.sensitivity.thresholds.gaps import Rows
+from exact_mdp.analysis.sensitivity.thresholds.sweep import Stretch, Sweep
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.row_change import Piece, row_change
+from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame

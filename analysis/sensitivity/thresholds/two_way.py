@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.sensitivity.base import BaseCase
-from analysis.sensitivity.ranges import Range, admitted, around, checked
-from mdp.care.scenario import Scenario
-from mdp.chain import reachable
-from mdp.errors import ModelError
-from mdp.model import MDP
-from mdp.parametric import Parameter, Parametric, parameter_of, parametric
-from mdp.table import Floats, Integers
-from solvers import evaluate, solve
+from exact_mdp.analysis.sensitivity.base import BaseCase
+from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers import evaluate, solve
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -109,7 +109,7 @@ def two_way(
 
     Examples
     --------
-    >>> from mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric import moving
     >>> rows = [(0, 0, [("1/2", 1, 4), ("1/2", 2, 0)]), (0, 1, [(1, 1, 1)])]
     >>> mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 0, 0)])], "1/2")
     >>> found = two_way(
