@@ -8,7 +8,7 @@ MDP(yuan2025: 241 states, 4 actions, 961 pairs, 8065 transitions, discount 1)
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, ScenarioWarning
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import Column, StateSpace
 

@@ -21,9 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.model import MDP, as_discount, as_start
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.symbolic import arrays_degrees, followed, outcomes_degrees, pairs_degrees
 from exact_mdp.mdp.table import (
     Floats,
     Given,
@@ -40,16 +38,19 @@ from exact_mdp.mdp.table import (
     rounding_of,
 )
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
+from exact_mdp.mdp.validate import as_discount, as_start
 
 MOST_UNNAMED_ACTIONS = 100_000
 
 Outcomes = dict[tuple[int, Any, bool], Any]
 """Probabilities by next state, reward, and whether that may be a rounded one."""
 
+Parts = dict[str, Any]
+"""What `MDP` takes, by name."""
 
-@followed(arrays_degrees)
-def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names: Any) -> MDP:
-    """See `MDP.from_arrays`."""
+
+def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names: Any) -> Parts:
+    """Return the parts of the model that `MDP.from_arrays` makes."""
     stacked, actions, states = _stacked(P, "P", "transitions")
     pair = np.arange(actions * states)
     state, action = pair // actions, pair % actions
@@ -73,7 +74,6 @@ def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names:
     return _from_rows(state, action, stacked, reward, discount, start, names)
 
 
-@followed(pairs_degrees)
 def from_pairs(
     pair_state: ArrayLike,
     pair_action: ArrayLike,
@@ -83,8 +83,8 @@ def from_pairs(
     *,
     start: object = 0,
     **names: Any,
-) -> MDP:
-    """See `MDP.from_pairs`."""
+) -> Parts:
+    """Return the parts of the model that `MDP.from_pairs` makes."""
     state, action = _indices(pair_state, "pair_state"), _indices(pair_action, "pair_action")
     rows = _numbers(transition, "transition")
     rewards = _numbers(reward, "reward")
@@ -109,15 +109,14 @@ def from_pairs(
     return _from_rows(state, action, rows, rewards, discount, start, names)
 
 
-@followed(outcomes_degrees)
 def from_outcomes(
     rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
     discount: object,
     *,
     start: object = 0,
     **names: Any,
-) -> MDP:
-    """See `MDP.from_outcomes`."""
+) -> Parts:
+    """Return the parts of the model that `MDP.from_outcomes` makes."""
     try:
         listed = [(index(row[0]), index(row[1]), _merged(row[2])) for row in rows]
         listed.sort(key=lambda row: row[:2])
@@ -218,7 +217,7 @@ def _from_rows(
     discount: object,
     start: object,
     names: dict[str, Any],
-) -> MDP:
+) -> Parts:
     """Build from sorted pairs, their (L, S) rows and rewards (L,) or (L, S)."""
     size = rows.shape[1]
     rising = False
@@ -329,7 +328,7 @@ def _assemble(
     discount: object,
     start: object,
     names: dict[str, Any],
-) -> MDP:
+) -> Parts:
     words = names.pop("states", ())
     actions = tuple(str(name) for name in names.pop("actions", ()))
     if not actions:
@@ -343,10 +342,10 @@ def _assemble(
     if words and len(words) > size:
         size = len(words)
     space = names.pop("space", None) or StateSpace.plain(size, words)
-    return MDP(
-        table,
-        state,
-        action,
+    return dict(
+        table=table,
+        pair_state=state,
+        pair_action=action,
         space=space,
         actions=actions,
         discount_exact=as_discount(discount),

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers, spans
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -248,21 +248,6 @@ def to_networkx(mdp: MDP, policy: ArrayLike | None = None) -> nx.DiGraph:
                 graph.add_edge(source, target, actions={})
             graph.edges[source, target]["actions"][action] = float(matrix.data[entry])
     return graph
-
-
-def spans(first: Numbers, last: Numbers) -> Integers:
-    """Return the numbers first[0] … last[0]-1, first[1] … last[1]-1, and so on, in one array.
-
-    Examples
-    --------
-    >>> spans(np.array([3, 8]), np.array([5, 9])).tolist()
-    [3, 4, 8]
-    """
-    lengths = last - first
-    ends = np.cumsum(lengths, dtype=np.int64)
-    total = int(ends[-1]) if len(ends) else 0
-    steps: Integers = np.arange(total) + np.repeat(first - (ends - lengths), lengths)
-    return steps
 
 
 def _successors(mdp: MDP, pairs: ArrayLike | None = None) -> tuple[Numbers, Numbers]:

@@ -11,36 +11,41 @@ stationary; one that reads the time as well depends on time; both are policies o
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.care.size import MOST_BYTES, NARROW, WIDE
-from exact_mdp.mdp.chain import spans
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import TIME, Column, StateSpace
-from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable, by_outcome
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.table import (
+    MOST_BYTES,
+    NARROW,
+    WIDE,
+    Integers,
+    Numbers,
+    OutcomeTable,
+    by_outcome,
+    spans,
+)
+from exact_mdp.mdp.validate import Model, counted
 
 
-def within(mdp: MDP, steps: object) -> MDP:
-    """Return the model of episodes that stop after N steps; see `MDP.within`."""
-    count = counted(steps, "horizon")
-    base = _in_columns(mdp)
-    own, states, parts = base.space.regular, base.n_states, len(base.component_names)
-    if TIME in base.space.names:
+def unrolled(mdp: Model, steps: object) -> dict[str, Any]:
+    """Return the parts that change where episodes stop after N steps; see `MDP.within`."""
+    count, space = counted(steps, "horizon"), _in_columns(mdp)
+    own, states, parts = space.regular, mdp.n_states, len(mdp.component_names)
+    if TIME in space.names:
         raise ModelError(
             f"the model has a column {TIME!r} of its own",
             where="state space",
             fix="unroll the model that it was made from, or name that column differently",
         )
-    table, first = base.table, base.pair_offsets
+    table, first = mdp.table, mdp.pair_offsets
     # A terminal state stays one, whatever the time, and needs no more than one action.
-    kept = ~base.terminal[base.pair_state]
-    kept[first[:-1][base.terminal]] = True
+    kept = ~mdp.terminal[mdp.pair_state]
+    kept[first[:-1][mdp.terminal]] = True
     rows = np.flatnonzero(kept[: first[own]])
-    _check_size(base, count, int(np.diff(table.offsets)[rows].sum()))
+    _check_size(mdp, own, count, int(np.diff(table.offsets)[rows].sum()))
     chosen = spans(table.offsets[rows], table.offsets[rows + 1])
     lengths = np.diff(table.offsets)[rows]
 
@@ -52,9 +57,9 @@ def within(mdp: MDP, steps: object) -> MDP:
 
     gain = per_pair if len(table.gain) == table.pairs else per_outcome
     ones = np.ones(states, dtype=np.int64)
-    unrolled = OutcomeTable(
+    layered = OutcomeTable(
         offsets=np.concatenate([[0], np.cumsum(_layers(lengths, count, ones))]),
-        next=_following(base, rows, chosen, count),
+        next=_following(mdp, own, rows, chosen, count),
         weight=per_outcome(table.weight, 1),
         denominator=per_pair(table.denominator, 1),
         gain=gain(table.gain, 0),
@@ -64,38 +69,37 @@ def within(mdp: MDP, steps: object) -> MDP:
         event=None if table.event is None else per_outcome(table.event, 0),
     )
     time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
-    return replace(
-        base,
-        table=by_outcome(unrolled) if gain is per_outcome else unrolled,
-        pair_state=_layers(base.pair_state[rows], count, np.arange(states)) + own * time,
-        pair_action=_layers(base.pair_action[rows], count, base.pair_action[first[:-1]]),
-        space=StateSpace(
-            columns=(Column(name=TIME, size=count + 1), *base.space.columns),
-            extra=base.space.extra,
+    return {
+        "table": by_outcome(layered) if gain is per_outcome else layered,
+        "pair_state": _layers(mdp.pair_state[rows], count, np.arange(states)) + own * time,
+        "pair_action": _layers(mdp.pair_action[rows], count, mdp.pair_action[first[:-1]]),
+        "space": StateSpace(
+            columns=(Column(name=TIME, size=count + 1), *space.columns),
+            extra=space.extra,
         ),
-        start=tuple((s if s < own else s + own * count, weight) for s, weight in base.start),
-        components=np.concatenate(
-            [np.tile(base.components[rows], (count, 1)), np.zeros((states, parts))]
+        "start": tuple((s if s < own else s + own * count, weight) for s, weight in mdp.start),
+        "components": np.concatenate(
+            [np.tile(mdp.components[rows], (count, 1)), np.zeros((states, parts))]
         ),
-        time_limit=None,
-    )
+        "time_limit": None,
+    }
 
 
-def _in_columns(mdp: MDP) -> MDP:
-    """Return the same model, in one plain column where the process goes on in an extra state.
+def _in_columns(mdp: Model) -> StateSpace:
+    """Return the model's states, in one plain column where the process goes on in an extra state.
 
     Extra states have no time; those in which all is over need none.
     """
     space = mdp.space
     if mdp.terminal[space.regular :].all() and space.columns:
-        return mdp
-    return mdp.with_(space=StateSpace.plain(space.size, space.labels(range(space.size))))
+        return space
+    return StateSpace.plain(space.size, space.labels(range(space.size)))
 
 
-def _check_size(mdp: MDP, count: int, outcomes: int) -> None:
+def _check_size(mdp: Model, own: int, count: int, outcomes: int) -> None:
     table = mdp.table
     wide = object in (table.weight.dtype, table.gain.dtype, table.denominator.dtype)
-    each, states = WIDE if wide else NARROW, mdp.space.regular * (count + 1)
+    each, states = WIDE if wide else NARROW, own * (count + 1)
     most = outcomes * count + states
     if most * each > MOST_BYTES:
         raise ModelError(
@@ -112,9 +116,9 @@ def _layers(values: Numbers, count: int, last: Numbers) -> Numbers:
     return np.concatenate([np.tile(values, count), last])
 
 
-def _following(mdp: MDP, rows: Integers, chosen: Integers, count: int) -> Numbers:
+def _following(mdp: Model, own: int, rows: Integers, chosen: Integers, count: int) -> Numbers:
     """Return the next states: a step later, but in terminal states and at time N."""
-    own, lengths = mdp.space.regular, np.diff(mdp.table.offsets)[rows]
+    lengths = np.diff(mdp.table.offsets)[rows]
     after, time = mdp.table.next[chosen].astype(np.int64), np.arange(count)
     later = np.repeat(~mdp.terminal[mdp.pair_state[rows]], lengths).astype(np.int64)
     shift = np.where(after < own, own * (time[:, None] + later), own * count)

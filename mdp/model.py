@@ -16,20 +16,27 @@ from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from exact_mdp.mdp import build
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.horizon import unrolled
+from exact_mdp.mdp.io.gymnasium import outcomes_of
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.symbolic import changed_degrees, followed
-from exact_mdp.mdp.table import Floats, Integers, OutcomeTable, beside, exact
-from exact_mdp.mdp.validate import check_model, counted
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.symbolic import (
+    arrays_degrees,
+    changed_degrees,
+    followed,
+    outcomes_degrees,
+    pairs_degrees,
+)
+from exact_mdp.mdp.table import Floats, Integers, OutcomeTable
+from exact_mdp.mdp.validate import as_discount, as_start, check_model, counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,13 +298,12 @@ class MDP:
         >>> mdp.table.row(mdp.pair(2, 0))
         [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
         """
-        from exact_mdp.mdp.horizon import within
-
-        return within(self, steps)
+        return replace(self, **unrolled(self, steps))
 
     # ---- construction ------------------------------------------------------------------------
 
     @classmethod
+    @followed(arrays_degrees)
     def from_arrays(
         cls, P: object, R: object, discount: object = 1, *, start: object = 0, **names: Any
     ) -> MDP:
@@ -321,11 +327,10 @@ class MDP:
         >>> mdp.table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        from exact_mdp.mdp.build import from_arrays
-
-        return from_arrays(P, R, discount, start=start, **names)
+        return cls(**build.from_arrays(P, R, discount, start=start, **names))
 
     @classmethod
+    @followed(pairs_degrees)
     def from_pairs(
         cls,
         pair_state: ArrayLike,
@@ -347,13 +352,13 @@ class MDP:
         discount, start, **names
             As in `from_arrays`.
         """
-        from exact_mdp.mdp.build import from_pairs
-
-        return from_pairs(
+        parts = build.from_pairs(
             pair_state, pair_action, transition, reward, discount, start=start, **names
         )
+        return cls(**parts)
 
     @classmethod
+    @followed(outcomes_degrees)
     def from_outcomes(
         cls,
         rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
@@ -370,42 +375,13 @@ class MDP:
         >>> mdp.reward.tolist()
         [0.5, 0.0]
         """
-        from exact_mdp.mdp.build import from_outcomes
-
-        return from_outcomes(rows, discount, start=start, **names)
+        return cls(**build.from_outcomes(rows, discount, start=start, **names))
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:
         """Build from a Gymnasium environment that exposes its model as `P` (toy-text)."""
-        from exact_mdp.mdp.io.gymnasium import from_gymnasium
-
-        return from_gymnasium(env, discount, **names)
-
-
-def as_discount(discount: object) -> Fraction:
-    """Return a discount as an exact number in [0, 1]."""
-    try:
-        value = exact(discount)
-    except ModelError as error:
-        raise ModelError(error.what, where="discount", fix=error.fix) from error
-    if not 0 <= value <= 1:
-        raise ModelError(
-            f"discount is {beside(value, Fraction(0), Fraction(1))}, outside [0, 1]",
-            where="discount",
-            fix="choose a discount from 0 to 1",
-        )
-    return value
-
-
-def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
-    """Return an initial distribution from a state or from {state: probability}."""
-    if isinstance(start, int | np.integer) and not isinstance(start, bool):
-        return ((int(start), Fraction(1)),)
-    whole = int | np.integer
-    if isinstance(start, dict) and all(isinstance(state, whole) for state in start):
-        weights = {int(state): exact(weight) for state, weight in start.items()}
-        return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
-    raise ModelError(f"{start!r} is not a start", fix="give a state, or {state: probability}")
+        rows, parts = outcomes_of(env, **names)
+        return cls.from_outcomes(rows, discount, **parts)
 
 
 def _transition(table: OutcomeTable, states: int) -> sp.csr_array:

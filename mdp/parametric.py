@@ -1,6 +1,4 @@
-"""Named parameters: a value, the range it may take, and where it was stated.
-
-Models with named parameters: what a sensitivity analysis needs to know of them.
+"""Models with named parameters: what a sensitivity analysis needs to know of them.
 
 A parametric model says which numbers it has, within which ranges, and what the model is at other
 values of them. Along one parameter, the others held, every transition probability and expected
@@ -23,52 +21,11 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import beside, exact, shown
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.table import beside, exact
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.care.scenario import Scenario
-
-
-@dataclass(frozen=True, kw_only=True)
-class Parameter:
-    """One named number of a model.
-
-    Attributes
-    ----------
-    name : str
-        Such as `base.anger` or `reward.task-complete`.
-    value : Fraction
-    low, high : Fraction or None
-        The range that the number may take; None where it is open.
-
-    Examples
-    --------
-    >>> Parameter(name="base.anger", value=Fraction(3, 2), low=Fraction(0), high=Fraction(1))
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: base.anger is 1.5, outside [0, 1]
-      where: parameter base.anger
-      fix:   choose a value in that range
-    """
-
-    name: str
-    value: Fraction
-    low: Fraction | None = None
-    high: Fraction | None = None
-
-    def __post_init__(self) -> None:
-        check_names((self.name,), "parameter", where="parameters")
-        below = self.low is not None and self.value < self.low
-        above = self.high is not None and self.value > self.high
-        if below or above:
-            low = "-∞" if self.low is None else shown(self.low)
-            high = "∞" if self.high is None else shown(self.high)
-            ends = [end for end in (self.low, self.high) if end is not None]
-            raise ModelError(
-                f"{self.name} is {beside(self.value, *ends)}, outside [{low}, {high}]",
-                where=f"parameter {self.name}",
-                fix="choose a value in that range",
-            )
 
 
 DISCOUNT = "discount"

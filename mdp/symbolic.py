@@ -289,12 +289,15 @@ def followed(
     return decorate
 
 
-def arrays_degrees(P: object, R: object, discount: object = 1, **names: object) -> Degrees:
+def arrays_degrees(
+    made: object, P: object, R: object, discount: object = 1, **names: object
+) -> Degrees:
     """Return the degrees of what `MDP.from_arrays` takes."""
     return _array_degrees(P, R, discount, names, of_outcomes=np.ndim(_objects(R)) == 3)
 
 
 def pairs_degrees(
+    made: object,
     pair_state: object,
     pair_action: object,
     transition: object,
@@ -308,7 +311,7 @@ def pairs_degrees(
     return _array_degrees(transition, reward, discount, names, of_outcomes=each)
 
 
-def outcomes_degrees(rows: Any, discount: object = 1, **names: object) -> Degrees:
+def outcomes_degrees(made: object, rows: Any, discount: object = 1, **names: object) -> Degrees:
     """Return the degrees of what `MDP.from_outcomes` takes."""
     _constant(names)
     found = [(0.0, 0.0)]

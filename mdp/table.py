@@ -38,7 +38,9 @@ EXACT_IN_INT64 = 2**62
 FLOAT_ROW_TOLERANCE = 1e-9
 FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float
+MOST_BYTES = 10 * 10**9  # of the outcomes of one table
 MOST_DIGITS = 4000  # of a number that is given as text: Python itself stops at 4,300
+NARROW, WIDE = 45, 230  # bytes for each outcome, 64-bit integers or Python's
 ROW_TOLERANCE = Fraction(1, 10**9)
 
 
@@ -549,3 +551,18 @@ def _dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
     bottom = np.empty(len(lowest), dtype=object)
     bottom[:] = [1 << int(-p) for p in lowest]
     return top, bottom
+
+
+def spans(first: Numbers, last: Numbers) -> Integers:
+    """Return the numbers first[0] … last[0]-1, first[1] … last[1]-1, and so on, in one array.
+
+    Examples
+    --------
+    >>> spans(np.array([3, 8]), np.array([5, 9])).tolist()
+    [3, 4, 8]
+    """
+    lengths = last - first
+    ends = np.cumsum(lengths, dtype=np.int64)
+    total = int(ends[-1]) if len(ends) else 0
+    steps: Integers = np.arange(total) + np.repeat(first - (ends - lengths), lengths)
+    return steps

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names
+from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     ROW_TOLERANCE,
+    Floats,
     Integers,
     OutcomeTable,
     beside,
@@ -19,11 +22,46 @@ from exact_mdp.mdp.table import (
 )
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 
-if TYPE_CHECKING:
-    from exact_mdp.mdp.model import MDP
+
+class Model(Protocol):
+    """What the checks of a model, and the horizon, read of it; `MDP` says what each part is."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def table(self) -> OutcomeTable: ...
+    @property
+    def pair_state(self) -> Integers: ...
+    @property
+    def pair_action(self) -> Integers: ...
+    @property
+    def pair_offsets(self) -> Integers: ...
+    @property
+    def space(self) -> StateSpace: ...
+    @property
+    def actions(self) -> tuple[str, ...]: ...
+    @property
+    def discount_exact(self) -> Fraction: ...
+    @property
+    def start(self) -> tuple[tuple[int, Fraction], ...]: ...
+    @property
+    def component_names(self) -> tuple[str, ...]: ...
+    @property
+    def components(self) -> Floats: ...
+    @property
+    def events(self) -> tuple[str, ...]: ...
+    @property
+    def n_states(self) -> int: ...
+    @property
+    def n_actions(self) -> int: ...
+    @property
+    def n_pairs(self) -> int: ...
+    @property
+    def terminal(self) -> NDArray[np.bool_]: ...
+    def where(self, pair: int) -> str: ...
 
 
-def check_model(mdp: MDP) -> None:
+def check_model(mdp: Model) -> None:
     """Raise ModelError, naming the place and the remedy, unless `mdp` is a finite MDP."""
     _check_names(mdp)
     _check_pairs(mdp)
@@ -42,7 +80,7 @@ def check_model(mdp: MDP) -> None:
         )
 
 
-def _check_names(mdp: MDP) -> None:
+def _check_names(mdp: Model) -> None:
     check_names((mdp.name,), "model")
     check_names(mdp.actions, "action", where="actions")
     check_names(mdp.component_names, "component", where="reward components")
@@ -62,7 +100,33 @@ def counted(steps: object, where: str) -> int:
     return int(steps)
 
 
-def _check_pairs(mdp: MDP) -> None:
+def as_discount(discount: object) -> Fraction:
+    """Return a discount as an exact number in [0, 1]."""
+    try:
+        value = exact(discount)
+    except ModelError as error:
+        raise ModelError(error.what, where="discount", fix=error.fix) from error
+    if not 0 <= value <= 1:
+        raise ModelError(
+            f"discount is {beside(value, Fraction(0), Fraction(1))}, outside [0, 1]",
+            where="discount",
+            fix="choose a discount from 0 to 1",
+        )
+    return value
+
+
+def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
+    """Return an initial distribution from a state or from {state: probability}."""
+    if isinstance(start, int | np.integer) and not isinstance(start, bool):
+        return ((int(start), Fraction(1)),)
+    whole = int | np.integer
+    if isinstance(start, dict) and all(isinstance(state, whole) for state in start):
+        weights = {int(state): exact(weight) for state, weight in start.items()}
+        return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
+    raise ModelError(f"{start!r} is not a start", fix="give a state, or {state: probability}")
+
+
+def _check_pairs(mdp: Model) -> None:
     state, action = mdp.pair_state, mdp.pair_action
     if state.shape != action.shape or state.ndim != 1:
         raise ModelError(
@@ -165,7 +229,7 @@ def _sound(table: OutcomeTable, states: int) -> bool:
     return bool(good.all())
 
 
-def _check_numbers(mdp: MDP, *, sound: bool) -> None:
+def _check_numbers(mdp: Model, *, sound: bool) -> None:
     table = mdp.table
     if not sound:
         _in_range(table.next, mdp.n_states, "next state", "transitions")
@@ -210,7 +274,7 @@ def _check_numbers(mdp: MDP, *, sound: bool) -> None:
             raise ModelError(f"a {name} is not positive", where="outcome table", fix="make it > 0")
 
 
-def _check_rows(mdp: MDP) -> None:
+def _check_rows(mdp: Model) -> None:
     table = mdp.table
     steps = np.diff(table.offsets)
     if steps.min() == 0:
@@ -270,7 +334,7 @@ def _nearly(table: OutcomeTable, pair: int, total: int) -> bool:
     return (binary or rounded) and abs(Fraction(total, bottom) - 1) <= ROW_TOLERANCE
 
 
-def _check_start(mdp: MDP) -> None:
+def _check_start(mdp: Model) -> None:
     states = [state for state, _ in mdp.start]
     weights = [weight for _, weight in mdp.start]
     if any(not 0 <= state < mdp.n_states for state in states) or len(set(states)) != len(states):

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp import MDP, Policy, Scenario
-from exact_mdp.mdp.model import as_discount
 from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.validate import as_discount
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.search import STARTS
 from exact_mdp.paper_repro.readings.search import policies as policies_of

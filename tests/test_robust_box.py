@@ -13,7 +13,8 @@ from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.care.family import ScenarioFamily
 from exact_mdp.mdp.care.scenario import READINGS
-from exact_mdp.mdp.parametric import Family, Parameter, moving
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Family, moving
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

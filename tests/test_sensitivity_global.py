@@ -18,7 +18,8 @@ from exact_mdp.analysis.sensitivity.draws.sampled import sampled, values
 from exact_mdp.analysis.sensitivity.draws.sobol import Sobol, sobol
 from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.parametric import Parameter, Parametric, moving, parametric
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Parametric, moving, parametric
 from exact_mdp.solvers import evaluate, solve
 
 sampled_module = import_module("exact_mdp.analysis.sensitivity.draws.sampled")

@@ -150,7 +150,7 @@ def _settings(loaded: Loaded, options: dict[str, Any]) -> QLearning:
 
 def _discount(text: str) -> Fraction:
     from exact_mdp.mdp.errors import ModelError
-    from exact_mdp.mdp.model import as_discount
+    from exact_mdp.mdp.validate import as_discount
 
     try:
         return as_discount(text)

@@ -26,12 +26,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.chain import reachable, spans
+from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain

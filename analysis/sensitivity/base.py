@@ -15,7 +15,8 @@ from hashlib import sha256
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import DISCOUNT, Parameter
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Solution

@@ -28,7 +28,8 @@ from exact_mdp.analysis.sensitivity.derivatives import ExactPass
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import is_acyclic
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.row_change import Piece, RowChange, pieces, row_change
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 

@@ -27,7 +27,8 @@ from exact_mdp.analysis.sensitivity.rational_rows import by_pair, by_pair_slopes
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.row_change import (
     Entries,
     Piece,

@@ -38,9 +38,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.weighted_models import Problem, weighted
-from exact_mdp.mdp.chain import reachable, spans
+from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.solution import Bounded, Solution
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -22,7 +22,8 @@ from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, check
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parameter, Parametric, parameter_of, parametric
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.solution import Bounded

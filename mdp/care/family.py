@@ -21,7 +21,8 @@ from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import excess, warn_of_excess
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of, placed
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, placed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,7 +41,7 @@ from numpy.typing import ArrayLike, NDArray
 from exact_mdp.mdp.care.laws import chances, status_kernels
 from exact_mdp.mdp.care.rules import Rules, kinds
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_FLOAT,

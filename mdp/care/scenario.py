@@ -22,9 +22,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
-from exact_mdp.mdp.model import as_discount
-from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import MOST_DIGITS, exact
+from exact_mdp.mdp.validate import as_discount
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.care.operator import CareOperator

@@ -20,13 +20,11 @@ from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.care.laws import chances
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, common
+from exact_mdp.mdp.table import EXACT_IN_INT64, MOST_BYTES, NARROW, WIDE, Integers, common
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.care.scenario import Scenario
 
-MOST_BYTES = 10 * 10**9
-NARROW, WIDE = 45, 230  # bytes for each outcome, 64-bit integers or Python's
 MOST_STATUSES = 10
 
 

@@ -25,9 +25,9 @@ from exact_mdp.mdp.care.scenario import (
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
-from exact_mdp.mdp.model import as_discount
-from exact_mdp.mdp.parametric import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import exact
+from exact_mdp.mdp.validate import as_discount
 
 TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
 SETTINGS = ("name", "title", "source", "statuses", "actions", "tasks", "max_trial", "discount")

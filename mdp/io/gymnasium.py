@@ -27,23 +27,22 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 
 END = "end"
 
 Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
+Listed = list[tuple[int, int, list[tuple[Any, int, Any]]]]
 
 
-def from_gymnasium(env: object, discount: object = 1, **names: Any) -> MDP:
-    """Build an exact model from an environment's table `P`.
+def outcomes_of(env: object, **names: Any) -> tuple[Listed, dict[str, Any]]:
+    """Return what `MDP.from_outcomes` takes to build an environment's model: rows, and names.
 
     Parameters
     ----------
     env : gymnasium.Env or str
         An environment, wrapped or not; anything with an attribute `P`; or a registered id.
-    discount : number or "p/q"
     **names
         `start` where the environment has no `initial_state_distrib`; `actions`, `states`, `name`;
         `time_limit` instead of the environment's own.
@@ -59,15 +58,15 @@ def from_gymnasium(env: object, discount: object = 1, **names: Any) -> MDP:
     >>> class Coin:
     ...     P = {0: {0: [(0.5, 0, 1, False), (0.5, 1, 1, True)]}, 1: {0: [(1, 0, 7, False)]}}
     ...     initial_state_distrib = (1, 0)
-    >>> mdp = from_gymnasium(Coin(), discount="9/10")
-    >>> mdp.table.row(1)
-    [(Fraction(1, 1), 1, Fraction(0, 1))]
+    >>> rows, names = outcomes_of(Coin())
+    >>> rows
+    [(0, 0, [(0.5, 0, 1), (0.5, 1, 1)]), (1, 0, [(1, 1, 0)])]
     """
     if isinstance(env, str):
         made = _make(env)
         names.setdefault("name", env)
         try:
-            return from_gymnasium(made, discount, **names)
+            return outcomes_of(made, **names)
         finally:
             made.close()
     bare = getattr(env, "unwrapped", env)
@@ -81,7 +80,7 @@ def from_gymnasium(env: object, discount: object = 1, **names: Any) -> MDP:
     begins = start if isinstance(start, Mapping) else {start: 1}
     ends, targets = _ends(rows, {int(state) for state, weight in begins.items() if weight})
     goal, appended = states, bool(targets - ends)
-    listed = [
+    listed: Listed = [
         (
             state,
             action,
@@ -97,7 +96,7 @@ def from_gymnasium(env: object, discount: object = 1, **names: Any) -> MDP:
     words = names.pop("states", ())
     plain = StateSpace.plain(states, words)
     names["space"] = StateSpace(columns=plain.columns, extra=(END,) if appended else ())
-    return MDP.from_outcomes(listed, discount, start=start, **names)
+    return listed, names | {"start": start}
 
 
 def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:

@@ -42,7 +42,7 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.npz import parts_of
 from exact_mdp.mdp.io.umb_read import GROUP, Content, read
 from exact_mdp.mdp.io.umb_write import archive_of
-from exact_mdp.mdp.model import MDP, as_discount, as_start
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     Integers,
     Numbers,
@@ -53,6 +53,7 @@ from exact_mdp.mdp.table import (
     ones,
     shown,
 )
+from exact_mdp.mdp.validate import as_discount, as_start
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from exact_mdp.analysis.readings import ReadingSpace, equivalent
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.care.scenario import READINGS
-from exact_mdp.mdp.model import as_discount
 from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.validate import as_discount
 from exact_mdp.paper_repro import reported
 from exact_mdp.solvers.parallel.many import many
 

@@ -32,10 +32,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from exact_mdp.mdp.chain import numbered_in_order, runs_in_order, spans
+from exact_mdp.mdp.chain import numbered_in_order, runs_in_order
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import bounds, levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.dynamic.stopping import conclude

@@ -25,10 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import spans
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.bounds import Bounds, levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain

@@ -30,8 +30,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.model import MDP, as_discount
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.validate import as_discount
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.stopping import check_counts

@@ -25,10 +25,11 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.model import MDP, as_discount
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.validate import as_discount
 from exact_mdp.solvers.learning.sampler import as_policy, as_sequence, rows_of, stream, tables
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_RATE, Schedule, checked
 

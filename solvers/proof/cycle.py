@@ -28,9 +28,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.bellman import BellmanRows, row_sums
-from exact_mdp.mdp.chain import spans
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.proof.linear import Equations
 
 if TYPE_CHECKING:

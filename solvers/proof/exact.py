@@ -29,9 +29,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.bellman import BellmanRows
-from exact_mdp.mdp.chain import spans
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.proof.cycle import LARGEST, Cycle, Product, RightSides, endless
 
 if TYPE_CHECKING:

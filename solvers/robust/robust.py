@@ -21,10 +21,9 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import spans
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.gains import SLACK
 from exact_mdp.solvers.bounds.linear import DIRECT_STATES, LinearSystem
 from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, check_counts

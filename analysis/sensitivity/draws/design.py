@@ -24,7 +24,8 @@ from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parameter, Parametric, parametric
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.table import Floats
 
 if TYPE_CHECKING:

@@ -34,7 +34,8 @@ from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parameter, Parametric
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.learning.sampler import child
 

@@ -38,7 +38,8 @@ from exact_mdp.analysis.sensitivity.psa.distributions import Uncertain, Uncertai
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
-from exact_mdp.mdp.parametric import DISCOUNT, Parameter, Parametric, parameter_of
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
 
 SETTINGS = ("effective_sample_size", "relative_sd", "distribution", "fixed")
 
