@@ -17,16 +17,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import beside, exact
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
-
 
 DISCOUNT = "discount"
 
@@ -57,6 +53,14 @@ class Parametric(Protocol):
 
     def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
         """Models one step below and above in each whole-number setting; none below the least."""
+
+
+@runtime_checkable
+class Source(Protocol):
+    """What says of itself which parametric model it is, as a scenario does."""
+
+    def parametric(self) -> Parametric:
+        """Return the family of models."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,7 +134,7 @@ class Family:
         return {}
 
 
-def parametric(source: Scenario | MDP | Parametric) -> Parametric:
+def parametric(source: Source | MDP | Parametric) -> Parametric:
     """Return a scenario, or a model of which nothing but the discount is named, as a family.
 
     Examples
@@ -138,12 +142,8 @@ def parametric(source: Scenario | MDP | Parametric) -> Parametric:
     >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], [1], "1/2")).parameters]
     ['discount']
     """
-    from exact_mdp.mdp.care.scenario import Scenario
-
-    if isinstance(source, Scenario):
-        from exact_mdp.mdp.care.family import ScenarioFamily
-
-        return ScenarioFamily(scenario=source)
+    if isinstance(source, Source):
+        return source.parametric()
     return moving(source, {}) if isinstance(source, MDP) else source
 
 

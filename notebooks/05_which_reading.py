@@ -32,7 +32,7 @@ import pandas as pd
 
 from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.readings import ReadingSpace
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import evidence
 from exact_mdp.paper_repro.readings.joint import contradictions, joint

@@ -13,7 +13,7 @@ from hashlib import sha256
 from typing import Any
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.fingerprint import fingerprint
 from exact_mdp.paper_repro.learned import Learned, learn
 from exact_mdp.paper_repro.numbers import Study, study

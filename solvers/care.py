@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.care.laws import chances, warn_of_excess
-from exact_mdp.mdp.care.scenario import SHARED_WEIGHTS
+from exact_mdp.mdp.care.tables import SHARED_WEIGHTS
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats, Integers, Numbers

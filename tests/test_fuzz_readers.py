@@ -70,8 +70,8 @@ def test_settings(text: str, name: str, middle: str) -> None:
 
 def test_some_spoiled_scenarios_are_still_scenarios() -> None:
     """The fuzzing above would show nothing if no change were ever accepted."""
-    assert survives(lambda: parse(TOML.decode().replace("0.05", "0.06")))
-    assert not survives(lambda: parse(TOML.decode().replace("0.05", "nan")))
+    assert survives(lambda: parse(TOML.decode().replace("0.05", "0.06"), Scenario))
+    assert not survives(lambda: parse(TOML.decode().replace("0.05", "nan"), Scenario))
 
 
 # ---- policies ---------------------------------------------------------------------------------

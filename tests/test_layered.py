@@ -16,8 +16,8 @@ from strategies import Rows, exact_values, models
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care import compile as blocks
-from exact_mdp.mdp.care.scenario import READINGS
 from exact_mdp.mdp.care.size import Size, check_explicit
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.care.toml import parse
 from exact_mdp.mdp.chain import is_acyclic, numbered_in_order, runs_in_order, topological_levels
 from exact_mdp.mdp.table import OutcomeTable
@@ -190,7 +190,7 @@ def weighted(
 ) -> Scenario:
     """Made-up numbers, one trial; statuses that weigh the same, or all sums of them distinct."""
     numbers = {f"reward.s{i}": -1 if same else -(2**i) for i in range(statuses)}
-    scenario = parse(own_text(statuses, 2))
+    scenario = parse(own_text(statuses, 2), Scenario)
     numbers |= {"base.s0": base, "base.s1": base}
     return scenario.with_(tasks=[subtasks], max_trial=1, parameters=numbers)
 
@@ -227,7 +227,7 @@ def test_what_is_too_large_to_build_is_refused_for_a_reason_that_is_true() -> No
     for way in ("--operator", "Scenario.operator()"):
         assert way in refused.value.fix
     with pytest.raises(ModelError, match=r"^11 statuses, more than the 10") as refused:
-        parse(own_text(11, 2)).compile()
+        parse(own_text(11, 2), Scenario).compile()
     assert "outcomes" not in refused.value.what
     # 9 statuses have as many transitions either way, but not as many outcomes.
     check_explicit(weighted(9, same=True, subtasks=4))

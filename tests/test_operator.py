@@ -19,7 +19,7 @@ import exact_mdp.mdp.care.operator as operators
 from exact_mdp.analysis.gate.check import check
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.care.operator import CareOperator, Law
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.care.toml import parse
 from exact_mdp.solvers import (
     BackwardInduction,
@@ -120,7 +120,7 @@ def test_compiled_loops_give_the_same_bits(
 
 
 def test_folding_agrees_with_the_law_of_seven_statuses_written_out() -> None:
-    operator = parse(own_text(7, 3)).operator()
+    operator = parse(own_text(7, 3), Scenario).operator()
     x = np.random.default_rng(3).normal(size=128)
     for law in (operator.step, operator.skip):
         matrix = np.ones((len(law.chance), 128, 1))
@@ -163,7 +163,7 @@ def test_rows_of_different_lengths_are_no_policy() -> None:
 
 
 def test_fourteen_statuses_load_and_are_solved_without_a_matrix() -> None:
-    scenario = parse(own_text(14, 3)).with_(tasks=[1], max_trial=1)
+    scenario = parse(own_text(14, 3), Scenario).with_(tasks=[1], max_trial=1)
     with pytest.raises(ModelError, match=r"Scenario\.operator"):
         scenario.compile()
     operator = scenario.operator()
@@ -172,7 +172,7 @@ def test_fourteen_statuses_load_and_are_solved_without_a_matrix() -> None:
     assert found.value.shape == (2**14 + 1,)
     assert found.error_bound < 1e-10
     with pytest.raises(ModelError, match="15 statuses"):
-        parse(own_text(15, 3))
+        parse(own_text(15, 3), Scenario)
 
 
 def test_other_solvers_are_refused() -> None:

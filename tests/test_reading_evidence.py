@@ -13,7 +13,7 @@ from reading_twin import moments
 from scipy.stats import norm
 
 from exact_mdp.mdp import ModelError
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import VARIANTS, evidence, variants
 from exact_mdp.paper_repro.readings.joint import (

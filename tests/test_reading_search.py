@@ -14,7 +14,7 @@ from reading_twin import moments
 
 from exact_mdp.analysis.readings import ReadingSpace
 from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.search import (
     FIGURES,

@@ -17,7 +17,7 @@ from exact_mdp.analysis.readings import (
     support,
 )
 from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 
 SPACE = ReadingSpace(
     options={"status_cost": ("next", "current"), "tasks": ((3,), (6,), (2,)), "discount": (1, 0.9)}

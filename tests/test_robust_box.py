@@ -11,8 +11,8 @@ from exact_mdp.analysis.sensitivity.robust.affine import Forms, mixed
 from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum, box_ranges, corners
 from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.care.family import ScenarioFamily
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.scenario import ScenarioFamily
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Family, moving
 from exact_mdp.solvers import evaluate, solve

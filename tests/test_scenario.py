@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from oracle import END, STATUSES, Oracle, State
 
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 
 BASE = Scenario.load("yuan2025")
 ALL_READINGS = [

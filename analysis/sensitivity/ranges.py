@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.chain import termination
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import SMALL, read_text

@@ -33,7 +33,8 @@ from numpy.typing import ArrayLike, NDArray
 from exact_mdp.analysis.sensitivity.structural_outputs import PRESENT, Today, hashed, quiet_outputs
 from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import excess, warn_of_excess
-from exact_mdp.mdp.care.scenario import READINGS, Scenario
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.fingerprint import fingerprint
 from exact_mdp.mdp.table import exact

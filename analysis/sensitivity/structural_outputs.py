@@ -27,9 +27,8 @@ from exact_mdp.analysis.sensitivity.base import digest
 from exact_mdp.analysis.sensitivity.draws.sampled import values
 from exact_mdp.analysis.sensitivity.gradient import gradient
 from exact_mdp.analysis.sensitivity.thresholds.joint import joint_radius
-from exact_mdp.mdp.care.family import ScenarioFamily
 from exact_mdp.mdp.care.perception import perceived
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, ScenarioWarning
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy

@@ -19,7 +19,7 @@ where blocks repeat, the whole model is laid out from the rows of that one.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.laws import Kernels, status_kernels
 from exact_mdp.mdp.care.rules import Rules, kinds
-from exact_mdp.mdp.care.scenario import SKIP
 from exact_mdp.mdp.care.size import check_explicit
+from exact_mdp.mdp.care.tables import SKIP, Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -41,10 +41,6 @@ from exact_mdp.mdp.table import (
     magnitude,
     multiply,
 )
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
-
 
 ENTRIES = 2**20  # of a product held at once
 
@@ -65,7 +61,7 @@ class Rows:
 class Template(Rules):
     """Works out the rows of one subtask; `block` gives those of a subtask at its place."""
 
-    def __init__(self, scenario: Scenario, kernels: Kernels) -> None:
+    def __init__(self, scenario: Tables, kernels: Kernels) -> None:
         super().__init__(scenario, kernels.bits)
         self.kernels = kernels
         # A cost of the present status is the row's own; one of the next status is the outcome's.
@@ -293,7 +289,7 @@ def joined(parts: list[Numbers], *more: int) -> Numbers:
     return np.concatenate([*parts, *tail], dtype=kind)
 
 
-def compile_scenario(scenario: Scenario) -> MDP:
+def compile_scenario(scenario: Tables) -> MDP:
     """Return the explicit model of a scenario, without a warning; see `Scenario.compile`."""
     check_explicit(scenario)
     template = Template(scenario, status_kernels(scenario))
@@ -306,7 +302,7 @@ def compile_scenario(scenario: Scenario) -> MDP:
     return _repeated(scenario, template, small, np.searchsorted(used, places))
 
 
-def _model(scenario: Scenario, template: Template, places: Integers) -> MDP:
+def _model(scenario: Tables, template: Template, places: Integers) -> MDP:
     """Return the checked model of blocks of the kinds `places` (K,), one after the other."""
     blocks = [template.block(last=kind > 0, final=kind == 2) for kind in places.tolist()]
     end = len(blocks) * template.size
@@ -341,7 +337,7 @@ def _model(scenario: Scenario, template: Template, places: Integers) -> MDP:
     )
 
 
-def _repeated(scenario: Scenario, template: Template, small: MDP, order: Integers) -> MDP:
+def _repeated(scenario: Tables, template: Template, small: MDP, order: Integers) -> MDP:
     """Return the model of the blocks of `small` in the given order (K,), each a number there.
 
     Its rows are those of `small`, which were checked there, at other places.

@@ -24,17 +24,13 @@ import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.errors import ScenarioWarning
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, multiply, shown
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
-
 
 ZERO = Fraction(0)
 NEAR = 1e-9  # sums of floats this much below 1 are looked at exactly, far more than rounding
@@ -70,7 +66,7 @@ class Chances:
         return _sums(values, self.skip)
 
 
-def chances(scenario: Scenario) -> Chances:
+def chances(scenario: Tables) -> Chances:
     """Return which parameters make up each chance of a scenario.
 
     Examples
@@ -117,7 +113,7 @@ def chances(scenario: Scenario) -> Chances:
     return Chances(names=names, bits=bits, step=step, skip=skip)
 
 
-def excess(scenario: Scenario, found: Chances | None = None) -> str | None:
+def excess(scenario: Tables, found: Chances | None = None) -> str | None:
     """Return in one line which chances pass 1 and are cut off there, or None where none does.
 
     Sums are compared exactly. No chance can be negative: every term lies in [0, 1].
@@ -159,7 +155,7 @@ def excess(scenario: Scenario, found: Chances | None = None) -> str | None:
     return f"a chance of {shown(total)} is cut off at 1: {place} is {added}{others}"
 
 
-def warn_of_excess(scenario: Scenario, *, where: str = "", stacklevel: int = 2) -> bool:
+def warn_of_excess(scenario: Tables, *, where: str = "", stacklevel: int = 2) -> bool:
     """Warn where a chance is cut off at 1, and say whether one is.
 
     Parameters
@@ -176,13 +172,13 @@ def warn_of_excess(scenario: Scenario, *, where: str = "", stacklevel: int = 2) 
     return message is not None
 
 
-def _influence(scenario: Scenario, origin: str, target: str) -> str:
+def _influence(scenario: Tables, origin: str, target: str) -> str:
     by_row = scenario.readings["influence_orientation"] == "row-to-column"
     first, second = (origin, target) if by_row else (target, origin)
     return f"influence.{first}.{second}"
 
 
-def _staying(scenario: Scenario, position: dict[str, int], present: np.ndarray, i: int) -> Integers:
+def _staying(scenario: Tables, position: dict[str, int], present: np.ndarray, i: int) -> Integers:
     """Return (2^n,) the parameter by which status i, where it is present, stays on a skip."""
     status = scenario.statuses[i]
     if status not in scenario.others:
@@ -212,7 +208,7 @@ class Kernels:
     skip_denominator: int
 
 
-def status_kernels(scenario: Scenario) -> Kernels:
+def status_kernels(scenario: Tables) -> Kernels:
     """Return the laws of the status vector under every action and on a skip."""
     found = chances(scenario)
     vectors, actions, count, _ = found.step.shape

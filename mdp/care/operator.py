@@ -33,13 +33,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.care.laws import chances, status_kernels
 from exact_mdp.mdp.care.rules import Rules, kinds
+from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
@@ -53,9 +54,6 @@ from exact_mdp.mdp.table import (
     float_array,
     integers,
 )
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,7 +199,7 @@ class CareOperator:
     (961,)
     """
 
-    scenario: Scenario
+    scenario: Tables
     rules: Rules
     step: Law
     skip: Law
@@ -390,7 +388,7 @@ class CareOperator:
         return np.asarray(self.const + (base + expect(self.step, x - base)))
 
 
-def care_operator(scenario: Scenario) -> CareOperator:
+def care_operator(scenario: Tables) -> CareOperator:
     """Return the operator of a scenario; see `Scenario.operator`."""
     count = len(scenario.statuses)
     found = chances(scenario)
@@ -436,7 +434,7 @@ def _refuse(operator: CareOperator, name: str) -> NoReturn:
     raise ModelError(
         f"an operator has no matrix, and this needs one ({name})",
         where=f"operator {operator.scenario.name}",
-        fix="compile the scenario: Scenario.compile(); an operator serves solvers.solve (by "
+        fix="compile the scenario: Tables.compile(); an operator serves solvers.solve (by "
         "backward induction), solvers.operator_mean and backup",
     )
 

@@ -2,21 +2,16 @@
 
 Every gain is a sum of reward weights, each at most once, as an integer over one common `scale`.
 Rows of a table and operators without one both read these. Source: Yuan et al. (2025), Equation 1,
-Table 4 and Section 3.2; the readings are those of `mdp.care.scenario`.
+Table 4 and Section 3.2; the readings are those of `mdp.care.tables`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from exact_mdp.mdp.care.scenario import SKIP
+from exact_mdp.mdp.care.tables import SKIP, Tables
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, Numbers, common
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
 
 
 class Rules:
@@ -37,7 +32,7 @@ class Rules:
         Whether the cost is that of the next status vector; else of the present one.
     """
 
-    def __init__(self, scenario: Scenario, bits: Integers) -> None:
+    def __init__(self, scenario: Tables, bits: Integers) -> None:
         self.readings = dict(scenario.readings)  # a dictionary, as views cannot be pickled
         self.bits = bits
         self.assistive = len(scenario.actions)
@@ -102,7 +97,7 @@ class Rules:
             action, np.full(len(skipping), self.assistive)
         )
 
-    def space(self, scenario: Scenario) -> StateSpace:
+    def space(self, scenario: Tables) -> StateSpace:
         """Return what the state numbers mean; the end comes last."""
         columns = [
             Column(name="subtask", size=sum(scenario.tasks)),
@@ -114,7 +109,7 @@ class Rules:
         return StateSpace(columns=tuple(columns), extra=("end",))
 
 
-def kinds(scenario: Scenario) -> Integers:
+def kinds(scenario: Tables) -> Integers:
     """Return (K,) the place of each subtask: 0 inside a task, 1 last of one, 2 last of all.
 
     Examples

@@ -1,75 +1,35 @@
-"""Care scenarios: probability tables, weights, tasks and readings, compiled to an exact MDP.
+"""Care scenarios: read from tables, compiled to an exact MDP, or taken as a parametric model.
 
-A person has n binary statuses. Under an action the next statuses are independent, each 1 with
+Each probability of the tables enters the chance of one status alone, which makes every row of a
+trial affine in it; a row that skips is a product of two laws, and where both have the number in
+them (reading `skip_onset = base`) it is quadratic. Expected rewards are affine in each weight and
+their squares quadratic. A chance is cut off at 1, and where that happens the polynomial changes:
 
-    p_i(s, a) = assistance.a.i.persistence or .onset        where action a names status i,
-                min(1, base_i + Σ_{j≠i, s_j=1} influence)   where it does not and s_i = 0,
-                persistence_i                               where it does not and s_i = 1.
+    base_i + Σ_{j in J} influence_ij = 1     (and persistence_i, where influence adds to it)
 
-A trial that ends with every status 0 completes the subtask; max_trial failed trials skip it. The
-numbers and the rules follow Yuan et al. (2025), Tables 3 and 4 and Sections 2.1 and 3.2; where
-their text can be read in more than one way, a *reading* chooses.
+for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
+from itertools import combinations
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
 
-from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
+from exact_mdp.mdp.care import toml
+from exact_mdp.mdp.care.compile import compile_scenario
+from exact_mdp.mdp.care.laws import excess, warn_of_excess
+from exact_mdp.mdp.care.operator import CareOperator, care_operator
+from exact_mdp.mdp.care.tables import Tables
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.table import MOST_DIGITS, exact
-from exact_mdp.mdp.validate import as_discount
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.operator import CareOperator
-    from exact_mdp.mdp.model import MDP
-
-READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "influence_orientation": ("row-to-column", "column-to-row"),
-        "influence_on_present": ("none", "additive"),
-        "status_cost": ("next", "current"),
-        "trial_cost": ("every-trial", "failed-trials"),
-        "max_trial_rule": ("at", "after"),
-        "skip_timestep": ("same", "own"),
-        "skip_onset": ("none", "base", "reset"),
-        "task_bonus": ("always", "last-subtask-completed", "no-subtask-skipped"),
-    }
-)
-"""Every reading with its options, the default first."""
-
-SKIP = "skip"
-MOST_STATUSES = 14
-MOST_STATES = 200_000_000  # 27 bytes for each while solving without a matrix: 5.4 GB
-SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, placed
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scenario:
-    """A care model as its tables state it: exact numbers, tasks and readings.
-
-    Attributes
-    ----------
-    statuses, actions : tuple of str
-    tasks : tuple of int
-        Number of subtasks of each task, in order.
-    max_trial : int
-        Trials allowed in a subtask (see reading `max_trial_rule`).
-    discount : Fraction
-    readings : mapping
-        One option for each name in `READINGS`.
-    parameters : tuple of Parameter
-        Every number of the tables, by name.
-    others : mapping
-        For a status whose persistence on a skip depends on another one: that other status.
-    weights : mapping
-        Name of the reward weight that each status is charged to.
+class Scenario(Tables):
+    """A care model as its tables state it: exact numbers, tasks and readings; see `Tables`.
 
     Examples
     --------
@@ -81,142 +41,10 @@ class Scenario:
     (Fraction(1, 10), (3, 1))
     """
 
-    name: str
-    statuses: tuple[str, ...]
-    actions: tuple[str, ...]
-    tasks: tuple[int, ...]
-    max_trial: int
-    discount: Fraction
-    readings: Mapping[str, str]
-    parameters: tuple[Parameter, ...]
-    others: Mapping[str, str]
-    weights: Mapping[str, str]
-    title: str = ""
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        for mapping in ("readings", "others", "weights"):
-            object.__setattr__(self, mapping, MappingProxyType(dict(getattr(self, mapping))))
-        check_scenario(self)
-
-    def __repr__(self) -> str:
-        other = [
-            f"{name}={option}"
-            for name, option in self.readings.items()
-            if option != READINGS[name][0]
-        ]
-        return (
-            f"Scenario({self.name}: {len(self.statuses)} statuses, {len(self.actions)} actions, "
-            f"tasks {list(self.tasks)}, max_trial {self.max_trial}, discount {self.discount}"
-            f"{''.join(f', {text}' for text in other)})"
-        )
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {
-            key: dict(value) if isinstance(value, MappingProxyType) else value
-            for key, value in self.__dict__.items()
-        }
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for key, value in state.items():
-            frozen = MappingProxyType(value) if isinstance(value, dict) else value
-            object.__setattr__(self, key, frozen)
-
     @classmethod
     def load(cls, name: str | Path) -> Scenario:
         """Read a shipped scenario by name, or any scenario from a `.toml` file."""
-        from exact_mdp.mdp.care.toml import load
-
-        return load(name)
-
-    @property
-    def trials(self) -> int:
-        """Number of failed trials after which a subtask is skipped."""
-        return self.max_trial + (self.readings["max_trial_rule"] == "after")
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """Names of the reward weights, which are the reward's components."""
-        charged = tuple(self.weights[status] for status in self.statuses)
-        return (*charged, *SHARED_WEIGHTS, *(f"assist.{action}" for action in self.actions))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameter names."""
-        return tuple(parameter.name for parameter in self.parameters)
-
-    def values(self) -> dict[str, Fraction]:
-        """Return every parameter's value by name."""
-        return {parameter.name: parameter.value for parameter in self.parameters}
-
-    def __getitem__(self, name: str) -> Fraction:
-        return self.parameters[self._position(name)].value
-
-    def _position(self, name: str) -> int:
-        names = self.names
-        if name not in names:
-            known = [*names, *SETTINGS, *(f"readings.{reading}" for reading in READINGS)]
-            raise ModelError(
-                f"unknown parameter {name!r}",
-                where=f"scenario {self.name}",
-                fix=suggest(name, known),
-            )
-        return names.index(name)
-
-    def with_(
-        self,
-        *,
-        readings: Mapping[str, str] | None = None,
-        parameters: Mapping[str, object] | None = None,
-        **changes: Any,
-    ) -> Scenario:
-        """Return a scenario with other readings, parameters, tasks, max_trial or discount.
-
-        Parameters
-        ----------
-        readings : {reading: option}, optional
-        parameters : {parameter name: number or "p/q"}, optional
-        **changes
-            `tasks`, `max_trial`, `discount`, or any parameter or `readings.NAME` by its dotted
-            name (`**{"base.anger": "1/10"}`).
-
-        Raises
-        ------
-        ModelError
-            For an unknown name (the nearest one is suggested) or a number out of range.
-        """
-        chosen = dict(self.readings)
-        numbers = list(self.parameters)
-        parts: dict[str, Any] = {}
-        assignments: list[tuple[str, object]] = []
-        assignments += [(f"readings.{key}", value) for key, value in (readings or {}).items()]
-        assignments += [*(parameters or {}).items(), *changes.items()]
-        for name, value in assignments:
-            reading = name.removeprefix("readings.")
-            if reading in SETTINGS:
-                key, convert = SETTINGS[reading]
-                parts[key] = convert(value)
-            elif name.startswith("readings."):
-                chosen[reading] = check_reading(reading, value)
-            else:
-                position = self._position(name)
-                numbers[position] = replace(numbers[position], value=_exact(name, value))
-        return replace(self, readings=chosen, parameters=tuple(numbers), **parts)
-
-    def set(self, assignment: str) -> Scenario:
-        """Return a scenario changed by one `KEY=VALUE`, as on the command line.
-
-        Examples
-        --------
-        >>> Scenario.load("yuan2025").set("tasks=[3,1]").tasks
-        (3, 1)
-        """
-        key, equals, value = assignment.partition("=")
-        if not equals or not key.strip() or not value.strip():
-            raise ModelError(
-                f"{assignment!r} is not a setting", where="--set", fix="write KEY=VALUE"
-            )
-        return self.with_(parameters={key.strip(): value.strip()})
+        return toml.load(name, cls)
 
     def compile(self) -> MDP:
         """Return the explicit model: one exact row for every state and action.
@@ -226,9 +54,6 @@ class Scenario:
         ScenarioWarning
             Where numbers that add up to a chance pass 1, which is then cut off at 1.
         """
-        from exact_mdp.mdp.care.compile import compile_scenario
-        from exact_mdp.mdp.care.laws import warn_of_excess
-
         mdp = compile_scenario(self)
         warn_of_excess(self)
         return mdp
@@ -241,105 +66,117 @@ class Scenario:
         ScenarioWarning
             As `compile`.
         """
-        from exact_mdp.mdp.care.laws import warn_of_excess
-        from exact_mdp.mdp.care.operator import care_operator
-
         operator = care_operator(self)
         warn_of_excess(self)
         return operator
 
-
-def as_tasks(value: object) -> tuple[int, ...]:
-    """Return tasks from a list of positive integers, or its text "[3,1]"."""
-    if isinstance(value, str):
-        try:
-            value = json.loads(value)
-        except (ValueError, RecursionError):
-            value = None
-    if isinstance(value, Sequence) and value and all(_positive(number) for number in value):
-        return tuple(int(number) for number in value)
-    raise ModelError(
-        "tasks is not a list of positive whole numbers, or is empty",
-        where="tasks",
-        fix="give the number of subtasks of each task, such as [3] or [3, 1]",
-    )
+    def parametric(self) -> ScenarioFamily:
+        """Return the scenario as a family of models, one for each choice of its numbers."""
+        return ScenarioFamily(scenario=self)
 
 
-def as_max_trial(value: object) -> int:
-    """Return max_trial from a positive integer or its text."""
-    if isinstance(value, str) and value.isascii() and value.isdigit():
-        value = int(value[:MOST_DIGITS])  # cut, it is too large as well
-    if isinstance(value, int) and _positive(value):
-        if value <= MOST_STATES:
-            return value
-        raise ModelError(
-            f"max_trial is over {MOST_STATES:,}, more than the states of any model",
-            where="max_trial",
-            fix="allow fewer trials in a subtask",
+@dataclass(frozen=True, kw_only=True)
+class ScenarioFamily:
+    """See `mdp.parametric.Parametric`.
+
+    Examples
+    --------
+    >>> family = ScenarioFamily(scenario=Scenario.load("yuan2025"))
+    >>> family.at({"base.anger": "1/10"}).discount_exact, family.breakpoints("base.anger")
+    (Fraction(1, 1), (Fraction(33, 50), ...))
+    """
+
+    scenario: Scenario
+    told: list[str] = field(default_factory=list, compare=False, repr=False)
+
+    @property
+    def name(self) -> str:
+        """The scenario's name."""
+        return self.scenario.name
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The numbers of the tables, and the discount."""
+        rate = Parameter(
+            name=DISCOUNT, value=self.scenario.discount, low=Fraction(0), high=Fraction(1)
         )
-    raise ModelError(
-        f"max_trial is {value!r}, not a positive whole number",
-        where="max_trial",
-        fix="give the number of trials allowed in a subtask, at least 1",
-    )
+        return (*self.scenario.parameters, rate)
 
+    def at(self, values: Mapping[str, object]) -> MDP:
+        """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
+        there = self.scenario.with_(parameters=placed(self, values))
+        mdp = compile_scenario(there)
+        self._tell(there)
+        return mdp
 
-SETTINGS = {
-    "tasks": ("tasks", as_tasks),
-    "max_trial": ("max_trial", as_max_trial),
-    "discount": ("discount", as_discount),
-    "evaluation_discount": ("discount", as_discount),
-}
-"""Settings beside readings and parameters: attribute and conversion of each."""
+    def tell(self, values: Mapping[str, object], *, where: str = "") -> None:
+        """Warn of chances that are cut off at 1 at other values of some parameters.
 
+        A family warns once, of the first such model; a copy of it in another process does not.
 
-def check_reading(name: str, option: object) -> str:
-    """Return the option, or raise ModelError where the reading or the option is unknown."""
-    if name not in READINGS:
-        raise ModelError(f"unknown reading {name!r}", where="readings", fix=suggest(name, READINGS))
-    if option not in READINGS[name]:
-        raise ModelError(
-            f"unknown option {option!r}",
-            where=f"reading {name}",
-            fix=suggest(str(option), READINGS[name]),
-        )
-    return str(option)
+        Parameters
+        ----------
+        values : {parameter name: value}
+        where : str, optional
+            In which part of an analysis.
+        """
+        self._tell(self.scenario.with_(parameters=placed(self, values)), where)
 
+    def _tell(self, there: Scenario, where: str = "") -> None:
+        if self.told or excess(there) is None:
+            return
+        self.told.append(there.name)
+        # Today's values where they are enough, so that the words are those of `compile`.
+        if excess(self.scenario) is not None:
+            there, where = self.scenario, ""
+        warn_of_excess(there, where=where, stacklevel=4)
 
-def check_scenario(scenario: Scenario) -> None:
-    """Raise ModelError unless the scenario's parts fit together."""
-    check_names((scenario.name,), "scenario", where="name")
-    check_names(scenario.statuses, "status", where="statuses")
-    check_names(scenario.actions, "action", where="actions")
-    check_names(scenario.weights.values(), "weight", where="status_weight")
-    for key in ("title", "source"):
-        check_text(getattr(scenario, key), key)
-    as_tasks(scenario.tasks)
-    as_max_trial(scenario.max_trial)
-    as_discount(scenario.discount)
-    for name in READINGS:
-        check_reading(name, scenario.readings.get(name, ""))
-    states = sum(scenario.tasks) * scenario.trials * 2 ** len(scenario.statuses)
-    if states > MOST_STATES:
-        raise ModelError(
-            f"the model would have {states:,} states, more than {MOST_STATES:,}",
-            where=f"scenario {scenario.name}",
-            fix="use fewer subtasks, trials or statuses",
-        )
-    if len(scenario.statuses) > MOST_STATUSES:
-        raise ModelError(
-            f"{len(scenario.statuses)} statuses, more than {MOST_STATUSES}",
-            where=f"scenario {scenario.name}",
-            fix="merge statuses",
-        )
+    def __getstate__(self) -> dict[str, object]:
+        return {"scenario": self.scenario, "told": [self.scenario.name]}
 
+    def degree(self, name: str) -> int:
+        """See `Parametric.degree`."""
+        twice = self.scenario.readings["skip_onset"] == "base"
+        twice &= self.scenario.readings["skip_timestep"] == "same"
+        moves = parameter_of(self, name).name.startswith(("base.", "influence."))
+        return 2 if twice and moves else 1
 
-def _positive(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0
+    def moment_degree(self, name: str) -> int:
+        """See `Parametric.moment_degree`: probabilities and rewards do not move together."""
+        return 2 if name.startswith("reward.") else self.degree(name)
 
+    def breakpoints(self, name: str) -> tuple[Fraction, ...]:
+        """See `Parametric.breakpoints`."""
+        parameter_of(self, name)
+        inside = (point for point in self._cuts(name) if 0 < point < 1)
+        return tuple(sorted(set(inside)))
 
-def _exact(name: str, value: object) -> Fraction:
-    try:
-        return exact(value)
-    except ModelError as error:
-        raise ModelError(error.what, where=f"parameter {name}", fix=error.fix) from error
+    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
+        """The scenarios with one trial less and one trial more."""
+        trials, below = self.scenario.max_trial, None
+        if trials > 1:
+            below = ScenarioFamily(
+                scenario=self.scenario.with_(max_trial=trials - 1), told=self.told
+            )
+        above = ScenarioFamily(scenario=self.scenario.with_(max_trial=trials + 1), told=self.told)
+        return {"max_trial": (below, above)}
+
+    def _cuts(self, name: str) -> Iterator[Fraction]:
+        scenario = self.scenario
+        additive = scenario.readings["influence_on_present"] == "additive"
+        by_row = scenario.readings["influence_orientation"] == "row-to-column"
+        for target in scenario.statuses:
+            added = []
+            for origin in scenario.statuses:
+                if origin != target:
+                    first, second = (origin, target) if by_row else (target, origin)
+                    added.append(f"influence.{first}.{second}")
+            for alone in (f"base.{target}", *([f"persistence.{target}"] if additive else [])):
+                if name != alone and name not in added:
+                    continue
+                for count in range(len(added) + 1):
+                    for present in combinations(added, count):
+                        terms = (alone, *present)
+                        if name in terms:
+                            held = (scenario[term] for term in terms if term != name)
+                            yield 1 - sum(held, Fraction(0))

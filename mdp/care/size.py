@@ -16,19 +16,16 @@ from __future__ import annotations
 
 from fractions import Fraction
 from math import lcm, prod
-from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.care.laws import chances
+from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import EXACT_IN_INT64, MOST_BYTES, NARROW, WIDE, Integers, common
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
 
 MOST_STATUSES = 10
 
 
-def check_explicit(scenario: Scenario) -> None:
+def check_explicit(scenario: Tables) -> None:
     """Raise ModelError where a scenario is too large for an explicit transition matrix.
 
     Examples
@@ -82,7 +79,7 @@ class Size:
     (16481, 11005)
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Tables) -> None:
         found = chances(scenario)
         values = [parameter.value for parameter in scenario.parameters]
         known: dict[tuple[int, ...], Fraction] = {}
@@ -118,7 +115,7 @@ class Size:
         self.outcomes = flags * each + 1
 
 
-def _costs(scenario: Scenario) -> list[int]:
+def _costs(scenario: Tables) -> list[int]:
     """Return (2^n,) what each next status vector costs, as integers over one denominator."""
     worth, _ = common([scenario[f"reward.{scenario.weights[name]}"] for name in scenario.statuses])
     if scenario.readings["status_cost"] != "next":

@@ -11,13 +11,13 @@ from collections.abc import Mapping
 from fractions import Fraction
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from exact_mdp.mdp.care.scenario import (
+from exact_mdp.mdp.care.tables import (
     READINGS,
     SHARED_WEIGHTS,
     SKIP,
-    Scenario,
+    Tables,
     as_max_trial,
     as_tasks,
     check_reading,
@@ -31,6 +31,7 @@ from exact_mdp.mdp.validate import as_discount
 
 TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
 SETTINGS = ("name", "title", "source", "statuses", "actions", "tasks", "max_trial", "discount")
+T = TypeVar("T", bound=Tables)
 KEYS = (*SETTINGS, "readings", "status_weight", *TABLES)
 
 
@@ -46,8 +47,8 @@ def shipped() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
 
 
-def load(name: str | Path) -> Scenario:
-    """See `Scenario.load`."""
+def load(name: str | Path, kind: type[T]) -> T:
+    """Return a shipped scenario, or that of a file, as `kind`; see `Scenario.load`."""
     text = str(name)
     if not text.lower().endswith(".toml"):
         if text not in shipped():
@@ -57,21 +58,21 @@ def load(name: str | Path) -> Scenario:
                 fix=f"{suggest(text, shipped())} (or give the path of a .toml file)",
             )
         source = files("exact_mdp.mdp") / "scenarios" / f"{text}.toml"
-        return parse(source.read_text(encoding="utf-8"), where=text)
-    return parse(read_text(name, most=SMALL), where=text)
+        return parse(source.read_text(encoding="utf-8"), kind, where=text)
+    return parse(read_text(name, most=SMALL), kind, where=text)
 
 
-def parse(text: str, *, where: str = "scenario") -> Scenario:
-    """Return the scenario that a TOML text states; `where` names it in errors."""
+def parse(text: str, kind: type[T], *, where: str = "scenario") -> T:
+    """Return the scenario that a TOML text states, as `kind`; `where` names it in errors."""
     content = toml_of(text, where)
     try:
-        return _scenario(content, default_name=Path(where).stem)
+        return _scenario(content, kind, default_name=Path(where).stem)
     except ModelError as error:
         place = f"{where}, {error.where}" if error.where else where
         raise ModelError(error.what, where=place, fix=error.fix) from error
 
 
-def _scenario(content: dict[str, Any], *, default_name: str) -> Scenario:
+def _scenario(content: dict[str, Any], kind: type[T], *, default_name: str) -> T:
     for key in content:
         if key not in KEYS:
             raise ModelError(f"unknown key {key!r}", where="top level", fix=suggest(key, KEYS))
@@ -108,7 +109,7 @@ def _scenario(content: dict[str, Any], *, default_name: str) -> Scenario:
         low, high = bounds
         value = flat.get(name, Fraction(0))
         numbers.append(Parameter(name=name, value=value, low=low, high=high))
-    return Scenario(
+    return kind(
         name=_text(content, "name", default_name),
         title=_text(content, "title", ""),
         source=_text(content, "source", ""),

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.care.toml import load as read_scenario
 from exact_mdp.mdp.care.toml import shipped
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
@@ -106,7 +105,7 @@ def load_scenario(
                 "the model is not a scenario", where=text, fix="give a scenario or a .toml file"
             )
         raise _unknown(text)
-    scenario = read_scenario(text)
+    scenario = Scenario.load(text)
     for assignment in sets:
         scenario = scenario.set(assignment)
     return scenario if discount is None else scenario.with_(discount=discount)

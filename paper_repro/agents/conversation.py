@@ -16,7 +16,7 @@ from fractions import Fraction
 from hashlib import sha256
 from typing import Any
 
-from exact_mdp.mdp.care.scenario import SKIP
+from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.fingerprint import fingerprint
 from exact_mdp.paper_repro.agents import DISCLAIMER
 from exact_mdp.paper_repro.agents.modules import Modules, Place

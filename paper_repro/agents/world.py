@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp import MDP, Policy, Scenario
-from exact_mdp.mdp.care.scenario import SKIP
+from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.policies.policy import check_action
 from exact_mdp.paper_repro.agents.protocol import PURPOSES

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.readings import ReadingSpace, equivalent
 from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.paper_repro import reported

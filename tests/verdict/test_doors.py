@@ -22,7 +22,6 @@ from exact_mdp.analysis.sensitivity.ranges import load_ranges
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.care.counts import read_counts
 from exact_mdp.mdp.care.perception import read as read_perception
-from exact_mdp.mdp.care.toml import load as read_scenario
 from exact_mdp.mdp.io import npz, umb
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
@@ -43,7 +42,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "load.npz": load,
     "load.umb": load,
     "load.toml": load,
-    "scenario.toml": read_scenario,
+    "scenario.toml": Scenario.load,
     "policy.csv": lambda path: Policy.read(path, MODEL),
     "policy.json": lambda path: Policy.read(path, MODEL),
     "policy.npy": lambda path: Policy.read(path, MODEL),
@@ -135,7 +134,7 @@ def test_files_beyond_the_limit(tmp_path: Path) -> None:
         read_bytes(tmp_path / "big")
     os.rename(tmp_path / "big", tmp_path / "big.toml")
     with pytest.raises(ModelError, match="536,870,912 bytes"):
-        read_scenario(tmp_path / "big.toml")
+        Scenario.load(tmp_path / "big.toml")
     with opened(tmp_path / "big.toml", most=2**30) as file:
         assert file.read(1) == b"\0"
     with pytest.raises(ModelError, match="more than the 10"):

@@ -93,10 +93,10 @@ def test_scenario_files_refuse_them(character: str) -> None:
     for old in ('name = "tea', 'title = "', 'source = "'):
         assert old in TEA
         with pytest.raises(ModelError, match=f"U\\+{number:04X}"):
-            parse(TEA.replace(old, f"{old}{character}", 1))
+            parse(TEA.replace(old, f"{old}{character}", 1), Scenario)
     for word in (Scenario.load("tea").actions[0], Scenario.load("tea").statuses[0]):
         with pytest.raises(ModelError):
-            parse(TEA.replace(f'"{word}"', f'"{word}{character}"', 1))
+            parse(TEA.replace(f'"{word}"', f'"{word}{character}"', 1), Scenario)
 
 
 def test_saved_models_refuse_them(tmp_path: Path) -> None:

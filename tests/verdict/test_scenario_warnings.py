@@ -23,7 +23,7 @@ from exact_mdp.analysis.sensitivity import (
 )
 from exact_mdp.mdp import Scenario, ScenarioWarning
 from exact_mdp.mdp.care.laws import chances, excess
-from exact_mdp.mdp.care.scenario import READINGS
+from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.solvers.care import optimal, policy_values
 
 SMALL = {"tasks": [1], "max_trial": 2}

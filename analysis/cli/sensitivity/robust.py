@@ -35,7 +35,7 @@ from exact_mdp.analysis.sensitivity.robust.robust import (
     robust,
 )
 from exact_mdp.analysis.sensitivity.robust.search import BoxExtreme, BoxOptimum
-from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.table import LARGEST, beside, exact, shown
 from exact_mdp.solvers import solve

@@ -20,7 +20,7 @@ import numpy as np
 
 from exact_mdp.analysis.sensitivity.base import BaseCase, digest
 from exact_mdp.analysis.sensitivity.draws.solver import by_state
-from exact_mdp.mdp.care.family import ScenarioFamily
+from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.fingerprint import fingerprint
 from exact_mdp.mdp.parametric import Parametric, parameter_of

@@ -21,8 +21,7 @@ from typing import Protocol
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.base import BaseCase
-from exact_mdp.mdp.care.family import ScenarioFamily
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.table import Floats, Integers

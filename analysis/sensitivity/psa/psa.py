@@ -22,8 +22,7 @@ from exact_mdp.analysis.sensitivity.psa.candidates import Candidate, identity, n
 from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
 from exact_mdp.analysis.sensitivity.psa.result import PSA
 from exact_mdp.analysis.sensitivity.psa.uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
-from exact_mdp.mdp.care.family import ScenarioFamily
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.fingerprint import fingerprint
 from exact_mdp.mdp.model import MDP

@@ -32,8 +32,7 @@ from exact_mdp.analysis.sensitivity.robust.search import (
     Side,
     exact_value,
 )
-from exact_mdp.mdp.care.family import ScenarioFamily
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric

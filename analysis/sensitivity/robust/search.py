@@ -18,8 +18,7 @@ from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction
 from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
 from exact_mdp.analysis.sensitivity.robust.family import FamilyBox
-from exact_mdp.mdp.care.family import ScenarioFamily
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric

@@ -22,8 +22,7 @@ from fractions import Fraction
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.ranges import around, checked
-from exact_mdp.mdp.care.family import ScenarioFamily
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.parametric import DISCOUNT
 

@@ -1,0 +1,295 @@
+"""What a care scenario states: probability tables, weights, tasks and readings.
+
+A person has n binary statuses. Under an action the next statuses are independent, each 1 with
+
+    p_i(s, a) = assistance.a.i.persistence or .onset        where action a names status i,
+                min(1, base_i + Σ_{j≠i, s_j=1} influence)   where it does not and s_i = 0,
+                persistence_i                               where it does not and s_i = 1.
+
+A trial that ends with every status 0 completes the subtask; max_trial failed trials skip it. The
+numbers and the rules follow Yuan et al. (2025), Tables 3 and 4 and Sections 2.1 and 3.2; where
+their text can be read in more than one way, a *reading* chooses.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from types import MappingProxyType
+from typing import Any, Self
+
+from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.table import MOST_DIGITS, exact
+from exact_mdp.mdp.validate import as_discount
+
+READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "influence_orientation": ("row-to-column", "column-to-row"),
+        "influence_on_present": ("none", "additive"),
+        "status_cost": ("next", "current"),
+        "trial_cost": ("every-trial", "failed-trials"),
+        "max_trial_rule": ("at", "after"),
+        "skip_timestep": ("same", "own"),
+        "skip_onset": ("none", "base", "reset"),
+        "task_bonus": ("always", "last-subtask-completed", "no-subtask-skipped"),
+    }
+)
+"""Every reading with its options, the default first."""
+
+SKIP = "skip"
+MOST_STATUSES = 14
+MOST_STATES = 200_000_000  # 27 bytes for each while solving without a matrix: 5.4 GB
+SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables:
+    """The numbers, tasks and readings of a care scenario; `Scenario` is made of them.
+
+    Attributes
+    ----------
+    statuses, actions : tuple of str
+    tasks : tuple of int
+        Number of subtasks of each task, in order.
+    max_trial : int
+        Trials allowed in a subtask (see reading `max_trial_rule`).
+    discount : Fraction
+    readings : mapping
+        One option for each name in `READINGS`.
+    parameters : tuple of Parameter
+        Every number of the tables, by name.
+    others : mapping
+        For a status whose persistence on a skip depends on another one: that other status.
+    weights : mapping
+        Name of the reward weight that each status is charged to.
+    """
+
+    name: str
+    statuses: tuple[str, ...]
+    actions: tuple[str, ...]
+    tasks: tuple[int, ...]
+    max_trial: int
+    discount: Fraction
+    readings: Mapping[str, str]
+    parameters: tuple[Parameter, ...]
+    others: Mapping[str, str]
+    weights: Mapping[str, str]
+    title: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for mapping in ("readings", "others", "weights"):
+            object.__setattr__(self, mapping, MappingProxyType(dict(getattr(self, mapping))))
+        check_scenario(self)
+
+    def __repr__(self) -> str:
+        other = [
+            f"{name}={option}"
+            for name, option in self.readings.items()
+            if option != READINGS[name][0]
+        ]
+        return (
+            f"Scenario({self.name}: {len(self.statuses)} statuses, {len(self.actions)} actions, "
+            f"tasks {list(self.tasks)}, max_trial {self.max_trial}, discount {self.discount}"
+            f"{''.join(f', {text}' for text in other)})"
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            key: dict(value) if isinstance(value, MappingProxyType) else value
+            for key, value in self.__dict__.items()
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for key, value in state.items():
+            frozen = MappingProxyType(value) if isinstance(value, dict) else value
+            object.__setattr__(self, key, frozen)
+
+    @property
+    def trials(self) -> int:
+        """Number of failed trials after which a subtask is skipped."""
+        return self.max_trial + (self.readings["max_trial_rule"] == "after")
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the reward weights, which are the reward's components."""
+        charged = tuple(self.weights[status] for status in self.statuses)
+        return (*charged, *SHARED_WEIGHTS, *(f"assist.{action}" for action in self.actions))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    def values(self) -> dict[str, Fraction]:
+        """Return every parameter's value by name."""
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+    def __getitem__(self, name: str) -> Fraction:
+        return self.parameters[self._position(name)].value
+
+    def _position(self, name: str) -> int:
+        names = self.names
+        if name not in names:
+            known = [*names, *SETTINGS, *(f"readings.{reading}" for reading in READINGS)]
+            raise ModelError(
+                f"unknown parameter {name!r}",
+                where=f"scenario {self.name}",
+                fix=suggest(name, known),
+            )
+        return names.index(name)
+
+    def with_(
+        self,
+        *,
+        readings: Mapping[str, str] | None = None,
+        parameters: Mapping[str, object] | None = None,
+        **changes: Any,
+    ) -> Self:
+        """Return a scenario with other readings, parameters, tasks, max_trial or discount.
+
+        Parameters
+        ----------
+        readings : {reading: option}, optional
+        parameters : {parameter name: number or "p/q"}, optional
+        **changes
+            `tasks`, `max_trial`, `discount`, or any parameter or `readings.NAME` by its dotted
+            name (`**{"base.anger": "1/10"}`).
+
+        Raises
+        ------
+        ModelError
+            For an unknown name (the nearest one is suggested) or a number out of range.
+        """
+        chosen = dict(self.readings)
+        numbers = list(self.parameters)
+        parts: dict[str, Any] = {}
+        assignments: list[tuple[str, object]] = []
+        assignments += [(f"readings.{key}", value) for key, value in (readings or {}).items()]
+        assignments += [*(parameters or {}).items(), *changes.items()]
+        for name, value in assignments:
+            reading = name.removeprefix("readings.")
+            if reading in SETTINGS:
+                key, convert = SETTINGS[reading]
+                parts[key] = convert(value)
+            elif name.startswith("readings."):
+                chosen[reading] = check_reading(reading, value)
+            else:
+                position = self._position(name)
+                numbers[position] = replace(numbers[position], value=_exact(name, value))
+        return replace(self, readings=chosen, parameters=tuple(numbers), **parts)
+
+    def set(self, assignment: str) -> Self:
+        """Return a scenario changed by one `KEY=VALUE`, as on the command line.
+
+        Examples
+        --------
+        >>> from exact_mdp import Scenario
+        >>> Scenario.load("yuan2025").set("tasks=[3,1]").tasks
+        (3, 1)
+        """
+        key, equals, value = assignment.partition("=")
+        if not equals or not key.strip() or not value.strip():
+            raise ModelError(
+                f"{assignment!r} is not a setting", where="--set", fix="write KEY=VALUE"
+            )
+        return self.with_(parameters={key.strip(): value.strip()})
+
+
+def as_tasks(value: object) -> tuple[int, ...]:
+    """Return tasks from a list of positive integers, or its text "[3,1]"."""
+    if isinstance(value, str):
+        try:
+            value = json.loads(value)
+        except (ValueError, RecursionError):
+            value = None
+    if isinstance(value, Sequence) and value and all(_positive(number) for number in value):
+        return tuple(int(number) for number in value)
+    raise ModelError(
+        "tasks is not a list of positive whole numbers, or is empty",
+        where="tasks",
+        fix="give the number of subtasks of each task, such as [3] or [3, 1]",
+    )
+
+
+def as_max_trial(value: object) -> int:
+    """Return max_trial from a positive integer or its text."""
+    if isinstance(value, str) and value.isascii() and value.isdigit():
+        value = int(value[:MOST_DIGITS])  # cut, it is too large as well
+    if isinstance(value, int) and _positive(value):
+        if value <= MOST_STATES:
+            return value
+        raise ModelError(
+            f"max_trial is over {MOST_STATES:,}, more than the states of any model",
+            where="max_trial",
+            fix="allow fewer trials in a subtask",
+        )
+    raise ModelError(
+        f"max_trial is {value!r}, not a positive whole number",
+        where="max_trial",
+        fix="give the number of trials allowed in a subtask, at least 1",
+    )
+
+
+SETTINGS = {
+    "tasks": ("tasks", as_tasks),
+    "max_trial": ("max_trial", as_max_trial),
+    "discount": ("discount", as_discount),
+    "evaluation_discount": ("discount", as_discount),
+}
+"""Settings beside readings and parameters: attribute and conversion of each."""
+
+
+def check_reading(name: str, option: object) -> str:
+    """Return the option, or raise ModelError where the reading or the option is unknown."""
+    if name not in READINGS:
+        raise ModelError(f"unknown reading {name!r}", where="readings", fix=suggest(name, READINGS))
+    if option not in READINGS[name]:
+        raise ModelError(
+            f"unknown option {option!r}",
+            where=f"reading {name}",
+            fix=suggest(str(option), READINGS[name]),
+        )
+    return str(option)
+
+
+def check_scenario(scenario: Tables) -> None:
+    """Raise ModelError unless the scenario's parts fit together."""
+    check_names((scenario.name,), "scenario", where="name")
+    check_names(scenario.statuses, "status", where="statuses")
+    check_names(scenario.actions, "action", where="actions")
+    check_names(scenario.weights.values(), "weight", where="status_weight")
+    for key in ("title", "source"):
+        check_text(getattr(scenario, key), key)
+    as_tasks(scenario.tasks)
+    as_max_trial(scenario.max_trial)
+    as_discount(scenario.discount)
+    for name in READINGS:
+        check_reading(name, scenario.readings.get(name, ""))
+    states = sum(scenario.tasks) * scenario.trials * 2 ** len(scenario.statuses)
+    if states > MOST_STATES:
+        raise ModelError(
+            f"the model would have {states:,} states, more than {MOST_STATES:,}",
+            where=f"scenario {scenario.name}",
+            fix="use fewer subtasks, trials or statuses",
+        )
+    if len(scenario.statuses) > MOST_STATUSES:
+        raise ModelError(
+            f"{len(scenario.statuses)} statuses, more than {MOST_STATUSES}",
+            where=f"scenario {scenario.name}",
+            fix="merge statuses",
+        )
+
+
+def _positive(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value > 0
+
+
+def _exact(name: str, value: object) -> Fraction:
+    try:
+        return exact(value)
+    except ModelError as error:
+        raise ModelError(error.what, where=f"parameter {name}", fix=error.fix) from error
