@@ -15,6 +15,7 @@ action offered, say nothing about what to do and are refused.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Literal
@@ -22,7 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Integers, Numbers
@@ -127,6 +128,13 @@ def too_small(where: str) -> ModelError:
     return ModelError(
         "a probability of an action is above 0, and below all floats", where=where, fix="give 0"
     )
+
+
+def check_action(name: str, actions: Sequence[str], where: str) -> int:
+    """Return the number of a named action, or raise ModelError with the place."""
+    if name not in actions:
+        raise ModelError(f"unknown action {name!r}", where=where, fix=suggest(name, actions))
+    return list(actions).index(name)
 
 
 def checked_kind(kind: object) -> str:

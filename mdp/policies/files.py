@@ -6,10 +6,11 @@ import csv
 import io
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -17,16 +18,44 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import too_small
-from exact_mdp.mdp.policies.policy import Policy, check_action
+from exact_mdp.mdp.policies.arrays import check_action, rows_read, too_small
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Numbers, exact
+from exact_mdp.mdp.table import Floats, Numbers, exact
 
 T = TypeVar("T")
 
 
-def read(path: str | Path, mdp: MDP) -> Policy:
-    """See `Policy.read`."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FileTable:
+    """A policy as a file or a mapping gives it: (K, A) probabilities over some columns.
+
+    Rows that it leaves out are NaN; `where` names it in errors.
+    """
+
+    space: StateSpace
+    table: Numbers
+    where: str
+
+
+class Written(Protocol):
+    """What is written of a policy; see `Policy`."""
+
+    @property
+    def space(self) -> StateSpace: ...
+    @property
+    def actions(self) -> tuple[str, ...]: ...
+    @property
+    def table(self) -> Floats: ...
+    @property
+    def shares(self) -> Numbers | None: ...
+    @property
+    def columns(self) -> tuple[str, ...]: ...
+    @property
+    def deterministic(self) -> bool: ...
+
+
+def read(path: str | Path, mdp: MDP) -> FileTable:
+    """Return what a `.json` or `.csv` file says; see `Policy.read`."""
     where, suffix = str(path), Path(path).suffix.lower()
     if suffix == ".json":
         return _from_json(read_text(path), mdp, where)
@@ -39,7 +68,7 @@ def read(path: str | Path, mdp: MDP) -> Policy:
     )
 
 
-def write(policy: Policy, path: str | Path) -> None:
+def write(policy: Written, path: str | Path) -> None:
     """See `Policy.write`."""
     suffix = Path(path).suffix.lower()
     if suffix == ".csv":
@@ -54,14 +83,14 @@ def write(policy: Policy, path: str | Path) -> None:
         )
 
 
-def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> Policy:
-    """Return a policy from {status: action} or {status: {action: probability}}."""
+def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> FileTable:
+    """Return what a mapping says: {status: action} or {status: {action: probability}}."""
     names = (mdp.space.untimed or mdp.space).names
     name = "status" if "status" in names else names[0]
     rows: dict[int, dict[int, Fraction]] = {}
     space = StateSpace(columns=(mdp.space.column(name),))
     for label, choice in entries.items():
-        key = _at(where, partial(space.columns[0].parse, str(label)))
+        key = at_place(where, partial(space.columns[0].parse, str(label)))
         place = f"{where}, {name} {label}"
         if key in rows:
             raise ModelError(f"{name} {label} appears twice", where=where, fix="keep one of them")
@@ -70,10 +99,10 @@ def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> Policy:
             check_action(str(action), mdp.actions, place): _probability(value, place)
             for action, value in mixed.items()
         }
-    return _checked(mdp, space, rows, where)
+    return _filled(mdp, space, rows, where)
 
 
-def _from_json(text: str, mdp: MDP, where: str) -> Policy:
+def _from_json(text: str, mdp: MDP, where: str) -> FileTable:
     def once(items: list[tuple[str, Any]]) -> dict[str, Any]:
         entries: dict[str, Any] = {}
         for key, value in items:
@@ -97,7 +126,7 @@ def _from_json(text: str, mdp: MDP, where: str) -> Policy:
     return from_mapping(mdp, content, where=where)
 
 
-def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
+def _from_csv(text: str, mdp: MDP, where: str) -> FileTable:
     try:
         lines = list(csv.reader(io.StringIO(text), strict=True))
     except csv.Error as error:
@@ -125,7 +154,7 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
                 f"{len(line)} values under {len(header)} headings", where=place, fix="mend the line"
             )
         entry = dict(zip(header, line, strict=True))
-        values = _at(place, partial(_values, space, entry))
+        values = at_place(place, partial(_values, space, entry))
         word = entry["action"] if entry["action"] in mdp.actions else entry["action"].strip()
         action = check_action(word, mdp.actions, place)
         chances = rows.setdefault(space.index(**values), {})
@@ -136,19 +165,18 @@ def _from_csv(text: str, mdp: MDP, where: str) -> Policy:
                 fix="keep one of them, or add a column probability",
             )
         chances[action] = _probability(entry.get("probability", "1").strip(), place)
-    return _checked(mdp, space, rows, where)
+    return _filled(mdp, space, rows, where)
 
 
 def array_file(path: str | Path, make: Callable[[Numbers], T]) -> T:
     """Return what is made of the array of a file, with the file's name in what goes wrong."""
     array = read_array(path, called="q")
-    return _at(str(path), lambda: make(array))
+    return at_place(str(path), lambda: make(array))
 
 
-def _checked(
+def _filled(
     mdp: MDP, space: StateSpace, rows: Mapping[int, Mapping[int, Fraction]], where: str
-) -> Policy:
-    """Return the policy, after looking for combinations that are missing where there is choice."""
+) -> FileTable:
     floats = all(float(chance) == chance for row in rows.values() for chance in row.values())
     kind = np.float64 if floats else object
     table: Numbers = np.full((space.size, mdp.n_actions), np.nan, dtype=kind)
@@ -156,18 +184,21 @@ def _checked(
         table[key] = 0
         for action, chance in chances.items():
             table[key, action] = chance
-    policy = _at(where, lambda: Policy(space=space, actions=mdp.actions, table=table))
-    missing = np.isnan(policy.table[policy._keys(mdp)]).any(axis=1) & ~mdp.forced
+    return FileTable(space=space, table=table, where=where)
+
+
+def check_complete(mdp: MDP, found: FileTable) -> None:
+    """Raise ModelError where a combination is missing that a state with a choice reads."""
+    keys = rows_read(mdp, found.space)
+    missing = np.isnan(found.table.astype(np.float64)[keys]).any(axis=1) & ~mdp.forced
     if missing.any():
-        keys = sorted(set(policy._keys(mdp)[missing].tolist()))
-        shown = "; ".join(space.labels(keys[:4])) + (" …" if len(keys) > 4 else "")
+        lost = sorted(set(keys[missing].tolist()))
+        shown = "; ".join(found.space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")
         raise ModelError(
-            f"{len(keys)} of {space.size} rows are missing: {shown}",
-            where=where,
+            f"{len(lost)} of {found.space.size} rows are missing: {shown}",
+            where=found.where,
             fix="add an action for each",
         )
-    _at(where, lambda: policy.weights(mdp))
-    return policy
 
 
 def _values(space: StateSpace, entry: Mapping[str, str]) -> dict[str, int]:
@@ -175,13 +206,13 @@ def _values(space: StateSpace, entry: Mapping[str, str]) -> dict[str, int]:
 
 
 def _probability(value: object, where: str) -> Fraction:
-    number = _at(where, lambda: exact(value))
-    if number and not _at(where, lambda: float(number)):
+    number = at_place(where, lambda: exact(value))
+    if number and not at_place(where, lambda: float(number)):
         raise too_small(where)
     return number
 
 
-def _at(where: str, make: Callable[[], T]) -> T:
+def at_place(where: str, make: Callable[[], T]) -> T:
     """Return make(), with the place put in front of a ModelError's own."""
     try:
         return make()
@@ -192,7 +223,7 @@ def _at(where: str, make: Callable[[], T]) -> T:
         raise ModelError("a number too large for a float", where=where, fix="check it") from error
 
 
-def _written(policy: Policy, key: int, action: int) -> float | str:
+def _written(policy: Written, key: int, action: int) -> float | str:
     """Return a probability as it is written: as a decimal or "p/q", which is read as exact."""
     rounded = float(policy.table[key, action])
     if policy.shares is None:
@@ -203,7 +234,7 @@ def _written(policy: Policy, key: int, action: int) -> float | str:
     return rounded if Fraction(repr(rounded)) == share else str(share)
 
 
-def _as_csv(policy: Policy) -> str:
+def _as_csv(policy: Written) -> str:
     if not policy.columns:
         raise ModelError(
             "the policy reads no column of the state",
@@ -222,7 +253,7 @@ def _as_csv(policy: Policy) -> str:
     return out.getvalue()
 
 
-def _as_json(policy: Policy) -> str:
+def _as_json(policy: Written) -> str:
     if len(policy.columns) != 1:
         raise ModelError(
             f"the policy reads {', '.join(policy.columns) or 'no column'}",

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, check_names, suggest
+from exact_mdp.mdp.errors import ModelError, check_names
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies import files
 from exact_mdp.mdp.policies.arrays import (
     ArrayPolicy,
     ReadAs,
@@ -315,9 +316,7 @@ class Policy:
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads the status alone) `.json`, atomically."""
-        from exact_mdp.mdp.policies.files import write
-
-        write(self, path)
+        files.write(self, path)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -358,9 +357,7 @@ def taken(mdp: MDP, policy: Any, *, kind: str = "auto") -> Taken:
     """
     asked = checked_kind(kind)
     if isinstance(policy, str | Path) and Path(policy).suffix.lower() in (".npy", ".npz"):
-        from exact_mdp.mdp.policies.files import array_file
-
-        return array_file(policy, lambda array: _of_array(mdp, array, asked))
+        return files.array_file(policy, lambda array: _of_array(mdp, array, asked))
     if not isinstance(policy, Policy):
         if hasattr(policy, "q") and callable(getattr(policy, "policy", None)):
             return _of_array(mdp, numbers_of(policy.q), "q" if asked == "auto" else asked)
@@ -387,17 +384,13 @@ def _of_words(mdp: MDP, policy: object) -> Policy | None:
     if isinstance(policy, Policy):
         return policy
     if isinstance(policy, Mapping):
-        from exact_mdp.mdp.policies.files import from_mapping
-
-        return from_mapping(mdp, policy, where="policy")
+        return _from_file(mdp, files.from_mapping(mdp, policy, where="policy"))
     if isinstance(policy, str) and policy == "random":
         return Policy.uniform(mdp)
     if isinstance(policy, str) and policy.startswith("always:"):
         return Policy.always(mdp, policy.removeprefix("always:"))
     if isinstance(policy, str | Path):
-        from exact_mdp.mdp.policies.files import read
-
-        return read(policy, mdp)
+        return _from_file(mdp, files.read(policy, mdp))
     return None
 
 
@@ -455,8 +448,12 @@ def _rounded_away(given: ArrayLike, table: Floats) -> Numbers | None:
     return np.array([row or none for row in rows], dtype=object).reshape(table.shape)
 
 
-def check_action(name: str, actions: Sequence[str], where: str) -> int:
-    """Return the number of a named action, or raise ModelError with the place."""
-    if name not in actions:
-        raise ModelError(f"unknown action {name!r}", where=where, fix=suggest(name, actions))
-    return list(actions).index(name)
+def _from_file(mdp: MDP, found: files.FileTable) -> Policy:
+    """Return the policy, with the file's name in what goes wrong; no row may be missing."""
+    where = found.where
+    policy = files.at_place(
+        where, lambda: Policy(space=found.space, actions=mdp.actions, table=found.table)
+    )
+    files.check_complete(mdp, found)
+    files.at_place(where, lambda: policy.weights(mdp))
+    return policy

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.policies.policy import check_action
+from exact_mdp.mdp.policies.arrays import check_action
 from exact_mdp.paper_repro.agents.protocol import PURPOSES
 
 DRAWS = ("start", "policy", "transition", *PURPOSES)

@@ -30,7 +30,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats, Integers, Numbers, exact, integers, spans
+from exact_mdp.mdp.table import Floats, Integers, Numbers, integers, spans
 from exact_mdp.solvers.bounds.gains import TINY
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 
