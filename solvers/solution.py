@@ -11,15 +11,11 @@ from dataclasses import dataclass
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-
-if TYPE_CHECKING:
-    from exact_mdp.solvers.dynamic.program import ProgramRun
 
 
 class Claim(StrEnum):
@@ -168,6 +164,55 @@ class Estimated:
 
     def __str__(self) -> str:
         return f"{self.value:.6g} ± {self.standard_error:.1g} s.e. ({self.claim})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProgramRun:
+    """What solving a linear program took, and the bounds that its two sides give.
+
+    Attributes
+    ----------
+    by : str
+        The optimiser, or "constraint generation".
+    variables, constraints, entries : int
+        Size of the primal program: open states, their pairs, and nonzero coefficients.
+    used : int
+        Constraints that the equations were ever made of: all by an optimiser; in constraint
+        generation the first ones, one for each state, and all that took their places.
+    rounds : int
+        Steps of the optimiser, or systems of equations solved.
+    compile_seconds, solve_seconds, verify_seconds : float
+        Stating the program to the optimiser, the import of cvxpy not counted; solving it;
+        improving and verifying the answer.
+    lower, upper : float
+        The optimal start value is not below the dual's value and not above the primal's, rounding
+        errors included.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import LinearProgram, solve
+    >>> mdp = MDP.from_arrays([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1, -1], [2, 1]], "1/2")
+    >>> run = LinearProgram(start=solve(mdp)).solve(mdp).program
+    >>> run.by, run.used, run.lower <= 2 <= run.upper, run.gap < 1e-12
+    ('constraint generation', 2, True, True)
+    """
+
+    by: str
+    variables: int
+    constraints: int
+    entries: int
+    used: int
+    rounds: int
+    compile_seconds: float
+    solve_seconds: float
+    verify_seconds: float
+    lower: float
+    upper: float
+
+    @property
+    def gap(self) -> float:
+        """Duality gap, rounding errors included: what is left open of the optimal start value."""
+        return self.upper - self.lower
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,7 +22,10 @@ and the margins are verified. Every d and m comes with a bound on its rounding e
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -37,6 +40,7 @@ from exact_mdp.solvers.bounds.gains import (
     TINY,
     UNIT,
     Gain,
+    Weights,
     gains,
     gamma,
     greedy,
@@ -46,44 +50,11 @@ from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.bounds.sweeps import sweeps_of
 from exact_mdp.solvers.solution import SolverError, Status
 
-__all__ = ["Bounds", "Gain", "Weights", "bounds", "gains", "greedy", "levels", "margin_weights"]
+__all__ = ["Bounds", "Gain", "bounds", "gains", "greedy", "ladder", "levels", "margin_weights"]
 
 WEIGHT_ITERATIONS = 1000
 LONGEST_WALK = 1000
 _LEVELS: WeakKeyDictionary[MDP, Integers | None] = WeakKeyDictionary()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Weights:
-    """Weights with their verified margins.
-
-    Attributes
-    ----------
-    value : (S,)
-        The weights w.
-    margin : (L,)
-        The margins m, rounded; 1 for pairs of terminal states.
-    error : float
-        The greatest error of any of them.
-    """
-
-    value: Floats
-    margin: Floats
-    error: float
-
-    @property
-    def least(self) -> Floats:
-        """(L,) lower bounds of the margins."""
-        return np.asarray(self.margin - self.error)
-
-    @property
-    def most(self) -> Floats:
-        """(L,) upper bounds of the margins."""
-        return np.asarray(self.margin + self.error)
-
-    def ratio(self, gain: Floats) -> Floats:
-        """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
-        return np.asarray(gain / np.where(gain > 0, self.least, self.most))
 
 
 _WEIGHTS: WeakKeyDictionary[MDP, Weights] = WeakKeyDictionary()
@@ -276,3 +247,19 @@ def _verified(mdp: MDP, weight: Floats) -> Weights:
     ):
         raise SolverError(Status.NO_BOUND, "the end is too many steps away")
     return Weights(value=weight, margin=margin, error=error)
+
+
+def ladder(levels: int) -> Callable[[Floats, float, Floats], None]:
+    """Return the function that adds errors up: see `solvers.kernels.layered.ladder`."""
+    if "numba" in sys.modules and levels >= 1000:
+        from exact_mdp.solvers.kernels import layered
+
+        return cast("Callable[[Floats, float, Floats], None]", layered.ladder)
+
+    def climb(step: Floats, rate: float, total: Floats) -> None:
+        before = 0.0
+        for k, more in enumerate(step.tolist()[1:], start=1):
+            before = max(before, rate * before + more)
+            total[k] = before
+
+    return climb

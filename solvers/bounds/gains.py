@@ -74,6 +74,39 @@ class Gain:
     noise: Floats
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Weights:
+    """Weights with their verified margins.
+
+    Attributes
+    ----------
+    value : (S,)
+        The weights w.
+    margin : (L,)
+        The margins m, rounded; 1 for pairs of terminal states.
+    error : float
+        The greatest error of any of them.
+    """
+
+    value: Floats
+    margin: Floats
+    error: float
+
+    @property
+    def least(self) -> Floats:
+        """(L,) lower bounds of the margins."""
+        return np.asarray(self.margin - self.error)
+
+    @property
+    def most(self) -> Floats:
+        """(L,) upper bounds of the margins."""
+        return np.asarray(self.margin + self.error)
+
+    def ratio(self, gain: Floats) -> Floats:
+        """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
+        return np.asarray(gain / np.where(gain > 0, self.least, self.most))
+
+
 @np.errstate(over="ignore", invalid="ignore")
 def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
     """Return what each pair adds to `value` (S,), with the rounding errors bounded.

@@ -42,7 +42,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -56,16 +56,13 @@ from exact_mdp.solvers.bounds.gains import (
     UNIT,
     Gain,
     RoundingFacts,
+    Weights,
     gains,
     gamma,
     greedy,
     rounding_facts,
 )
 from exact_mdp.solvers.solution import SolverError, Status
-
-if TYPE_CHECKING:
-    from exact_mdp.solvers.bounds.bounds import Weights
-    from exact_mdp.solvers.bounds.gains import RoundingFacts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -231,8 +228,6 @@ def sweeps_of(mdp: MDP, weights: Weights, *, strict: bool = False) -> Sweeps:
     """Return the sweeps for a model of its size; the size alone decides."""
     if mdp.n_transitions < COMPILED:
         return Sweeps(mdp, weights, strict)
-    # import
-
     return CompiledSweeps(mdp, weights, strict)
 
 
@@ -414,15 +409,12 @@ class CompiledSweeps(Sweeps):
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
         from exact_mdp.solvers.kernels import bellman
 
-        ended, rate, step, rows = (
-            self.mdp.terminal,
-            self.mdp.discount,
-            self._step,
-            self._memory.rows,
-        )
+        mdp, step, rows = self.mdp, self._step, self._memory.rows
 
         def work(first: int, last: int, extremes: Floats) -> None:
-            bellman.follow(first, last, *rows, ended, rate, value, shift, step, extremes)
+            bellman.follow(
+                first, last, *rows, mdp.terminal, mdp.discount, value, shift, step, extremes
+            )
 
         found = self._blocks(work, 2)
         return step, float(found[:, 0].min()), float(found[:, 1].max())

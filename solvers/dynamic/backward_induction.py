@@ -24,11 +24,10 @@ and a compiled one (`solvers.kernels.layered`), once the model is large or the c
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,7 +35,7 @@ from exact_mdp.mdp.chain import numbered_in_order, runs_in_order
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
-from exact_mdp.solvers.bounds.bounds import bounds, levels
+from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.dynamic.stopping import conclude
 from exact_mdp.solvers.solution import Solution, SolverError, Status
@@ -267,19 +266,3 @@ def _array_pass(mdp: MDP, level: Integers | None) -> Pass:
     depth = int(height.max())
     above, below = above[: depth + 1].copy(), below[: depth + 1].copy()
     return Pass(value=value, pairs=pairs, level=height, above=above, below=below)
-
-
-def ladder(levels: int) -> Callable[[Floats, float, Floats], None]:
-    """Return the function that adds errors up: see `solvers.kernels.layered.ladder`."""
-    if "numba" in sys.modules and levels >= 1000:
-        from exact_mdp.solvers.kernels import layered
-
-        return cast("Callable[[Floats, float, Floats], None]", layered.ladder)
-
-    def climb(step: Floats, rate: float, total: Floats) -> None:
-        before = 0.0
-        for k, more in enumerate(step.tolist()[1:], start=1):
-            before = max(before, rate * before + more)
-            total[k] = before
-
-    return climb

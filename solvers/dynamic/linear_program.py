@@ -40,9 +40,9 @@ from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import greedy, margin_weights
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.dynamic.policy_iteration import improved
-from exact_mdp.solvers.dynamic.program import ProgramRun, check_size, sides, visits
+from exact_mdp.solvers.dynamic.program import check_size, sides, visits
 from exact_mdp.solvers.dynamic.stopping import conclude
-from exact_mdp.solvers.solution import Solution, SolverError, Status
+from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
 FORMS = ("primal", "dual")

@@ -29,8 +29,8 @@ from numpy.typing import ArrayLike
 from exact_mdp.mdp.care.operator import CareOperator, Expect, Law, as_gains
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import ladder
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
-from exact_mdp.solvers.dynamic.backward_induction import ladder
 from exact_mdp.solvers.solution import Bounded, Solution, SolverError, Status
 
 if TYPE_CHECKING:

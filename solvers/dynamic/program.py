@@ -1,4 +1,4 @@
-"""What a linear program took, what it proves, and how large its factors would be.
+"""What a linear program proves, and how large its factors would be.
 
 Weak duality: where V + c w satisfies all constraints of the primal (see `solvers.bounds.bounds`),
 and y are the visits of a policy, which solve the equations of the dual,
@@ -39,55 +39,6 @@ KRYLOV_STEPS = 200
 SPREAD = 10
 PATIENCE = 3
 FARTHEST = 100
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProgramRun:
-    """What solving a linear program took, and the bounds that its two sides give.
-
-    Attributes
-    ----------
-    by : str
-        The optimiser, or "constraint generation".
-    variables, constraints, entries : int
-        Size of the primal program: open states, their pairs, and nonzero coefficients.
-    used : int
-        Constraints that the equations were ever made of: all by an optimiser; in constraint
-        generation the first ones, one for each state, and all that took their places.
-    rounds : int
-        Steps of the optimiser, or systems of equations solved.
-    compile_seconds, solve_seconds, verify_seconds : float
-        Stating the program to the optimiser, the import of cvxpy not counted; solving it;
-        improving and verifying the answer.
-    lower, upper : float
-        The optimal start value is not below the dual's value and not above the primal's, rounding
-        errors included.
-
-    Examples
-    --------
-    >>> from exact_mdp.solvers import LinearProgram, solve
-    >>> mdp = MDP.from_arrays([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1, -1], [2, 1]], "1/2")
-    >>> run = LinearProgram(start=solve(mdp)).solve(mdp).program
-    >>> run.by, run.used, run.lower <= 2 <= run.upper, run.gap < 1e-12
-    ('constraint generation', 2, True, True)
-    """
-
-    by: str
-    variables: int
-    constraints: int
-    entries: int
-    used: int
-    rounds: int
-    compile_seconds: float
-    solve_seconds: float
-    verify_seconds: float
-    lower: float
-    upper: float
-
-    @property
-    def gap(self) -> float:
-        """Duality gap, rounding errors included: what is left open of the optimal start value."""
-        return self.upper - self.lower
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
