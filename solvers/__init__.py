@@ -39,7 +39,8 @@ from exact_mdp.solvers.solution import (
 if TYPE_CHECKING:
     from exact_mdp.mdp.care.operator import CareOperator
     from exact_mdp.solvers.dynamic.operator import operator_mean
-    from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate, certify
+    from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+    from exact_mdp.solvers.proof.certify import certify
     from exact_mdp.solvers.robust.robust import solve_robust
     from exact_mdp.solvers.values.evaluate import evaluate
     from exact_mdp.solvers.values.returns import return_distribution
@@ -82,7 +83,7 @@ SOLVERS: dict[str, type[Solver]] = {
 _LATER = {
     "BoundedCertificate": "exact_mdp.solvers.proof.certificate",
     "Certificate": "exact_mdp.solvers.proof.certificate",
-    "certify": "exact_mdp.solvers.proof.certificate",
+    "certify": "exact_mdp.solvers.proof.certify",
     "evaluate": "exact_mdp.solvers.values.evaluate",
     "operator_mean": "exact_mdp.solvers.dynamic.operator",
     "return_distribution": "exact_mdp.solvers.values.returns",

@@ -6,7 +6,8 @@ from functools import cache
 from strategies import Row, model_of
 
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.solvers.proof.certificate import Certificate, certify
+from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.proof.certify import certify
 
 THIRD = F(1, 3)
 

@@ -70,7 +70,7 @@ def proven(mdp: MDP) -> Certificate:
     >>> print(proven(MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])).start)
     2 (certified)
     """
-    from exact_mdp.solvers.proof.certificate import certify
+    from exact_mdp.solvers.proof.certify import certify
 
     found = certify(mdp)
     if faults := found.violations():

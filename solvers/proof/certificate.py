@@ -4,35 +4,32 @@
     certificate = certify(mdp, bounded=True)    # lower ≤ V^π ≤ V ≤ upper, for large models
 
 A certificate claims; `violations` checks every claim against the model, in code that shares nothing
-with the solvers (`solvers.proof.checker`, `solvers.proof.checker`). Floats of a model count
-as the dyadic rationals that they are; `mdp.table` says what rows mean that do not sum to 1 exactly.
+with the solvers (`solvers.proof.checker`). Floats of a model count as the dyadic rationals that
+they are; `mdp.table` says what rows mean that do not sum to 1 exactly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers, divide
+from exact_mdp.mdp.table import Floats, Numbers, divide
+from exact_mdp.solvers.proof.checker import bounded_violations, exact_violations
+from exact_mdp.solvers.proof.claims import BoundedClaims, ExactClaims
+from exact_mdp.solvers.proof.file import bounded_fields, exact_fields, save
 from exact_mdp.solvers.proof.rationals import fractions, primes_of
 from exact_mdp.solvers.solution import Certified, Claim
 
-if TYPE_CHECKING:
-    from exact_mdp.solvers.solution import Solution
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Certificate:
+class Certificate(ExactClaims):
     """Exact optimal values, all optimal actions, and what proves them.
 
     Numbers are kept as integers over a few shared denominators, because they may have thousands of
@@ -65,24 +62,7 @@ class Certificate:
         The model, unless the certificate was read from a file.
     """
 
-    model: str
-    numerator: Sequence[int]
-    group: Integers
-    denominator: Sequence[int]
-    policy: Integers
-    optimal_pairs: NDArray[np.bool_]
-    gap: Sequence[int | None]
-    gap_scale: Sequence[int]
-    unique: bool
-    start_value: Fraction
-    rank: Integers | None = None
-    weight: Sequence[int] | None = None
     mdp: MDP | None = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        for array in (self.group, self.policy, self.optimal_pairs, self.rank):
-            if array is not None:
-                array.setflags(write=False)
 
     def __repr__(self) -> str:
         unique = "the only optimal policy" if self.unique else "not the only optimal policy"
@@ -134,26 +114,20 @@ class Certificate:
         mdp : MDP, optional
             The model; needed where the certificate was read from a file.
         """
-        from exact_mdp.solvers.proof.checker import exact_violations
-
         return exact_violations(self, _model(mdp, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
-        from exact_mdp.solvers.proof.file import save
-
         save(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> Certificate:
         """Read a certificate; raises ModelError where the file is not an exact certificate."""
-        from exact_mdp.solvers.proof.file import load_exact
-
-        return load_exact(path)
+        return cls(**exact_fields(path))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BoundedCertificate:
+class BoundedCertificate(BoundedClaims):
     """Floats that the optimal values, and those of a policy, are proven to lie between.
 
     Attributes
@@ -170,16 +144,7 @@ class BoundedCertificate:
         The model, unless the certificate was read from a file.
     """
 
-    model: str
-    lower: Floats
-    upper: Floats
-    policy: Integers
-    weight: Floats
     mdp: MDP | None = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        for array in (self.lower, self.upper, self.policy, self.weight):
-            array.setflags(write=False)
 
     def __repr__(self) -> str:
         return f"BoundedCertificate({len(self.lower)} states, error ≤ {self.error_bound:.2g})"
@@ -203,77 +168,16 @@ class BoundedCertificate:
 
     def violations(self, mdp: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound."""
-        from exact_mdp.solvers.proof.checker import bounded_violations
-
         return bounded_violations(self, _model(mdp, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
-        from exact_mdp.solvers.proof.file import save
-
         save(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> BoundedCertificate:
         """Read a certificate; raises ModelError where the file is not a bounded certificate."""
-        from exact_mdp.solvers.proof.file import load_bounded
-
-        return load_bounded(path)
-
-
-@overload
-def certify(mdp: MDP, *, bounded: Literal[False] = ...) -> Certificate: ...
-@overload
-def certify(
-    mdp: MDP, *, bounded: Literal[True], tol: float | None = ..., solution: Solution | None = ...
-) -> BoundedCertificate: ...
-def certify(
-    mdp: MDP, *, bounded: bool = False, tol: float | None = None, solution: Solution | None = None
-) -> Certificate | BoundedCertificate:
-    """Return a proof of the optimal values: exact, or as bounds in floats.
-
-    Parameters
-    ----------
-    mdp : MDP
-        Any finite model with discount below 1, or with discount 1 where every policy ends.
-    bounded : bool
-        Prove floats that the values lie between, at once for a million states, instead of the
-        values themselves.
-    tol : float, optional
-        Only with `bounded`: the greatest `error_bound` to accept.
-    solution : Solution, optional
-        Only with `bounded`: a solution of this model to prove bounds around; solved unless given.
-
-    Raises
-    ------
-    ModelError
-        Where values are not unique: at discount 1, a policy that never ends; rows of floats on a
-        cycle that sum to more than 1, too much for the discount. Where a cycle has too many states
-        to be solved exactly.
-    SolverError
-        Only with `bounded`: where double precision does not suffice.
-
-    Examples
-    --------
-    >>> stop, on = ["1/3", "2/3", 0], [0, 0, 1]
-    >>> mdp = MDP.from_arrays([[stop, on, on], [on, on, on]], [[3, 4], [0, 0], [0, 0]])
-    >>> certificate = certify(mdp)
-    >>> certificate.value[0], certificate.gaps[0], certificate.unique
-    (Fraction(9, 2), Fraction(1, 2), False)
-    >>> certificate.policy.tolist(), certificate.optimal_pairs.tolist()
-    ([0, 0, 0], [True, False, True, True, True, True])
-    >>> certificate.violations()
-    []
-    """
-    if bounded:
-        from exact_mdp.solvers.proof.certify import certify_bounded
-
-        return certify_bounded(mdp, tol=tol, solution=solution)
-    if tol is not None or solution is not None:
-        raise ModelError("tol and solution are for bounds", where="certify", fix="add bounded=True")
-    from exact_mdp.solvers.proof.certify import certify_exact
-
-    return certify_exact(mdp)
+        return cls(**bounded_fields(path))
 
 
 def _model(given: MDP | None, own: MDP | None) -> MDP:

@@ -13,6 +13,7 @@ import warnings
 from dataclasses import replace
 from fractions import Fraction
 from math import lcm
+from typing import Literal, overload
 
 import numpy as np
 
@@ -31,8 +32,59 @@ from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 
+@overload
+def certify(mdp: MDP, *, bounded: Literal[False] = ...) -> Certificate: ...
+@overload
+def certify(
+    mdp: MDP, *, bounded: Literal[True], tol: float | None = ..., solution: Solution | None = ...
+) -> BoundedCertificate: ...
+def certify(
+    mdp: MDP, *, bounded: bool = False, tol: float | None = None, solution: Solution | None = None
+) -> Certificate | BoundedCertificate:
+    """Return a proof of the optimal values: exact, or as bounds in floats.
+
+    Parameters
+    ----------
+    mdp : MDP
+        Any finite model with discount below 1, or with discount 1 where every policy ends.
+    bounded : bool
+        Prove floats that the values lie between, at once for a million states, instead of the
+        values themselves.
+    tol : float, optional
+        Only with `bounded`: the greatest `error_bound` to accept.
+    solution : Solution, optional
+        Only with `bounded`: a solution of this model to prove bounds around; solved unless given.
+
+    Raises
+    ------
+    ModelError
+        Where values are not unique: at discount 1, a policy that never ends; rows of floats on a
+        cycle that sum to more than 1, too much for the discount. Where a cycle has too many states
+        to be solved exactly.
+    SolverError
+        Only with `bounded`: where double precision does not suffice.
+
+    Examples
+    --------
+    >>> stop, on = ["1/3", "2/3", 0], [0, 0, 1]
+    >>> mdp = MDP.from_arrays([[stop, on, on], [on, on, on]], [[3, 4], [0, 0], [0, 0]])
+    >>> certificate = certify(mdp)
+    >>> certificate.value[0], certificate.gaps[0], certificate.unique
+    (Fraction(9, 2), Fraction(1, 2), False)
+    >>> certificate.policy.tolist(), certificate.optimal_pairs.tolist()
+    ([0, 0, 0], [True, False, True, True, True, True])
+    >>> certificate.violations()
+    []
+    """
+    if bounded:
+        return certify_bounded(mdp, tol=tol, solution=solution)
+    if tol is not None or solution is not None:
+        raise ModelError("tol and solution are for bounds", where="certify", fix="add bounded=True")
+    return certify_exact(mdp)
+
+
 def certify_exact(mdp: MDP) -> Certificate:
-    """Return the exact certificate of a model; see `solvers.proof.certificate.certify`."""
+    """Return the exact certificate of a model; see `certify`."""
     rows = bellman_rows(mdp)
     rank, weight = _proof(mdp, rows)
     found = solve_exactly(rows)
@@ -90,7 +142,7 @@ WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the
 def certify_bounded(
     mdp: MDP, *, tol: float | None = None, solution: Solution | None = None
 ) -> BoundedCertificate:
-    """Return bounds that floats prove; see `solvers.proof.certificate.certify`."""
+    """Return bounds that floats prove; see `certify`."""
     if solution is None:
         solution = _solve(mdp, tol)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:

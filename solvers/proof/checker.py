@@ -33,10 +33,10 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 
 if TYPE_CHECKING:
-    from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+    from exact_mdp.solvers.proof.claims import BoundedClaims, ExactClaims
 
 
-def exact_violations(found: Certificate, mdp: MDP) -> list[str]:
+def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     """Return what does not hold of an exact certificate, in words; nothing where it is sound."""
     wrong = not_of(mdp, found.model, found.numerator, found.group, found.gap, found.gap_scale)
     weight = () if found.weight is None else found.weight
@@ -118,7 +118,7 @@ def _one_solution(rows: BellmanRows, rank: Integers | None, weight: Sequence[int
     return bool(proven and (falls_always[open_pairs].all() or (slack >= 0).all()))
 
 
-def _equations(rows: BellmanRows, found: Certificate) -> list[str]:
+def _equations(rows: BellmanRows, found: ExactClaims) -> list[str]:
     """Check the values, what is optimal and by how much, in integers over one denominator each."""
     wrong = []
     numerator, group, below = found.numerator, found.group.tolist(), found.denominator
@@ -160,7 +160,7 @@ UNIT, TINY, SLACK = 2.0**-53, 2.0**-1000, 1 + 2.0**-20
 CHUNK = 2**21
 
 
-def bounded_violations(found: BoundedCertificate, mdp: MDP) -> list[str]:
+def bounded_violations(found: BoundedClaims, mdp: MDP) -> list[str]:
     """Return what does not hold of a bounded certificate, in words; nothing where it is sound."""
     vectors = {"lower": found.lower, "upper": found.upper, "weight": found.weight}
     wrong = not_of(mdp, found.model, *vectors.values())

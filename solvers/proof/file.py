@@ -46,7 +46,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.proof.claims import BoundedClaims, ExactClaims
 from exact_mdp.solvers.proof.rationals import fraction
 
 FORMAT, VERSION = "exact-mdp certificate", 1
@@ -59,22 +59,22 @@ VECTORS = ("lower", "upper", "weight")
 T = TypeVar("T")
 
 
-def save(found: Certificate | BoundedCertificate, path: str | Path) -> None:
+def save(found: ExactClaims | BoundedClaims, path: str | Path) -> None:
     """Write a certificate, whole or not at all."""
     head = {
         "format": FORMAT,
         "version": VERSION,
-        "kind": "exact" if isinstance(found, Certificate) else "bounded",
+        "kind": "exact" if isinstance(found, ExactClaims) else "bounded",
         "model": found.model,
         "states": len(found.policy),
         "policy": found.policy.tolist(),
     }
-    body = _exact(found) if isinstance(found, Certificate) else _bounded(found)
+    body = _exact(found) if isinstance(found, ExactClaims) else _bounded(found)
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in (head | body).items()]
     write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
 
 
-def _exact(found: Certificate) -> dict[str, object]:
+def _exact(found: ExactClaims) -> dict[str, object]:
     start = found.start_value
     return {
         "pairs": len(found.optimal_pairs),
@@ -91,12 +91,12 @@ def _exact(found: Certificate) -> dict[str, object]:
     }
 
 
-def _bounded(found: BoundedCertificate) -> dict[str, object]:
+def _bounded(found: BoundedClaims) -> dict[str, object]:
     return {name: [x.hex() for x in getattr(found, name).tolist()] for name in VECTORS}
 
 
-def load_exact(path: str | Path) -> Certificate:
-    """Read an exact certificate; raises ModelError where the file is not one."""
+def exact_fields(path: str | Path) -> dict[str, Any]:
+    """Read the fields of an exact certificate; raises ModelError where the file is not one."""
     file = _File(path, "exact")
     states, pairs = file.get("states", _count), file.get("pairs", _count)
     denominator = file.get("denominators", _list_of(_positive))
@@ -106,34 +106,34 @@ def load_exact(path: str | Path) -> Certificate:
     marks = file.get("optimal", _text)
     if len(marks) != pairs or not set(marks) <= {"0", "1"}:
         raise file.error("optimal")
-    return Certificate(
-        model=file.get("model", _digest),
-        numerator=file.get("numerators", _list_of(_integer, states)),
-        group=group,
-        denominator=denominator,
-        policy=file.get("policy", _array_of(states)),
-        optimal_pairs=np.frombuffer(marks.encode(), dtype=np.uint8) == ord("1"),
-        gap=file.get("gaps", _list_of(_or_none(_positive), states)),
-        gap_scale=file.get("gap_scales", _list_of(_positive, states)),
-        unique=file.get("unique", _truth),
-        start_value=file.get("start_value", _fraction),
-        rank=file.get("rank", _or_none(_array_of(states))),
-        weight=file.get("weight", _or_none(_list_of(_integer, states))),
-    )
+    return {
+        "model": file.get("model", _digest),
+        "numerator": file.get("numerators", _list_of(_integer, states)),
+        "group": group,
+        "denominator": denominator,
+        "policy": file.get("policy", _array_of(states)),
+        "optimal_pairs": np.frombuffer(marks.encode(), dtype=np.uint8) == ord("1"),
+        "gap": file.get("gaps", _list_of(_or_none(_positive), states)),
+        "gap_scale": file.get("gap_scales", _list_of(_positive, states)),
+        "unique": file.get("unique", _truth),
+        "start_value": file.get("start_value", _fraction),
+        "rank": file.get("rank", _or_none(_array_of(states))),
+        "weight": file.get("weight", _or_none(_list_of(_integer, states))),
+    }
 
 
-def load_bounded(path: str | Path) -> BoundedCertificate:
-    """Read a bounded certificate; raises ModelError where the file is not one."""
+def bounded_fields(path: str | Path) -> dict[str, Any]:
+    """Read the fields of a bounded certificate; raises ModelError where the file is not one."""
     file = _File(path, "bounded")
     states = file.get("states", _count)
     lower, upper, weight = (file.get(name, _floats_of(states)) for name in VECTORS)
-    return BoundedCertificate(
-        model=file.get("model", _digest),
-        lower=lower,
-        upper=upper,
-        policy=file.get("policy", _array_of(states)),
-        weight=weight,
-    )
+    return {
+        "model": file.get("model", _digest),
+        "lower": lower,
+        "upper": upper,
+        "policy": file.get("policy", _array_of(states)),
+        "weight": weight,
+    }
 
 
 class _File:
