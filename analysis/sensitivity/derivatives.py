@@ -22,7 +22,7 @@ and are refused.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -30,7 +30,6 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from exact_mdp.analysis.sensitivity.gradient import Checked, claimed
 from exact_mdp.analysis.sensitivity.rational_rows import worth
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
@@ -40,7 +39,7 @@ from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.bounds import gains
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits
 
@@ -48,6 +47,45 @@ if TYPE_CHECKING:
     from flint import fmpq
 
     from exact_mdp.solvers.proof.certificate import Certificate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """An exact number that stands on the degree of a polynomial, which no proof shows.
+
+    Attributes
+    ----------
+    value : Fraction
+    points : int
+        At so many values of the parameter the model is what the polynomial says.
+
+    Examples
+    --------
+    >>> print(Checked(value=Fraction(4), points=6))
+    4 (estimated: the degree was checked at 6 points, not proven)
+    """
+
+    value: Fraction
+    points: int
+
+    @property
+    def claim(self) -> Claim:
+        return Claim.ESTIMATED
+
+    def __str__(self) -> str:
+        text = str(Certified(value=self.value)).partition(" (")[0]
+        return f"{text} ({self.claim}: the degree was checked at {self.points} points, not proven)"
+
+
+def claimed(value: Fraction, checked: int | None) -> Certified | Checked:
+    """Return a number as certified, unless its degree was only `checked` at some points.
+
+    Examples
+    --------
+    >>> claimed(Fraction(1, 2), None).claim, claimed(Fraction(1, 2), 6).claim
+    (<Claim.CERTIFIED: 'certified'>, <Claim.ESTIMATED: 'estimated'>)
+    """
+    return Certified(value=value) if checked is None else Checked(value=value, points=checked)
 
 
 class ExactPass:

@@ -24,7 +24,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.base import unit_of
-from exact_mdp.analysis.sensitivity.derivatives import ExactPass
+from exact_mdp.analysis.sensitivity.derivatives import BoundedPass, Checked, ExactPass
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import is_acyclic
 from exact_mdp.mdp.model import MDP
@@ -35,47 +35,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-    from exact_mdp.analysis.sensitivity.derivatives import BoundedPass
-
-
-@dataclass(frozen=True, kw_only=True)
-class Checked:
-    """An exact number that stands on the degree of a polynomial, which no proof shows.
-
-    Attributes
-    ----------
-    value : Fraction
-    points : int
-        At so many values of the parameter the model is what the polynomial says.
-
-    Examples
-    --------
-    >>> print(Checked(value=Fraction(4), points=6))
-    4 (estimated: the degree was checked at 6 points, not proven)
-    """
-
-    value: Fraction
-    points: int
-
-    @property
-    def claim(self) -> Claim:
-        return Claim.ESTIMATED
-
-    def __str__(self) -> str:
-        text = str(Certified(value=self.value)).partition(" (")[0]
-        return f"{text} ({self.claim}: the degree was checked at {self.points} points, not proven)"
-
-
-def claimed(value: Fraction, checked: int | None) -> Certified | Checked:
-    """Return a number as certified, unless its degree was only `checked` at some points.
-
-    Examples
-    --------
-    >>> claimed(Fraction(1, 2), None).claim, claimed(Fraction(1, 2), 6).claim
-    (<Claim.CERTIFIED: 'certified'>, <Claim.ESTIMATED: 'estimated'>)
-    """
-    return Certified(value=value) if checked is None else Checked(value=value, points=checked)
 
 
 Number = Certified | Bounded
@@ -232,8 +191,6 @@ def gradient(
     exact = cheap(mdp) if exact is None else exact
     best = isinstance(policy, str) and policy == "optimal"
     if not exact:
-        from exact_mdp.analysis.sensitivity.derivatives import BoundedPass
-
         return _gradient(model, mdp, BoundedPass(mdp, policy), chosen, best)
     return _gradient(model, mdp, ExactPass(mdp, policy), chosen, best)
 

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.base import unit_of
-from exact_mdp.analysis.sensitivity.derivatives import earnings
+from exact_mdp.analysis.sensitivity.derivatives import Checked, claimed, earnings
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from exact_mdp.analysis.sensitivity.gradient import Checked, claimed, floating
+from exact_mdp.analysis.sensitivity.gradient import floating
 from exact_mdp.analysis.sensitivity.rational_rows import by_pair, by_pair_slopes, dot, worth
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError

@@ -21,7 +21,7 @@ from exact_mdp.analysis.sensitivity import (
     tornado,
     two_way,
 )
-from exact_mdp.analysis.sensitivity.gradient import Checked
+from exact_mdp.analysis.sensitivity.derivatives import Checked
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family, moving, parametric, room_of
 from exact_mdp.mdp.row_change import pieces, row_change
