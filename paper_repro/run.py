@@ -19,8 +19,9 @@ from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.paper_repro.claims import Judged, PaperClaim, all_claims, judge
 from exact_mdp.paper_repro.claims.judge import tried_again, verdicts
+from exact_mdp.paper_repro.claims.under import Readings
 from exact_mdp.paper_repro.expected import disagreements, expected
-from exact_mdp.paper_repro.readings.study import Readings, reading_study
+from exact_mdp.paper_repro.readings.study import reading_study
 from exact_mdp.paper_repro.report.output import entry_of, numbers_of
 from exact_mdp.paper_repro.store import Store
 from exact_mdp.paper_repro.view import SEED, Sizes, View, alternatives, default_view

@@ -226,10 +226,9 @@ def test_the_averages_are_judged_by_the_completion_that_fits_all_three_best(
 )
 def test_a_reading_is_counted_as_it_is_judged(view: View, change: dict[str, object]) -> None:
     from exact_mdp.analysis.readings import ReadingSpace
-    from exact_mdp.paper_repro.claims.under import search_support
+    from exact_mdp.paper_repro.claims.under import Readings, search_support
     from exact_mdp.paper_repro.readings.evidence import evidence
     from exact_mdp.paper_repro.readings.search import PAPER_READINGS, search
-    from exact_mdp.paper_repro.readings.study import Readings
 
     one = {name: options[:1] for name, options in PAPER_READINGS.options.items()}
     one |= {name: (option,) for name, option in change.items()}

@@ -14,8 +14,13 @@ from dataclasses import dataclass
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.paper_repro.claims import interaction, learning, model, policies, returns
 from exact_mdp.paper_repro.claims.claim import Finding, PaperClaim, Verdict
-from exact_mdp.paper_repro.claims.under import SCOPE_ONE_CHANGE, SCOPE_VIEWS, Under, tally
-from exact_mdp.paper_repro.readings.study import Readings
+from exact_mdp.paper_repro.claims.under import (
+    SCOPE_ONE_CHANGE,
+    SCOPE_VIEWS,
+    Readings,
+    Under,
+    tally,
+)
 from exact_mdp.paper_repro.view import View
 
 Progress = Callable[[str], None]

@@ -1,15 +1,17 @@
-"""What becomes of a claim under readings other than the default."""
+"""All readings of the text, and what becomes of a claim under them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims.claim import (
     JOINT_LIMIT,
@@ -17,7 +19,10 @@ from exact_mdp.paper_repro.claims.claim import (
     STANDARD_ERRORS,
     Verdict,
 )
-from exact_mdp.paper_repro.readings.study import Readings
+from exact_mdp.paper_repro.readings.evidence import Evidence, evidence
+from exact_mdp.paper_repro.readings.search import STARTS, ReadingSearch, search
+from exact_mdp.paper_repro.readings.study import ReadingStudy
+from exact_mdp.paper_repro.view import Sizes, View
 
 Flags = NDArray[np.bool_]
 
@@ -68,6 +73,63 @@ def tally(verdicts: Sequence[tuple[str, Verdict]], scope: str = SCOPE_VIEWS) -> 
         example=agree[0] if agree else "",
         scope=scope,
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Readings:
+    """Exact averages of all readings and what the evidence says of them.
+
+    Attributes
+    ----------
+    search : ReadingSearch
+    evidence : Evidence
+    """
+
+    search: ReadingSearch
+    evidence: Evidence
+
+    @classmethod
+    def of(cls, study: ReadingStudy) -> Readings:
+        """Return what a whole study holds."""
+        return cls(search=study.search, evidence=study.main)
+
+    @classmethod
+    def run(
+        cls, folder: Path | None, *, scheduler: str | None = None, progress: bool = False
+    ) -> Readings:
+        """Search alone, or read what `reading_study` or an earlier search left in the folder."""
+        found = search(scheduler=scheduler, out=folder and folder / "search", progress=progress)
+        return cls(search=found, evidence=evidence(found))
+
+    @property
+    def starts(self) -> tuple[str, ...]:
+        """Actions in status 0000, in the order of the arrays' last axis."""
+        return STARTS
+
+    @cached_property
+    def ranking(self) -> Integers:
+        """(R,) readings, the best supported first."""
+        return self.evidence.ranking
+
+    @cached_property
+    def support(self) -> dict[str, Under]:
+        """How many of all readings agree with each claim that their averages decide."""
+        return search_support(self)
+
+    def label(self, number: int) -> str:
+        """Name a reading by what it changes."""
+        return self.search.space.label(number)
+
+    def best(self, base: View, sizes: Sizes) -> Iterator[View]:
+        """Yield the best supported readings as views."""
+        for number in self.ranking[: sizes.supported].tolist():
+            yield View(
+                scenario=self.search.reading(number),
+                label=self.label(number),
+                runs=sizes.alternative_runs,
+                episodes=base.episodes,
+                store=base.store,
+            )
 
 
 def search_support(readings: Readings) -> dict[str, Under]:

@@ -1,6 +1,4 @@
-"""The search over all readings, as the claims and the report use it.
-
-All about the readings in one call: search, evidence, joint statements, learning, verdicts.
+"""All about the readings in one call: search, evidence, joint statements, learning, verdicts.
 
 `reading_study(seed=0)` is what the report and the figures are made from. The exact part takes under
 a minute on two cores; the learning runs add a few minutes (fewer with `quick`). With a folder, what
@@ -9,17 +7,15 @@ is finished is kept there, and the next call goes on from it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exact_mdp.analysis.readings import ReadingSpace
-from exact_mdp.mdp.table import Integers
-from exact_mdp.paper_repro.readings.evidence import EXPERIMENTS, Evidence, evidence, variants
+from exact_mdp.paper_repro.readings.evidence import EXPERIMENTS, Evidence, variants
 from exact_mdp.paper_repro.readings.joint import Joint, joint
 from exact_mdp.paper_repro.readings.learning import (
     SEEDS,
@@ -31,70 +27,6 @@ from exact_mdp.paper_repro.readings.learning import (
 from exact_mdp.paper_repro.readings.search import PAPER_READINGS, STARTS, ReadingSearch, search
 from exact_mdp.paper_repro.readings.statements import Sentence, statements
 from exact_mdp.paper_repro.readings.verdict import ReadingVerdict, verdicts
-from exact_mdp.paper_repro.view import Sizes, View
-
-if TYPE_CHECKING:
-    from exact_mdp.paper_repro.claims.under import Under
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Readings:
-    """Exact averages of all readings and what the evidence says of them.
-
-    Attributes
-    ----------
-    search : ReadingSearch
-    evidence : Evidence
-    """
-
-    search: ReadingSearch
-    evidence: Evidence
-
-    @classmethod
-    def of(cls, study: ReadingStudy) -> Readings:
-        """Return what a whole study holds."""
-        return cls(search=study.search, evidence=study.main)
-
-    @classmethod
-    def run(
-        cls, folder: Path | None, *, scheduler: str | None = None, progress: bool = False
-    ) -> Readings:
-        """Search alone, or read what `reading_study` or an earlier search left in the folder."""
-        found = search(scheduler=scheduler, out=folder and folder / "search", progress=progress)
-        return cls(search=found, evidence=evidence(found))
-
-    @property
-    def starts(self) -> tuple[str, ...]:
-        """Actions in status 0000, in the order of the arrays' last axis."""
-        return STARTS
-
-    @cached_property
-    def ranking(self) -> Integers:
-        """(R,) readings, the best supported first."""
-        return self.evidence.ranking
-
-    @cached_property
-    def support(self) -> dict[str, Under]:
-        """How many of all readings agree with each claim that their averages decide."""
-        from exact_mdp.paper_repro.claims.under import search_support
-
-        return search_support(self)
-
-    def label(self, number: int) -> str:
-        """Name a reading by what it changes."""
-        return self.search.space.label(number)
-
-    def best(self, base: View, sizes: Sizes) -> Iterator[View]:
-        """Yield the best supported readings as views."""
-        for number in self.ranking[: sizes.supported].tolist():
-            yield View(
-                scenario=self.search.reading(number),
-                label=self.label(number),
-                runs=sizes.alternative_runs,
-                episodes=base.episodes,
-                store=base.store,
-            )
-
 
 QUICK_SEEDS, QUICK_TRAINED = 20, 5
 QUICK_JUDGED, JUDGED = 2, 5
