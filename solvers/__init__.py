@@ -19,6 +19,7 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
+from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
@@ -55,6 +56,7 @@ __all__ = [
     "Certified",
     "Claim",
     "Estimated",
+    "GaussSeidel",
     "LinearProgram",
     "ModifiedPolicyIteration",
     "PolicyIteration",
@@ -75,6 +77,7 @@ __all__ = [
 
 SOLVERS: dict[str, type[Solver]] = {
     "value-iteration": ValueIteration,
+    "gauss-seidel": GaussSeidel,
     "modified-policy-iteration": ModifiedPolicyIteration,
     "policy-iteration": PolicyIteration,
     "backward-induction": BackwardInduction,

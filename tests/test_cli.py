@@ -147,6 +147,7 @@ def optimally_reached(oracle: Oracle) -> set[State]:
     "method",
     [
         "value-iteration",
+        "gauss-seidel",
         "modified-policy-iteration",
         "policy-iteration",
         "backward-induction",

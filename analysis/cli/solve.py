@@ -34,8 +34,8 @@ SHOWN_DIGITS = 1000  # longer exact values are left to --json
     "--method",
     default="auto",
     metavar="NAME",
-    help="value-iteration, modified-policy-iteration, policy-iteration, backward-induction, "
-    "linear-program or auto (the default).",
+    help="value-iteration, gauss-seidel, modified-policy-iteration, policy-iteration, "
+    "backward-induction, linear-program or auto (the default).",
 )
 @click.option("--tol", metavar="X", help="Greatest absolute error of a value.")
 @click.option("--certify", is_flag=True, help="Compute and prove the exact optimum.")

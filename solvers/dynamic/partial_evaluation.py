@@ -37,12 +37,15 @@ class Iterate:
         c, which is 0 but where a shift of all values is only a shift.
     slow : bool
         Whether sweeps were found to be too slow for this model.
+    relaxed : bool
+        Whether states were ever improved one by one, by `relax`.
     """
 
     sweeps: Sweeps
     value: Floats
     shift: float = 0.0
     slow: bool = False
+    relaxed: bool = False
 
     def improve(self) -> Pass:
         """Return a pass over all pairs, whose policy is the one to `evaluate`."""
@@ -65,8 +68,21 @@ class Iterate:
                 self.shift += middle
 
     def take(self, found: Pass) -> None:
-        """Move on to T V."""
-        self._move(found.step, (found.low + found.high) / 2 - self.shift)
+        """Move on to T V, and to the middle between the bounds where that is only a shift.
+
+        Errors that are alike in all states stay alike under T, and the middle removes them. Once
+        states were improved one by one, errors differ, and the shift to the middle could bring
+        back more than a sweep removes: from then on T V is taken as it is.
+        """
+        if self.relaxed:
+            self.value += found.step
+        else:
+            self._move(found.step, (found.low + found.high) / 2 - self.shift)
+
+    def relax(self, *, backward: bool) -> None:
+        """Improve each state in turn, upward or downward in number, by what others have become."""
+        self.sweeps.relax(self.value, self.shift, backward=backward)
+        self.relaxed = True
 
     def _move(self, step: Floats, middle: float) -> None:
         self.value += step

@@ -12,9 +12,9 @@
 # ---
 
 # %% [markdown]
-# # 2. Five solvers and a certificate
+# # 2. Six solvers and a certificate
 #
-# **After this notebook you can** solve a model in five ways, read the error bound that comes with
+# **After this notebook you can** solve a model in six ways, read the error bound that comes with
 # each answer, and obtain a proof of the optimum that someone else can check without trusting any
 # solver.
 
@@ -35,11 +35,11 @@ scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()
 
 # %% [markdown]
-# ## Five ways to the same number
+# ## Six ways to the same number
 #
-# Value iteration, modified policy iteration, policy iteration, backward induction and a linear
-# program share no step that finds the answer, so that their agreement is worth something. Each
-# bound holds for every state, rounding errors included.
+# Value iteration, Gauss-Seidel value iteration, modified policy iteration, policy iteration,
+# backward induction and a linear program find the answer in different ways, so that their agreement
+# is worth something. Each bound holds for every state, rounding errors included.
 
 # %%
 rows = []

@@ -1,0 +1,77 @@
+"""Gauss-Seidel value iteration: each state is improved with what the states before it have become.
+
+    V(s) ← max over pairs l of s of  [r(l) + γ Σ_{s' ≠ s} P(l, s') V(s')] / (1 - γ P(l, s))
+
+state by state, in place (Puterman, Markov Decision Processes, 1994, section 6.3.3), upward and
+downward in number by turns. Before each such sweep an ordinary one, V ← T V, gives the two-sided
+bounds of `solvers.bounds.sweeps`; the solver stops when these are as close as asked for, as
+`solvers.dynamic.value_iteration` does, and never because a sweep changed little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.dynamic.partial_evaluation import Iterate
+from exact_mdp.solvers.dynamic.stopping import Watch, check_settings, conclude
+from exact_mdp.solvers.solution import Solution, Status
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussSeidel:
+    """Improve the values state by state, in place, until their error bound is at most `tol`.
+
+    Parameters
+    ----------
+    tol : float, optional
+        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
+    max_iterations : int
+        Pairs of sweeps after which to give up, with a SolverError.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[1]]], [1], discount="9/10")
+    >>> round(GaussSeidel(tol=1e-6).solve(mdp).start_value, 6)
+    10.0
+    """
+
+    tol: float | None = None
+    max_iterations: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        check_settings(self, self.tol, max_iterations=self.max_iterations)
+
+    @property
+    def name(self) -> str:
+        return "gauss-seidel"
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def solve(self, mdp: MDP) -> Solution:
+        """Return the optimum within `tol`.
+
+        Raises
+        ------
+        ModelError
+            At discount 1 where not every policy ends.
+        SolverError
+            At the iteration limit, or where double precision cannot bound the error.
+        """
+        started = perf_counter()
+        watch = Watch(mdp, self.tol)
+        iterate, iteration = Iterate(watch.sweeps, np.zeros(mdp.n_states)), 0
+        while True:
+            iteration += 1
+            found = iterate.improve()
+            if watch.ready(found, iterate) and (end := watch.verdict(found, iterate)):
+                status, reached = end
+                break
+            if iteration == self.max_iterations:
+                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate)
+                break
+            iterate.take(found)
+            iterate.relax(backward=iteration % 2 == 0)
+        return conclude(mdp, self, reached, status=status, iterations=iteration, started=started)
