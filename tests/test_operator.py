@@ -204,7 +204,7 @@ def test_what_needs_a_matrix_says_so(use: Callable[[CareOperator], object]) -> N
     with pytest.raises(ModelError, match="an operator has no matrix") as refused:
         use(Scenario.load("yuan2025").operator())
     assert "Scenario.compile()" in refused.value.fix
-    for served in ("exact_mdp.solvers.solve", "operator_mean", "backup"):
+    for served in ("solvers.solve", "operator_mean", "backup"):
         assert served in refused.value.fix
 
 
