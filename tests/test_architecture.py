@@ -1,4 +1,4 @@
-"""The shape of the code: which package may import which, and what is imported only when used."""
+"""The shape of the code: which module may import which, and what is imported only when used."""
 
 import ast
 import subprocess
@@ -9,12 +9,35 @@ from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 
+import networkx as nx
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
 # Imports point one way: a package may import itself and those before it.
 LAYERS = ["mdp", "solvers", "analysis", "paper_repro"]
+
+# Modules that import each other, directly or by a longer way; the list only gets shorter.
+CIRCLES = [
+    ["analysis.sensitivity.derivatives", "analysis.sensitivity.gradient"],
+    ["paper_repro.claims.under", "paper_repro.readings.study"],
+    [
+        "solvers.bounds.bounds",
+        "solvers.bounds.elimination",
+        "solvers.bounds.gains",
+        "solvers.bounds.linear",
+        "solvers.bounds.sweeps",
+        "solvers.dynamic.program",
+        "solvers.solution",
+    ],
+    ["solvers.dynamic.backward_induction", "solvers.dynamic.operator"],
+    [
+        "solvers.proof.certificate",
+        "solvers.proof.certify",
+        "solvers.proof.checker",
+        "solvers.proof.file",
+    ],
+]
 
 # numba is imported by these modules alone, wherever in them.
 NUMBA_MODULES = ["solvers/kernels.py", "solvers/kernels/*.py"]
@@ -140,8 +163,44 @@ def too_early(imports: list[Import]) -> list[str]:
     ]
 
 
+def circles(sources: dict[str, str]) -> list[list[str]]:
+    """Return the modules of {path: source} that import each other, in groups.
+
+    Imports in functions and under TYPE_CHECKING count; that a package runs before what is in it
+    does not.
+    """
+    names = {
+        path: path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        for path in sources
+    }
+    known, graph = set(names.values()), nx.DiGraph()
+    for path, source in sources.items():
+        for node in ast.walk(ast.parse(source, path)):
+            match node:
+                case ast.ImportFrom(module=str(module), names=aliases, level=0):
+                    wanted = [(f"{module}.{alias.name}", module) for alias in aliases]
+                case ast.Import(names=aliases):
+                    wanted = [(alias.name, alias.name) for alias in aliases]
+                case _:
+                    continue
+            for either in wanted:  # a module of a package, or else a name in a module
+                below = [name.removeprefix("exact_mdp.") for name in either]
+                found = [name for name in below if name in known]
+                graph.add_edges_from((names[path], name) for name in found[:1])
+    groups = nx.strongly_connected_components(graph)
+    return sorted(sorted(group) for group in groups if len(group) > 1)
+
+
 def test_imports_point_one_way() -> None:
     assert against_layers(all_imports()) == []
+
+
+def test_no_modules_import_each_other() -> None:
+    found = circles(
+        {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in modules()}
+    )
+    assert [group for group in found if group not in CIRCLES] == []
+    assert [group for group in CIRCLES if group not in found] == [], "shorten the list CIRCLES"
 
 
 def test_no_package_imports_what_is_not_installed_with_it() -> None:
@@ -248,3 +307,12 @@ def test_what_is_forbidden_is_found() -> None:
     assert against_layers(early) == []
     assert too_early(early) == ["analysis/gate/check.py:2 imports matplotlib.pyplot"]
     assert too_early(imports_of("analysis/plots/policy.py", "import matplotlib")) == []
+
+
+def test_circles_are_found() -> None:
+    typing = "if TYPE_CHECKING:\n    from exact_mdp.mdp.io.b import B"
+    inside = "def f():\n    from exact_mdp.mdp import c"
+    back = "import exact_mdp.mdp.a"
+    ring = {"mdp/a.py": typing, "mdp/io/b.py": inside, "mdp/c.py": back}
+    assert circles(ring) == [["mdp.a", "mdp.c", "mdp.io.b"]]
+    assert circles({**ring, "mdp/c.py": "import exact_mdp.mdp.space"}) == []
