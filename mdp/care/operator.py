@@ -434,7 +434,7 @@ def _refuse(operator: CareOperator, name: str) -> NoReturn:
     raise ModelError(
         f"an operator has no matrix, and this needs one ({name})",
         where=f"operator {operator.scenario.name}",
-        fix="compile the scenario: Tables.compile(); an operator serves solvers.solve (by "
+        fix="compile the scenario: Scenario.compile(); an operator serves solvers.solve (by "
         "backward induction), solvers.operator_mean and backup",
     )
 
