@@ -101,7 +101,9 @@ def test_solve_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
         for label, action in found["policy"].items():
             status = tuple(int(digit) for digit in label)
             assert action in oracle.optimal_actions((0, 0, 1, status))
-        assert found["stationary"] == is_stationary(oracle)
+    assert exact["stationary"] == is_stationary(oracle)
+    # Bounds cannot tell whether actions tie.
+    assert plain["stationary"] == (None if words == TWINS else is_stationary(oracle))
     optimal = [oracle.optimal_actions(state) for state in optimally_reached(oracle)]
     assert exact["unique"] == all(len(actions) == 1 for actions in optimal)
     assert exact["unique"] == (words != TWINS)
