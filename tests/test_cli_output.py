@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from fractions import Fraction
+from importlib import import_module
 from math import inf, nan
 from pathlib import Path
 
@@ -40,8 +41,8 @@ def test_tables_are_plain_text_without_loss(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_long_distributions_and_values_are_left_to_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("exact_mdp.analysis.cli.solve.SHOWN_DIGITS", 100)
-    monkeypatch.setattr("exact_mdp.analysis.cli.evaluate.LISTED_RETURNS", 7)
+    monkeypatch.setattr(import_module("exact_mdp.analysis.cli.solve"), "SHOWN_DIGITS", 100)
+    monkeypatch.setattr(import_module("exact_mdp.analysis.cli.evaluate"), "LISTED_RETURNS", 7)
     done = run("solve", "yuan2025", "--certify")
     assert re.search(r"exact start value  a rational of \d+ digits; --json prints it\n", done.out)
     done = run("returns", "yuan2025", "random", "--set", "tasks=[1]")
