@@ -190,7 +190,8 @@ def _filled(
 def check_complete(mdp: MDP, found: FileTable) -> None:
     """Raise ModelError where a combination is missing that a state with a choice reads."""
     keys = rows_read(mdp, found.space)
-    missing = np.isnan(found.table.astype(np.float64)[keys]).any(axis=1) & ~mdp.forced
+    silent = np.isnan(found.table.astype(np.float64)[keys]).any(axis=1)
+    missing = silent & ~mdp.forced & ~mdp.terminal
     if missing.any():
         lost = sorted(set(keys[missing].tolist()))
         shown = "; ".join(found.space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")

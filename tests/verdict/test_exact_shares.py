@@ -151,3 +151,9 @@ def test_the_exact_law_of_a_return_has_the_exact_shares() -> None:
     """Probabilities of returns are rounded from thirds, not from floats near them."""
     law = return_distribution(once(0, 1, 2), "random", exact=True)
     assert law.exact == (Fraction(1, 3),) * 3
+
+
+def test_a_mapping_may_leave_out_where_all_has_ended() -> None:
+    """A terminal state needs no row, whatever actions it offers."""
+    mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[5, 0], [0, 0]])
+    assert check(mdp, {"0": {"0": "9/10", "1": "1/10"}}, max_regret="1/2").passed
