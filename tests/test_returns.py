@@ -57,7 +57,7 @@ def is_acyclic(case: Case) -> bool:
 @pytest.fixture(params=["dense", "sparse"])
 def kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     if request.param == "sparse":
-        monkeypatch.setattr(solvers.returns, "DENSE_RANGE", -1)
+        monkeypatch.setattr(solvers.values.returns, "DENSE_RANGE", -1)
     return str(request.param)
 
 
@@ -87,7 +87,7 @@ def test_the_law_is_that_of_brute_force(case: Case) -> None:
     assume(case.ends)
     for limit in (10_000, -1):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(solvers.returns, "DENSE_RANGE", limit)
+            patch.setattr(solvers.values.returns, "DENSE_RANGE", limit)
             found = law_of(case)
         check_law(case, found)
         assert found.claim is Claim.BOUNDED
@@ -251,8 +251,8 @@ def test_ways_too_rare_for_floats_are_followed_exactly(kind: str) -> None:
 
 
 def test_too_many_returns_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(solvers.returns_dense, "CELLS", 50)
-    monkeypatch.setattr(solvers.returns_sparse, "STEPS", 50)
+    monkeypatch.setattr(solvers.values.return_mass, "CELLS", 50)
+    monkeypatch.setattr(solvers.values.return_mass, "STEPS", 50)
     for rewards in ((0, 9000), (0, 7, 9001), (0, 10**7, 3)):
         mdp = coin(*rewards, 1, ways=8)
         with pytest.raises(ModelError, match="too many") as caught:

@@ -279,7 +279,7 @@ def decoded(text: str | bytes) -> Any:
     {'anger': 1}
     >>> decoded('{"anger": 1, "anger": 0}')
     Traceback (most recent call last):
-    paper_repro.agents.chat.Malformed: names a part twice
+    exact_mdp.paper_repro.agents.chat.Malformed: names a part twice
     """
     try:
         whole = text if isinstance(text, str) else text.decode("utf-8-sig")

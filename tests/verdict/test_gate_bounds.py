@@ -10,7 +10,6 @@ from cli_runner import run
 from hypothesis import given, settings
 from strategies import Rows, models
 
-from exact_mdp import analysis
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.io.load import save_model
@@ -112,7 +111,7 @@ def test_what_bounds_leave_open_goes_to_rational_arithmetic(
     audit = check(worse, learned)
     assert (audit.passed, audit.claim) == (False, Claim.CERTIFIED)
     assert [each.state for each in audit.disagreements] == [0]
-    monkeypatch.setattr(analysis.compare, "LAST_CYCLE", 10)
+    monkeypatch.setattr("exact_mdp.analysis.gate.check.LAST_CYCLE", 10)
     audit = check(worse, learned)
     assert (audit.passed, audit.undecided) == (False, True)
     assert "exact_values=True" in audit.message()
