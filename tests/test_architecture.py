@@ -84,7 +84,7 @@ def imports_of(path: str, source: str) -> list[Import]:
                 for name in [module] if module else [alias.name for alias in names]:
                     yield Import(path, node.lineno, ".".join([*base, name]), at_import_time)
             case ast.Call(
-                func=ast.Name(id="import_module" | "__import__")
+                func=ast.Name(id="import_module" | "__import__" | "later" | "load")
                 | ast.Attribute(attr="import_module"),
                 args=[ast.Constant(value=str(name)), *_],
             ) if not name.startswith("."):

@@ -1,0 +1,110 @@
+"""Heavy and optional packages, loaded when they are first used: the one list of them.
+
+    cvxpy = later("cvxpy")        # at the top of a module; nothing is loaded yet
+    cvxpy.Variable(3)             # loads it, or names the extra that brings it
+
+The core needs NumPy, SciPy, pandas, numba and click. `pip install exact-mdp` brings everything that
+the commands of the README use; an environment that leaves some of it out is told what is missing
+where it is needed.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+from exact_mdp.mdp.errors import ModelError
+
+# Each package that loads late, and the extra that brings it.
+EXTRAS = {
+    "SALib": "sensitivity",
+    "bitstring": "umb",
+    "certifi": "agents-openai",
+    "clarabel": "lp",
+    "cvxpy": "lp",
+    "dask": "cluster",
+    "distributed": "cluster",
+    "gymnasium": "gymnasium",
+    "highspy": "lp",
+    "httpcore": "agents-openai",
+    "ipywidgets": "notebooks",
+    "jinja2": "report",
+    "matplotlib": "plots",
+    "networkx": "plots",
+    "rich": "report",
+    "umbi": "umb",
+    "xllamacpp": "agents-local",
+}
+
+# Parts of the core that take long to load: 0.1 to 0.5 s each.
+HEAVY = ("flint", "joblib", "numba", "pandas", "scipy", "tqdm", "exact_mdp.solvers.kernels")
+
+
+def load(name: str) -> ModuleType:
+    """Return a module that may be missing.
+
+    Parameters
+    ----------
+    name : str
+        Full name of a module of a package in `EXTRAS` or `HEAVY`.
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    ModelError
+        Where its package is not installed; the error names the extra that brings it.
+
+    Examples
+    --------
+    >>> load("scipy.sparse").__name__
+    'scipy.sparse'
+    """
+    package = name.partition(".")[0]
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in (package, *EXTRAS):
+            raise
+        extra = EXTRAS.get(missing)
+        what = f"exact-mdp[{extra}]" if extra else missing
+        raise ModelError(
+            f"the package {missing} is not installed", fix=f'install it: pip install "{what}"'
+        ) from None
+
+
+class _Later(ModuleType):
+    """Stands for a module until one of its attributes is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(load(self.__name__), name)
+        setattr(self, name, value)
+        return value
+
+
+def later(name: str) -> Any:
+    """Return a module that is loaded when one of its attributes is first asked for.
+
+    Parameters
+    ----------
+    name : str
+        Full name of a module of a package in `EXTRAS` or `HEAVY`.
+
+    Returns
+    -------
+    module
+        Any attribute of it; the first one raises ModelError where the package is missing.
+
+    Examples
+    --------
+    >>> pandas = later("pandas")
+    >>> pandas.DataFrame({"a": [1]}).shape
+    (1, 1)
+    """
+    if not name.startswith((*EXTRAS, *HEAVY)):
+        raise ModelError(f"{name} is not in the list of packages that load late", where="later")
+    return _Later(name)

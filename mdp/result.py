@@ -1,0 +1,68 @@
+"""What every result offers: a table, a short text, and that table in a notebook.
+
+A result says what it found in `value`, with its claim, and how far it may be off in `error`; it has
+a `policy` where there is one. Reading it is the same everywhere:
+
+    result.frame()        # a pandas DataFrame
+    result                # in a notebook: the first rows of that table
+    print(result)         # a few lines
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from html import escape
+from reprlib import Repr
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+ROWS_SHOWN = 20
+
+_SHORT = Repr()
+_SHORT.maxlevel, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxlist = 2, 3, 3, 3
+_SHORT.maxother = _SHORT.maxstring = 120
+
+
+class Result(ABC):
+    """A dataclass that can be shown.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import pandas
+    >>> @dataclass(frozen=True, kw_only=True, repr=False)
+    ... class Length(Result):
+    ...     value: float
+    ...     steps: np.ndarray
+    ...
+    ...     def frame(self):
+    ...         return pandas.DataFrame({"value": [self.value]})
+    >>> Length(value=0.5, steps=np.zeros((2, 3)))
+    Length(value=0.5, steps=array (2, 3))
+    """
+
+    @abstractmethod
+    def frame(self) -> DataFrame:
+        """Return the result as a table, one row for each thing found."""
+
+    def __repr__(self) -> str:
+        names = getattr(self, "__dataclass_fields__", {})
+        told = (f"{name}={_text(getattr(self, name))}" for name in names)
+        return f"{type(self).__name__}({', '.join(told)})"
+
+    def _repr_html_(self) -> str:
+        frame = self.frame()
+        more = len(frame) - ROWS_SHOWN
+        rest = f"<p>… and {more} rows more: <code>.frame()</code></p>" if more > 0 else ""
+        table = frame.head(ROWS_SHOWN).to_html(border=0)
+        return f"<p>{escape(repr(self))}</p>{table}{rest}"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape}"
+    return _SHORT.repr(value)
