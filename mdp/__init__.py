@@ -9,7 +9,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, ScenarioWarning
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.space import Column, StateSpace
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "ModelError",
     "Parameter",
     "Policy",
+    "PolicyLike",
     "Scenario",
     "ScenarioWarning",
     "StateSpace",

@@ -262,7 +262,7 @@ def policy_of(mdp: MDP, policy: OraclePolicy) -> Policy:
             continue
         for action, share in policy(state_of(mdp, number)).items():
             table[number, mdp.action(action)] += float(share)
-    return Policy(space=mdp.space, actions=mdp.actions, table=table)
+    return Policy(space=mdp.space, actions=mdp.actions, rule=table)
 
 
 def care(

@@ -124,7 +124,7 @@ def test_values_are_those_of_the_explicit_model(readings: dict[str, str]) -> Non
                 share = policy if policy.ndim == 2 else np.eye(4)[policy]
                 table = np.zeros((16, mdp.n_actions))
                 table[:, :4] = share
-                told = evaluate(mdp, Policy(space=by_status, actions=mdp.actions, table=table))
+                told = evaluate(mdp, Policy(space=by_status, actions=mdp.actions, rule=table))
                 assert moments.mean[d, n] == pytest.approx(told.mean, abs=1e-9)
                 assert np.sqrt(moments.variance[d, n]) == pytest.approx(told.sd, rel=1e-7)
 

@@ -117,6 +117,31 @@ def test_a_mixed_status_policy_as_json(tmp_path: Path) -> None:
     assert weights.tolist() == [[0, 0.75, 0, 0.25]] * len(weights)
 
 
+def test_a_policy_is_the_array_of_its_rule() -> None:
+    numbers = np.zeros(MDP_1.n_states, dtype=np.int64)
+    policy = Policy.of(MDP_1, numbers)
+    assert "table" not in vars(policy)
+    assert np.asarray(policy).tolist() == policy.tolist() == list(policy) == numbers.tolist()
+    assert policy.shape == (len(policy),) == numbers.shape
+    assert policy.ndim == 1
+    assert policy.dtype == np.int64
+    assert policy[3] == 0
+    assert policy[[1, 2]].tolist() == [0, 0]
+    assert (policy == numbers).all()
+    assert (numbers == policy).all()
+    assert not (policy != numbers).any()
+    assert policy in {policy}
+    assert policy == policy
+    assert policy != Policy.of(MDP_1, numbers)
+    mixed = Policy.by(MDP_1, ["status"], [[0.5, 0.5, 0, 0]] * 16)
+    assert np.asarray(mixed).tolist() == mixed.table.tolist()
+    assert mixed.shape == (16, 4)
+    with pytest.raises(ModelError, match=r"outside 0 … 3"):
+        Policy(space=StateSpace(columns=()), actions=MDP_1.actions, rule=np.array([4]))
+    with pytest.raises(ModelError, match=r"shape \(2,\), not \(1, 4\)"):
+        Policy(space=StateSpace(columns=()), actions=MDP_1.actions, rule=np.array([0, 1]))
+
+
 # ---- named policies ------------------------------------------------
 
 
@@ -220,7 +245,7 @@ def test_objects_that_are_no_policy(given: Any) -> None:
 def test_a_policy_of_another_model() -> None:
     six = Column(name="status", size=64, bits=6)
     policy = Policy(
-        space=StateSpace(columns=(six,)), actions=MDP_1.actions, table=np.eye(4)[[0] * 64]
+        space=StateSpace(columns=(six,)), actions=MDP_1.actions, rule=np.eye(4)[[0] * 64]
     )
     with pytest.raises(ModelError, match="64 values here and 16"):
         policy.weights(MDP_1)

@@ -118,7 +118,7 @@ def test_the_care_model_from_its_own_optimum() -> None:
         ("optimal", "str is no policy"),
         ([[1, 2], [3]], "list is no policy"),
         (
-            Policy(space=StateSpace(columns=()), actions=ACTIONS, table=np.full((1, 4), 0.25)),
+            Policy(space=StateSpace(columns=()), actions=ACTIONS, rule=np.full((1, 4), 0.25)),
             "draws",
         ),
     ],

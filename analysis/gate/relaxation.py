@@ -197,7 +197,7 @@ class Rows:
         """Return the policy of one action number (K,) a row, silent where there is no choice."""
         table = np.eye(self.mdp.n_actions)[choice]
         table[~self.available.any(axis=1)] = np.nan
-        return Policy(space=self.space, actions=self.mdp.actions, table=table)
+        return Policy(space=self.space, actions=self.mdp.actions, rule=table)
 
     def choices(self, policy: Policy) -> Integers:
         """Return the likeliest action numbers (K,) of a policy that reads nothing else."""

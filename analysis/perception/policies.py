@@ -136,7 +136,7 @@ def place_by_place(process: Process, policies: Sequence[object]) -> Policy:
     whole[: mdp.space.regular] = best.reshape(-1, mdp.n_actions)
     for state in range(mdp.space.regular, mdp.n_states):
         whole[state] = np.eye(mdp.n_actions)[mdp.pair_action[mdp.pair_offsets[state]]]
-    return Policy(space=mdp.space, actions=mdp.actions, table=whole)
+    return Policy(space=mdp.space, actions=mdp.actions, rule=whole)
 
 
 def status_names(mdp: MDP) -> tuple[str, ...]:

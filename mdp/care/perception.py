@@ -58,7 +58,7 @@ def perceived(mdp: MDP, policy: object, confusion: ArrayLike) -> Policy:
     regular = mdp.space.regular
     places = by_action[:regular].reshape(-1, len(matrix), mdp.n_actions)
     by_action[:regular] = (matrix @ places).reshape(regular, mdp.n_actions)
-    return Policy(space=mdp.space, actions=mdp.actions, table=by_action)
+    return Policy(space=mdp.space, actions=mdp.actions, rule=by_action)
 
 
 def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> Floats:

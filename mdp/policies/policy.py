@@ -7,10 +7,11 @@ that action is taken there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,9 +44,13 @@ from exact_mdp.mdp.table import (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Policy:
-    """π(a | columns): one row of action probabilities for each combination of column values.
+    """π(a | columns): what to do for each combination of column values.
+
+    A policy is an array, too: `np.asarray(policy)` is its `rule`, and so are indexing, `len`,
+    iteration and comparison with other arrays. Two policies are equal where they are the same
+    object.
 
     Attributes
     ----------
@@ -53,12 +58,14 @@ class Policy:
         The columns that the policy reads, in row-major order; its extra states are read as well
         where the policy is one over all states.
     actions : tuple of str
-    table : (K, A) float
-        Rows sum to 1; a row of NaN says nothing, which is an error only where it is asked. Exact
-        numbers (Fractions, "p/q") are taken as well: they are rounded here and kept in `shares`.
+    rule : (K,) int or (K, A) float
+        Action numbers of a deterministic policy, -1 where it says nothing; else probabilities of
+        actions. Rows sum to 1; a row of NaN says nothing, which is an error only where it is asked.
+        Exact numbers (Fractions, "p/q") are taken as well: they are rounded here and kept in
+        `shares`.
     shares : (K, A) integers, optional
         Whole numbers in proportion to the exact probabilities of each row, 0 in rows that say
-        nothing. None where the floats of `table` are what was given.
+        nothing. None where the floats of `rule` are what was given.
 
     Examples
     --------
@@ -68,25 +75,50 @@ class Policy:
     >>> policy.weights(mdp)[:4]
     array([0., 0., 0., 1.])
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> Policy.of(mdp, [1, 0])
+    Policy([1 0], over state)
     >>> Policy.of(mdp, {"0": {"0": "9/10", "1": "1/10"}, "1": "0"}).shares.tolist()
     [[9, 1], [1, 0]]
     """
 
     space: StateSpace
     actions: tuple[str, ...]
-    table: Floats
+    rule: Numbers
     shares: Numbers | None = None
 
     def __post_init__(self) -> None:
         check_names(self.actions, "action", where="policy")
-        table = float_array(self.table).copy()
-        if table.shape != (self.space.size, len(self.actions)):
+        given: Numbers = np.asarray(self.rule)
+        if given.ndim == 1 and given.dtype.kind in "iu":
+            rule, shares = self._checked_numbers(given), None
+        else:
+            table = self._checked_table(given)
+            shares = _rounded_away(given, table) if self.shares is None else self.shares
+            if shares is not None:
+                shares = self._checked_shares(shares, table)
+            numbers = _numbers_alone(table)
+            rule = table if numbers is None else numbers
+            shares = shares if numbers is None else None
+        rule.setflags(write=False)
+        object.__setattr__(self, "rule", rule)
+        object.__setattr__(self, "shares", shares)
+
+    def _checked_numbers(self, given: Numbers) -> Numbers:
+        rule: Numbers = np.array(given, dtype=np.int64)
+        if rule.shape != (self.space.size,):
+            self._refuse_shape(rule)
+        if ((rule < -1) | (rule >= len(self.actions))).any():
             raise ModelError(
-                f"a policy table of shape {table.shape}, not "
-                f"({self.space.size}, {len(self.actions)})",
+                f"an action number is outside 0 … {len(self.actions) - 1}",
                 where="policy",
-                fix="give one row for each combination of the columns it reads",
+                fix="use the model's action numbers",
             )
+        return rule
+
+    def _checked_table(self, given: Numbers) -> Floats:
+        table = float_array(given).copy()
+        if table.shape != (self.space.size, len(self.actions)):
+            self._refuse_shape(table)
         silent = np.isnan(table).all(axis=1)
         wrong = ~silent & ~(
             (np.abs(table.sum(axis=1) - 1) <= FLOAT_ROW_TOLERANCE) & (table >= 0).all(axis=1)
@@ -98,12 +130,14 @@ class Policy:
                 where=f"policy, {self.space.label(row)}",
                 fix="make them at least 0, with sum 1",
             )
-        shares = _rounded_away(self.table, table) if self.shares is None else self.shares
-        if shares is not None:
-            shares = self._checked_shares(shares, table)
-        table.setflags(write=False)
-        object.__setattr__(self, "table", table)
-        object.__setattr__(self, "shares", shares)
+        return table
+
+    def _refuse_shape(self, table: Numbers) -> NoReturn:
+        raise ModelError(
+            f"a policy table of shape {table.shape}, not ({self.space.size}, {len(self.actions)})",
+            where="policy",
+            fix="give one row for each combination of the columns it reads",
+        )
 
     def _checked_shares(self, given: Numbers, table: Floats) -> Numbers:
         """Return exact shares, read-only, or raise ModelError where they are not the table's."""
@@ -127,6 +161,55 @@ class Policy:
         shares.setflags(write=False)
         return shares
 
+    def __repr__(self) -> str:
+        over = ", ".join(self.columns) or "no column"
+        if not self.deterministic:
+            return f"Policy(mixed {self.shape}, over {over})"
+        return f"Policy({np.array2string(self.rule, threshold=20, edgeitems=8)}, over {over})"
+
+    # ---- as an array -------------------------------------------------------------------------
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Numbers:
+        return np.array(self.rule, dtype=dtype, copy=copy)
+
+    def __len__(self) -> int:
+        return len(self.rule)
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.rule)
+
+    def __getitem__(self, key: Any) -> Any:
+        return self.rule[key]
+
+    def __eq__(self, other: object) -> Any:
+        return self is other if isinstance(other, Policy) else self.rule == other
+
+    def __ne__(self, other: object) -> Any:
+        return self is not other if isinstance(other, Policy) else self.rule != other
+
+    __hash__ = object.__hash__
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(K,) of a deterministic policy, (K, A) of a mixed one."""
+        return self.rule.shape
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of the array: whole numbers of a deterministic policy, floats of a mixed one."""
+        return self.rule.dtype
+
+    @property
+    def ndim(self) -> int:
+        """1 of a deterministic policy, 2 of a mixed one."""
+        return self.rule.ndim
+
+    def tolist(self) -> list[Any]:
+        """Return the array as lists of Python numbers."""
+        return list(self.rule.tolist())
+
+    # ---- what it says ------------------------------------------------------------------------
+
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that the policy reads."""
@@ -135,7 +218,19 @@ class Policy:
     @property
     def deterministic(self) -> bool:
         """True where every row has a single action."""
-        return bool(((self.table == 1).any(axis=1) | np.isnan(self.table).all(axis=1)).all())
+        return self.rule.ndim == 1
+
+    @cached_property
+    def table(self) -> Floats:
+        """(K, A) probabilities of actions; NaN in rows that say nothing."""
+        if not self.deterministic:
+            return self.rule
+        table = np.zeros((len(self.rule), len(self.actions)))
+        said = self.rule >= 0
+        table[np.flatnonzero(said), self.rule[said]] = 1
+        table[~said] = np.nan
+        table.setflags(write=False)
+        return table
 
     def weights(self, mdp: MDP) -> Floats:
         """Return (L,) the probability of each pair given its state.
@@ -147,11 +242,17 @@ class Policy:
             state does not offer.
         """
         keys = self._keys(mdp)
-        numbers = np.array([mdp.action(name) for name in self.actions])
-        by_action = np.zeros((self.space.size, mdp.n_actions))
-        by_action[:, numbers] = self.table
-        weights = by_action[keys[mdp.pair_state], mdp.pair_action]
-        wanted = np.count_nonzero(by_action > 0, axis=1)[keys]
+        numbers = np.array([*(mdp.action(name) for name in self.actions), -1])
+        if self.deterministic:
+            chosen = numbers[self.rule][keys]
+            weights = (mdp.pair_action == chosen[mdp.pair_state]).astype(np.float64)
+            weights[(chosen < 0)[mdp.pair_state]] = np.nan
+            wanted: Numbers = np.ones(mdp.n_states, dtype=np.int64)
+        else:
+            by_action = np.zeros((self.space.size, mdp.n_actions))
+            by_action[:, numbers[:-1]] = self.rule
+            weights = by_action[keys[mdp.pair_state], mdp.pair_action]
+            wanted = np.count_nonzero(by_action > 0, axis=1)[keys]
         offered = np.add.reduceat((weights > 0).astype(np.int64), mdp.pair_offsets[:-1])
         if mdp.space.extra and self.space.extra != mdp.space.extra:
             weights[mdp.pair_state >= mdp.space.regular] = np.nan
@@ -254,17 +355,13 @@ class Policy:
         counts = np.diff(mdp.pair_offsets)[mdp.pair_state]
         table[mdp.pair_state, mdp.pair_action] = 1 / counts
         shares = (table > 0).astype(np.int64)
-        return cls(space=mdp.space, actions=mdp.actions, table=table, shares=shares)
+        return cls(space=mdp.space, actions=mdp.actions, rule=table, shares=shares)
 
     @classmethod
     def always(cls, mdp: MDP, action: str) -> Policy:
         """Return the policy that takes one action wherever there is a choice."""
         number = mdp.action(action)
-        return cls(
-            space=StateSpace(columns=()),
-            actions=mdp.actions,
-            table=np.eye(mdp.n_actions)[[number]],
-        )
+        return cls(space=StateSpace(columns=()), actions=mdp.actions, rule=np.array([number]))
 
     @classmethod
     def from_choices(cls, mdp: MDP, choices: ArrayLike) -> Policy:
@@ -273,7 +370,7 @@ class Policy:
         Where the model stops after N steps, (S,) without the time and (N, S) are taken as well.
         """
         space, numbers = action_numbers(mdp, numbers_of(choices))
-        return cls(space=space, actions=mdp.actions, table=np.eye(mdp.n_actions)[numbers])
+        return cls(space=space, actions=mdp.actions, rule=numbers)
 
     @classmethod
     def from_q(cls, mdp: MDP, table: ArrayLike) -> Policy:
@@ -299,15 +396,14 @@ class Policy:
         """
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
         array: Numbers = np.asarray(table)
-        if array.ndim == 1:
-            if array.dtype.kind not in "iu" or ((array < 0) | (array >= mdp.n_actions)).any():
-                raise ModelError(
-                    f"an action number is not whole, or outside 0 … {mdp.n_actions - 1}",
-                    where="policy",
-                    fix="use the model's action numbers",
-                )
-            array = np.eye(mdp.n_actions)[array.astype(np.int64)]
-        return cls(space=space, actions=mdp.actions, table=array)
+        inside = array.dtype.kind in "iu" and ((array >= 0) & (array < mdp.n_actions)).all()
+        if array.ndim == 1 and not inside:
+            raise ModelError(
+                f"an action number is not whole, or outside 0 … {mdp.n_actions - 1}",
+                where="policy",
+                fix="use the model's action numbers",
+            )
+        return cls(space=space, actions=mdp.actions, rule=array)
 
     @classmethod
     def read(cls, path: str | Path, mdp: MDP, *, kind: str = "auto") -> Policy:
@@ -317,6 +413,18 @@ class Policy:
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads the status alone) `.json`, atomically."""
         files.write(self, path)
+
+
+class Solved(Protocol):
+    """Anything that has a policy: a solution, a certificate, a learner with its Q-table."""
+
+    @property
+    def policy(self) -> Any:
+        """The policy."""
+
+
+PolicyLike: TypeAlias = Policy | str | Path | Mapping[Any, Any] | ArrayLike | Solved
+"""What is taken as a policy: one, its name or file, a mapping, an array, or what has one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -376,7 +484,7 @@ def taken(mdp: MDP, policy: Any, *, kind: str = "auto") -> Taken:
 
 def _chosen(policy: object) -> bool:
     """Return whether something holds (S,) action numbers, as solutions and certificates do."""
-    return isinstance(getattr(policy, "policy", None), np.ndarray)
+    return isinstance(getattr(policy, "policy", None), np.ndarray | Policy)
 
 
 def _of_words(mdp: MDP, policy: object) -> Policy | None:
@@ -431,7 +539,16 @@ def _refuse_two_meanings(mdp: MDP, array: Numbers) -> None:
 
 
 def _made(found: ArrayPolicy) -> Policy:
-    return Policy(space=found.space, actions=found.actions, table=found.table)
+    return Policy(space=found.space, actions=found.actions, rule=found.table)
+
+
+def _numbers_alone(table: Floats) -> Numbers | None:
+    """Return (K,) action numbers where each row of (K, A) gives 1 to one action or is NaN."""
+    one = table == 1
+    silent = np.isnan(table).all(axis=1)
+    if not ((one.any(axis=1) & (np.count_nonzero(table, axis=1) == 1)) | silent).all():
+        return None
+    return np.where(silent, -1, one.argmax(axis=1))
 
 
 def _rounded_away(given: ArrayLike, table: Floats) -> Numbers | None:
@@ -452,7 +569,7 @@ def _from_file(mdp: MDP, found: files.FileTable) -> Policy:
     """Return the policy, with the file's name in what goes wrong; no row may be missing."""
     where = found.where
     policy = files.at_place(
-        where, lambda: Policy(space=found.space, actions=mdp.actions, table=found.table)
+        where, lambda: Policy(space=found.space, actions=mdp.actions, rule=found.table)
     )
     files.check_complete(mdp, found)
     files.at_place(where, lambda: policy.weights(mdp))

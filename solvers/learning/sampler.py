@@ -132,8 +132,8 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
 
 def as_policy(mdp: MDP, space: StateSpace, choices: Sequence[int] | Numbers) -> Policy:
     """Return the policy of (K,) action numbers over the rows of a Q-table."""
-    table = np.eye(mdp.n_actions)[np.asarray(choices, dtype=np.int64)]
-    return Policy(space=space, actions=mdp.actions, table=table)
+    rule: Numbers = np.asarray(choices, dtype=np.int64)
+    return Policy(space=space, actions=mdp.actions, rule=rule)
 
 
 def stream(seed: int | SeedSequence) -> Numbers:

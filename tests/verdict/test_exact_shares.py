@@ -116,7 +116,7 @@ def test_shares_of_another_table_are_refused() -> None:
     table = np.array([[0.5, 0.5], [1.0, 0.0]])
     for shares in ([[9, 1], [1, 0]], [[1, 1]], [[1, 1], [1, 1]], [[0, 0], [1, 0]]):
         with pytest.raises(ModelError, match="not those of the table"):
-            Policy(space=model.space, actions=model.actions, table=table, shares=np.array(shares))
+            Policy(space=model.space, actions=model.actions, rule=table, shares=np.array(shares))
 
 
 chances = st.lists(st.integers(0, 50), min_size=2, max_size=2).filter(any)

@@ -66,7 +66,7 @@ MAKERS: dict[str, Callable[[str], object]] = {
     "pairs": lambda name: MDP.from_pairs([0], [0], [[1.0]], [1.0], 0.5, states=[name]),
     "environment": lambda name: MDP.from_gymnasium(environment(name)),
     "policy": lambda name: Policy(
-        space=StateSpace(columns=()), actions=(name,), table=np.ones((1, 1))
+        space=StateSpace(columns=()), actions=(name,), rule=np.ones((1, 1))
     ),
     "family": lambda name: Family(parameters=(), build=lambda _: None, name=name),
     "scenario": lambda name: Scenario(**{**vars(Scenario.load("tea")), "name": name}),
