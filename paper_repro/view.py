@@ -130,7 +130,7 @@ class View:
         def sample() -> dict[str, float]:
             from exact_mdp.solvers import simulate
 
-            found = simulate(self.mdp, self.study.policies[name], episodes=self.episodes, seed=SEED)
+            found = simulate(self.mdp, self.study.policies[name], n=self.episodes, rng=SEED)
             return {"mean": found.mean, "standard_error": found.standard_error}
 
         found = dict(self.store.json(f"simulated-{name}-{self.episodes}-{self.key}", sample))

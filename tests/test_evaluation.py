@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
+from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.solvers import Claim, PolicyIteration, solve
+from exact_mdp.solvers import Claim, PolicyIteration, certify, solve
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.visits import occupancy
@@ -286,3 +287,12 @@ def test_large_models_with_cycles_agree_with_the_solvers() -> None:
     again = evaluate(solution.mdp, solution)
     assert (np.abs(again.value - solution.value) <= again.value_error + solution.state_error).all()
     assert again.occupancy @ solution.mdp.reward == pytest.approx(again.mean, abs=1e-9)
+
+
+def test_the_optimum_is_a_policy_like_any_other() -> None:
+    scenario = Scenario.load("yuan2025")
+    mdp = scenario.compile()
+    best = solve(mdp).start_value
+    for policy in ("optimal", solve(mdp), certify(mdp)):
+        assert evaluate(scenario, policy).mean == pytest.approx(best, abs=1e-9)
+        assert check(mdp, policy).regret.at_start.value == 0

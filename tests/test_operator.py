@@ -196,7 +196,7 @@ def test_other_solvers_are_refused() -> None:
         lambda operator: evaluate(operator, "random"),
         lambda operator: evaluate(operator, np.zeros(241, dtype=int)),
         lambda operator: return_distribution(operator, "random"),
-        lambda operator: simulate(operator, "random", seed=0, episodes=2),
+        lambda operator: simulate(operator, "random", rng=0, n=2),
         lambda operator: check(operator, "random"),
     ],
 )

@@ -38,7 +38,7 @@ def check(found: Simulation, mdp: MDP, policy: object) -> None:
 @pytest.mark.parametrize("policy", ["random", "always:none", "always:directive"])
 def test_the_papers_model(policy: str, discount: F) -> None:
     mdp = Scenario.load("yuan2025").compile().with_(discount=discount)
-    found = simulate(mdp, policy, EPISODES, seed=1)
+    found = simulate(mdp, policy, EPISODES, rng=1)
     check(found, mdp, policy)
     assert found.claim is Claim.ESTIMATED
     assert found.estimate.value == found.mean
@@ -50,7 +50,7 @@ def test_other_readings_and_a_mixed_policy() -> None:
     readings = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped", "skip_onset": "base"}
     mdp, oracle = care(readings, [2, 1])
     policy = policy_of(mdp, careful)
-    found = simulate(mdp, policy, EPISODES, seed=2)
+    found = simulate(mdp, policy, EPISODES, rng=2)
     check(found, mdp, policy)
     wanted = oracle.evaluate(careful, distribution=False)
     assert abs(found.mean - float(wanted["mean"])) < 4 * found.standard_error
@@ -59,7 +59,7 @@ def test_other_readings_and_a_mixed_policy() -> None:
 def test_every_return_comes_as_often_as_it_should() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
     exact = return_distribution(mdp, "random")
-    found = simulate(mdp, "random", EPISODES, seed=3)
+    found = simulate(mdp, "random", EPISODES, rng=3)
     values, counts = np.unique(found.returns, return_counts=True)
     law = {float(value): p for value, p in exact.as_dict().items()}
     assert set(values.tolist()) <= set(law)
@@ -79,19 +79,19 @@ LOOP = [
 @pytest.mark.parametrize("discount", ["1", "19/20", "1/2", "0"])
 def test_cycles_and_several_starts(discount: str) -> None:
     mdp = MDP.from_outcomes(LOOP, discount, start={0: "1/3", 1: "1/3", 2: "1/3"})
-    found = simulate(mdp, "random", EPISODES, seed=4)
+    found = simulate(mdp, "random", EPISODES, rng=4)
     check(found, mdp, "random")
     assert found.steps.min() == 0
 
 
 def test_an_endless_process_is_cut_off_where_nothing_is_lost() -> None:
     mdp = MDP.from_outcomes(LOOP, "9/10")
-    found = simulate(mdp, [0, 0, 0], 20_000, seed=5)
+    found = simulate(mdp, [0, 0, 0], 20_000, rng=5)
     check(found, mdp, [0, 0, 0])
     assert found.truncated == found.episodes
     assert set(found.steps.tolist()) == {263}
     assert 0 < found.truncation_error <= 1e-12 * 3 / 0.1
-    short = simulate(mdp, [0, 0, 0], 20_000, seed=5, max_steps=10)
+    short = simulate(mdp, [0, 0, 0], 20_000, rng=5, max_steps=10)
     assert short.truncation_error == pytest.approx(0.9**10 * 3 / 0.1)
     assert abs(short.mean - evaluate(mdp, [0, 0, 0]).mean) < short.truncation_error
 
@@ -124,10 +124,10 @@ def test_cumulative_probabilities_are_sums_within_states() -> None:
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
     mdp = Scenario.load("yuan2025").compile()
-    first, again = (simulate(mdp, "random", 1000, seed=0) for _ in range(2))
+    first, again = (simulate(mdp, "random", 1000, rng=0) for _ in range(2))
     assert first.returns.tobytes() == again.returns.tobytes()
     assert first.steps.tobytes() == again.steps.tobytes()
-    other = simulate(mdp, "random", 1000, seed=1)
+    other = simulate(mdp, "random", 1000, rng=1)
     assert first.returns.tobytes() != other.returns.tobytes()
     generator = np.random.default_rng(0)
     assert simulate(mdp, "random", 1000, generator).returns.tobytes() == first.returns.tobytes()
@@ -135,13 +135,13 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 def test_one_episode_says_nothing_of_the_spread() -> None:
-    found = simulate(MDP.from_outcomes(LOOP), "random", 1, seed=0)
+    found = simulate(MDP.from_outcomes(LOOP), "random", 1, rng=0)
     assert found.episodes == 1
     assert found.standard_error == inf
 
 
 def test_results_are_read_only() -> None:
-    found = simulate(MDP.from_outcomes(LOOP), "random", 10, seed=0)
+    found = simulate(MDP.from_outcomes(LOOP), "random", 10, rng=0)
     with pytest.raises(ValueError, match="read-only"):
         found.returns[0] = 0
 
@@ -149,22 +149,22 @@ def test_results_are_read_only() -> None:
 def test_discount_1_needs_a_policy_that_ends_in_time() -> None:
     mdp = MDP.from_outcomes(LOOP)
     with pytest.raises(ModelError, match="may not"):
-        simulate(mdp, [0, 0, 0], 10, seed=0)
+        simulate(mdp, [0, 0, 0], 10, rng=0)
     with pytest.raises(ModelError, match="after 1 steps") as caught:
-        simulate(mdp, "random", 100, seed=0, max_steps=1)
+        simulate(mdp, "random", 100, rng=0, max_steps=1)
     assert "max_steps" in caught.value.fix
 
 
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        ({"episodes": 0, "seed": 0}, "episodes is 0"),
-        ({"episodes": 1.5, "seed": 0}, "episodes is 1.5"),
-        ({"episodes": True, "seed": 0}, "episodes is True"),
-        ({"episodes": 5, "seed": None}, "seed is None"),
-        ({"episodes": 5, "seed": -1}, "seed is -1"),
-        ({"episodes": 5, "seed": "0"}, "seed is '0'"),
-        ({"episodes": 5, "seed": 0, "max_steps": 0}, "max_steps is 0"),
+        ({"n": 0, "rng": 0}, "n is 0"),
+        ({"n": 1.5, "rng": 0}, "n is 1.5"),
+        ({"n": True, "rng": 0}, "n is True"),
+        ({"n": 5, "rng": None}, "None is not a source"),
+        ({"n": 5, "rng": -1}, "-1 is not a source"),
+        ({"n": 5, "rng": "0"}, "'0' is not a source"),
+        ({"n": 5, "rng": 0, "max_steps": 0}, "max_steps is 0"),
     ],
 )
 def test_unusable_arguments_are_named(arguments: dict[str, object], what: str) -> None:

@@ -20,10 +20,10 @@ from exact_mdp.analysis.gate.q_error import pair_values
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Taken, taken
+from exact_mdp.mdp.policies.policy import Taken
 from exact_mdp.mdp.table import LARGEST, exact, shown
 from exact_mdp.solvers.solution import Certified, SolverError
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 
 def check(
@@ -81,7 +81,7 @@ def check(
         "max_regret": _limit("max_regret", max_regret),
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
     }
-    found = learned if isinstance(learned, Taken) else taken(mdp, learned, kind=kind)
+    found = learned if isinstance(learned, Taken) else policy_of(mdp, learned, kind=kind)
     policy = found.policy
     chain = PolicyChain.of(mdp, policy)
     said = None if found.values is None else pair_values(mdp, policy, found.values)

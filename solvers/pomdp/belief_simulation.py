@@ -14,7 +14,7 @@ import numpy as np
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.pomdp.search import Vectors
-from exact_mdp.solvers.values.simulate import Simulation, generator_of
+from exact_mdp.solvers.values.simulate import Simulation
 
 
 def simulate_beliefs(
@@ -42,7 +42,7 @@ def simulate_beliefs(
     >>> abs(found.mean - 145.8) < 4 * found.standard_error
     True
     """
-    generator = generator_of(episodes, seed)
+    generator = np.random.default_rng(seed)
     mdp, size = process.mdp, process.statuses
     table, gains = mdp.table, mdp.table.gains()
     per_pair = len(gains) == table.pairs

@@ -18,6 +18,7 @@ from typing import Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.bellman import BellmanRows, bellman_rows
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable, require_termination, termination, topological_levels
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.fingerprint import fingerprint
@@ -30,22 +31,31 @@ from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.checker import UNIT, gains
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.solvers.solver import mdp_of
 
 
 @overload
-def certify(mdp: MDP, *, bounded: Literal[False] = ...) -> Certificate: ...
+def certify(model: MDP | Scenario, *, bounded: Literal[False] = ...) -> Certificate: ...
 @overload
 def certify(
-    mdp: MDP, *, bounded: Literal[True], tol: float | None = ..., solution: Solution | None = ...
+    model: MDP | Scenario,
+    *,
+    bounded: Literal[True],
+    tol: float | None = ...,
+    solution: Solution | None = ...,
 ) -> BoundedCertificate: ...
 def certify(
-    mdp: MDP, *, bounded: bool = False, tol: float | None = None, solution: Solution | None = None
+    model: MDP | Scenario,
+    *,
+    bounded: bool = False,
+    tol: float | None = None,
+    solution: Solution | None = None,
 ) -> Certificate | BoundedCertificate:
     """Return a proof of the optimal values: exact, or as bounds in floats.
 
     Parameters
     ----------
-    mdp : MDP
+    model : MDP or Scenario
         Any finite model with discount below 1, or with discount 1 where every policy ends.
     bounded : bool
         Prove floats that the values lie between, at once for a million states, instead of the
@@ -76,6 +86,7 @@ def certify(
     >>> certificate.violations()
     []
     """
+    mdp = mdp_of(model)
     if bounded:
         return certify_bounded(mdp, tol=tol, solution=solution)
     if tol is not None or solution is not None:

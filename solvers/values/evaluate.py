@@ -20,6 +20,7 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import ReadAs
@@ -27,6 +28,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError
+from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 from exact_mdp.solvers.values.visits import at_start, ever, pair_visits, steps, visits
 
@@ -345,15 +347,16 @@ def _times(number: float, power: int, times: int = 1) -> float:
 
 
 def evaluate(
-    mdp: MDP, policy: object, *, kind: str = "auto", horizon: int | None = None
+    model: MDP | Scenario, policy: object, *, kind: str = "auto", horizon: int | None = None
 ) -> Evaluation:
     """Return the mean and all else that there is to know about a policy's return.
 
     Parameters
     ----------
-    mdp : MDP
-    policy : Policy, Solution, str, path, mapping or array
-        Whatever `Policy.of` takes; a solution, for its policy; (L,) probabilities of pairs.
+    model : MDP or Scenario
+    policy : PolicyLike
+        "optimal", a solution or a certificate, whatever `Policy.of` takes, or (L,) probabilities of
+        pairs.
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `mdp.policies.arrays`.
     horizon : int, optional
@@ -376,6 +379,7 @@ def evaluate(
     >>> found.mean, found.steps, found.components, found.quantiles[0.5]
     (2.0, 2.0, {'reward': 2.0}, 1.0)
     """
+    mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import ReadAs
-from exact_mdp.mdp.policies.policy import Policy, taken
+from exact_mdp.mdp.policies.policy import Policy, Taken, taken
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     Floats,
@@ -36,10 +36,42 @@ from exact_mdp.mdp.table import (
 )
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.solution import Solution
+from exact_mdp.solvers.solver import solve
 
 Mask = NDArray[np.bool_]
 SHOWN = 4
+
+
+def policy_of(mdp: MDP, policy: object, *, kind: str = "auto") -> Taken:
+    """Return the policy of any form that the toolkit takes; for "optimal" the model is solved.
+
+    Parameters
+    ----------
+    mdp : MDP
+    policy : PolicyLike
+        "optimal", a Solution, a Certificate, or whatever `Policy.of` takes.
+    kind : "auto", "q" or "policy"
+        What a two-dimensional array holds; see `mdp.policies.arrays`.
+
+    Returns
+    -------
+    Taken
+        The policy, and what it was read from.
+
+    Raises
+    ------
+    ModelError
+        For what does not fit the model; for "optimal" as `solve` does.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> policy_of(mdp, "optimal").policy.weights(mdp).tolist()
+    [0.0, 1.0, 1.0, 0.0]
+    """
+    if isinstance(policy, str) and policy == "optimal":
+        policy = solve(mdp)
+    return taken(mdp, policy, kind=kind)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,16 +97,19 @@ class PolicyChain:
 
     @classmethod
     def of(cls, mdp: MDP, policy: object, *, kind: str = "auto") -> PolicyChain:
-        """Return the chain of a policy in any form that `evaluate` takes."""
+        """Return the chain of a policy in any form that `evaluate` takes.
+
+        Beside all that `Policy.of` takes, these are "optimal", for which the model is solved; a
+        solution or a certificate, for its policy; a chain of this model; and (L,) probabilities
+        of pairs.
+        """
         if isinstance(policy, PolicyChain):
             if policy.mdp is not mdp:
                 raise ModelError("a chain of another model", fix="give the policy itself")
             return policy
-        if isinstance(policy, Solution):
-            policy = Policy.from_choices(mdp, policy.policy)
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
             return cls(mdp=mdp, chosen=_checked(mdp, policy))
-        found = taken(mdp, policy, kind=kind)
+        found = policy_of(mdp, policy, kind=kind)
         weights = found.policy.weights(mdp)
         return cls(mdp=mdp, chosen=weights, read_as=found.read_as, policy=found.policy)
 

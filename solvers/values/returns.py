@@ -22,12 +22,14 @@ from math import lcm, sqrt
 
 import numpy as np
 
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
 
@@ -141,7 +143,7 @@ class ReturnDistribution:
 
 
 def return_distribution(
-    mdp: MDP,
+    model: MDP | Scenario,
     policy: object,
     *,
     exact: bool = False,
@@ -153,7 +155,7 @@ def return_distribution(
 
     Parameters
     ----------
-    mdp : MDP
+    model : MDP or Scenario
         With discount 1.
     policy, kind : as for `evaluate`
     exact : bool
@@ -177,6 +179,7 @@ def return_distribution(
     1/2 2 [0.5, 0.5]
     """
     check_counts("return_distribution", max_sweeps=max_sweeps)
+    mdp = mdp_of(model)
     if mdp.discount_exact != 1:
         raise ModelError(
             f"discount {mdp.discount_exact} gives returns that are not on a lattice, so that their "

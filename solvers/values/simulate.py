@@ -14,10 +14,14 @@ from math import ceil, inf, log, log1p, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
+from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 NEGLIGIBLE = 1e-12
@@ -96,10 +100,10 @@ class Simulation:
 
 
 def simulate(
-    mdp: MDP,
+    model: MDP | Scenario,
     policy: object,
-    episodes: int,
-    seed: int | np.random.Generator,
+    n: int,
+    rng: RNG,
     *,
     max_steps: int | None = None,
     kind: str = "auto",
@@ -109,10 +113,11 @@ def simulate(
 
     Parameters
     ----------
-    mdp : MDP
+    model : MDP or Scenario
     policy, kind : as for `evaluate`
-    episodes : int
-    seed : int or numpy.random.Generator
+    n : int
+        Number of episodes.
+    rng : int or numpy.random.Generator
         The same whole number gives the same returns, byte for byte; 0 is one like any other.
     max_steps : int, optional
         Timesteps after which an episode is cut off. Below discount 1 it is, unless given, the
@@ -130,21 +135,23 @@ def simulate(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, 0), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
-    >>> found = simulate(MDP.from_outcomes(rows), "random", episodes=400, seed=0)
+    >>> found = simulate(MDP.from_outcomes(rows), "random", n=400, rng=0)
     >>> abs(found.mean - 1) < 4 * found.standard_error
     True
     """
     from tqdm import tqdm
 
-    generator = generator_of(episodes, seed, max_steps)
-    endless, mdp = mdp, mdp if horizon is None else mdp.within(horizon)
+    check_counts("simulate", n=n, **({} if max_steps is None else {"max_steps": max_steps}))
+    generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
+    endless = mdp_of(model)
+    mdp = endless if horizon is None else endless.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
     limit, size = _longest(chain, horizon if max_steps is None else max_steps)
     first, cumulative = _cumulative(chain)
     following, gain, event = chain.table.next, chain.gain, chain.table.event
-    state = _starts(mdp, episodes, generator)
-    returns, steps = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
-    happened = np.zeros(episodes, dtype=np.uint8)
+    state = _starts(mdp, n, generator)
+    returns, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
+    happened = np.zeros(n, dtype=np.uint8)
     running, factor, step = np.flatnonzero(~mdp.terminal[state]), 1.0, 0
     with tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
         while len(running) and step < limit:
@@ -160,7 +167,7 @@ def simulate(
             bar.update()
     if len(running) and mdp.discount_exact == 1:
         raise ModelError(
-            f"{len(running)} of {episodes} episodes had not ended after {step} steps",
+            f"{len(running)} of {n} episodes had not ended after {step} steps",
             where="policy",
             fix="raise max_steps, or leave it out; evaluate() gives the expected number of steps",
         )
@@ -180,25 +187,6 @@ def simulate(
         truncated=len(running) + stopped,
         truncation_error=rest,
     )
-
-
-def generator_of(
-    episodes: int, seed: int | np.random.Generator, max_steps: int | None = None
-) -> np.random.Generator:
-    """Return the generator of a seed, or raise ModelError for what is no count and no seed."""
-    counts = {"episodes": episodes} | ({} if max_steps is None else {"max_steps": max_steps})
-    for name, count in counts.items():
-        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-            raise ModelError(
-                f"{name} is {count!r}", where="simulate", fix="give a whole number > 0"
-            )
-    if isinstance(seed, np.random.Generator):
-        return seed
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ModelError(
-            f"seed is {seed!r}", where="simulate", fix="give a whole number, 0 or more"
-        )
-    return np.random.default_rng(int(seed))
 
 
 def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:

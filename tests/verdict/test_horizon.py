@@ -211,7 +211,7 @@ def test_simulation_stops_at_the_limit() -> None:
     """It agrees with evaluate within four standard errors, and never takes a step more."""
     mdp = MDP.from_gymnasium(LAKE)
     best = solve(mdp, horizon=100)
-    found = simulate(mdp, best, 40_000, seed=1, horizon=100)
+    found = simulate(mdp, best, 40_000, rng=1, horizon=100)
     assert abs(found.mean - best.start_value) < 4 * found.standard_error
     assert found.steps.max() == 100
     own = evaluate(mdp, best, horizon=100)

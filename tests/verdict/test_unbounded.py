@@ -92,7 +92,7 @@ def test_sampled_and_listed_returns_of_any_scale(size: float) -> None:
     """Mean and sd of simulations and of distributions neither overflow nor vanish."""
     rows = [(0, 0, [(0.5, 1, size), (0.5, 1, -size)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows)
-    found = simulate(mdp, [0, 0], 400, seed=3)
+    found = simulate(mdp, [0, 0], 400, rng=3)
     assert found.sd == pytest.approx(size, rel=0.02)
     assert abs(found.mean) < 4 * found.standard_error
     listed = return_distribution(mdp, [0, 0])

@@ -1,0 +1,208 @@
+"""One verb for every model and every solver: `solve`, and the list of solvers.
+
+A solver is whatever `solve` accepts: an object with a `name` and a method `solve(mdp)`, see
+`solvers.dynamic`. A model is one, too: an MDP, what compiles to one (a Scenario), an operator, or
+an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models and belief
+problems do; its answer is the answer.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar, overload
+
+from exact_mdp.mdp.care.operator import CareOperator
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.chain import numbered_in_order
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
+from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
+from exact_mdp.solvers.dynamic.linear_program import LinearProgram
+from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
+from exact_mdp.solvers.dynamic.operator import solve_operator
+from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
+from exact_mdp.solvers.dynamic.stopping import Solver, check_settings
+from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+from exact_mdp.solvers.solution import PrecisionWarning, Solution, Status
+
+SOLVERS: dict[str, type[Solver]] = {
+    "value-iteration": ValueIteration,
+    "gauss-seidel": GaussSeidel,
+    "modified-policy-iteration": ModifiedPolicyIteration,
+    "policy-iteration": PolicyIteration,
+    "backward-induction": BackwardInduction,
+    "linear-program": LinearProgram,
+}
+Found = TypeVar("Found", covariant=True)
+
+
+class SolvesItself(Protocol[Found]):
+    """A model that is no MDP and brings its own algorithms."""
+
+    def solve_with(self, solver: object, tol: float | None) -> Found:
+        """Return the solution.
+
+        Parameters
+        ----------
+        solver : object
+            As it was given to `solve`: "auto", another name, or an object with settings; a
+            ModelError names what does not apply.
+        tol : float, optional
+            The greatest error asked for.
+        """
+
+
+def mdp_of(model: object) -> MDP:
+    """Return a model as an MDP: itself, or the compiled scenario.
+
+    Raises
+    ------
+    ModelError
+        For anything else.
+    """
+    if isinstance(model, Scenario):
+        return model.compile()
+    if isinstance(model, CareOperator):
+        found: MDP = model.transition  # raises: an operator has no matrix
+        return found
+    if isinstance(model, MDP):
+        return model
+    raise ModelError(
+        f"{type(model).__name__} is not a model with a list of transitions",
+        where="model",
+        fix="give an MDP or a Scenario",
+    )
+
+
+@overload
+def solve(
+    model: MDP | Scenario | CareOperator,
+    solver: Solver | str | None = ...,
+    *,
+    tol: float | None = ...,
+    horizon: int | None = ...,
+) -> Solution: ...
+@overload
+def solve(
+    model: SolvesItself[Found],
+    solver: object = ...,
+    *,
+    tol: float | None = ...,
+    horizon: int | None = ...,
+) -> Found: ...
+def solve(
+    model: object, solver: Any = "auto", *, tol: float | None = None, horizon: int | None = None
+) -> object:
+    """Return optimal values and a policy, with bounds on their error.
+
+    Parameters
+    ----------
+    model : MDP, Scenario, CareOperator, or a model with a method `solve_with`
+        A scenario is compiled. An operator (`Scenario.operator`) is solved by backward induction.
+        A robust model and a belief problem are solved by their own algorithms.
+    solver : Solver or str
+        A solver with its settings, or a name in `SOLVERS`; "auto" takes backward induction for
+        models without cycles and modified policy iteration for others.
+    tol : float, optional
+        Greatest absolute error in any state, for a solver that takes one. Backward induction, where
+        "auto" takes it, is as exact as floats allow; it warns where that is not enough.
+    horizon : int, optional
+        Stop after so many steps, without a further reward: the solution is that of
+        `mdp.within(horizon)`, whose states are times and states.
+
+    Returns
+    -------
+    Solution
+        Or what `solve_with` of another kind of model gives.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name, or a `tol` that the solver does not take; at discount 1 where not every
+        policy ends.
+    SolverError
+        Where a solver reaches a limit: of iterations, or of double precision.
+
+    Examples
+    --------
+    >>> wait, go = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+    >>> mdp = MDP.from_arrays([wait, go], [[1, "3/2"], [0, 0]])
+    >>> found = solve(mdp, horizon=3)
+    >>> found.start_value, [found.mdp.actions[a] for a in found.policy[[0, 2, 4]]]
+    (1.875, ['0', '0', '1'])
+    >>> solve(mdp, "value-iteration", tol=1e-3).error_bound < 1e-3
+    True
+    """
+    solver = "auto" if solver is None else solver
+    own = getattr(model, "solve_with", None)
+    if horizon is not None and not isinstance(model, MDP | Scenario):
+        raise ModelError(
+            f"{type(model).__name__} is solved until it ends",
+            where="horizon",
+            fix="leave horizon out, or compile a model that stops after any number of steps",
+        )
+    if own is not None:
+        return own(solver, tol)
+    if isinstance(model, CareOperator):
+        return _within(_by_layers(model, solver), tol)
+    mdp = mdp_of(model)
+    if horizon is not None:
+        mdp = mdp.within(horizon)
+    if solver == "auto":
+        if numbered_in_order(mdp) or levels(mdp) is not None:
+            return _within(BackwardInduction().solve(mdp), tol)
+        solver = ModifiedPolicyIteration()
+    return _with_tolerance(_named(solver), tol).solve(mdp)
+
+
+def _named(solver: Any) -> Solver:
+    """Return the solver of a name, or the one given."""
+    if isinstance(solver, str):
+        if solver not in SOLVERS:
+            fix = suggest(solver, [*SOLVERS, "auto"])
+            raise ModelError(f"unknown solver {solver!r}", where="solve", fix=fix)
+        return SOLVERS[solver]()
+    if isinstance(solver, type):
+        name = solver.__name__
+        raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")
+    named: Solver = solver
+    return named
+
+
+def _with_tolerance(solver: Any, tol: float | None) -> Solver:
+    """Return the solver with a tolerance; raises ModelError where it takes none."""
+    if tol is not None:
+        if "tol" not in getattr(type(solver), "__dataclass_fields__", {}):
+            takers = [name for name, kind in SOLVERS.items() if hasattr(kind, "tol")]
+            raise ModelError(
+                f"{solver.name} takes no tol: its error is what rounding leaves",
+                where="solve",
+                fix=f"leave tol out, or choose {', '.join(takers)}",
+            )
+        solver = replace(solver, tol=tol)
+    found: Solver = solver
+    return found
+
+
+def _within(solution: Solution, tol: float | None) -> Solution:
+    """Return a direct solution; warns where its error bound is above the tolerance."""
+    check_settings(BackwardInduction(), tol)
+    if tol is None or solution.error_bound <= tol:
+        return solution
+    message = f"the error bound is {solution.error_bound:.2g}: {Status.PRECISION}"
+    warnings.warn(message, PrecisionWarning, stacklevel=3)
+    return replace(solution, status=Status.PRECISION)
+
+
+def _by_layers(operator: CareOperator, solver: Any) -> Solution:
+    """Return the solution of an operator, which has one algorithm."""
+    if solver == "auto" or isinstance(_named(solver), BackwardInduction):
+        return solve_operator(operator)
+    raise ModelError(
+        "an operator is solved by backward induction alone",
+        where=f"operator {operator.name}",
+        fix="leave the solver out, or compile the scenario",
+    )
