@@ -8,8 +8,9 @@ True
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.audit import Audit
@@ -26,21 +27,18 @@ __all__ = [
 ]
 
 # Imported when first asked for: `exact-mdp --help` needs none of it.
-_LATER = {
-    "Audit": "exact_mdp.analysis.gate.audit",
-    "BestPolicy": "exact_mdp.analysis.gate.column_policies",
-    "assert_policy_optimal": "exact_mdp.analysis.gate.check",
-    "best_policy": "exact_mdp.analysis.gate.column_policies",
-    "check": "exact_mdp.analysis.gate.check",
-    "value_of_memory": "exact_mdp.analysis.gate.column_policies",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _LATER:
-        return getattr(import_module(_LATER[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
+__getattr__, __dir__ = names_later(
+    __name__,
+    {
+        "exact_mdp.analysis.gate.audit": ["Audit"],
+        "exact_mdp.analysis.gate.check": ["assert_policy_optimal", "check"],
+        "exact_mdp.analysis.gate.column_policies": [
+            "BestPolicy",
+            "best_policy",
+            "value_of_memory",
+        ],
+    },
+)
 
 if __name__ == "analysis":
     from exact_mdp._checkout import alias

@@ -11,40 +11,75 @@ it means) and `.paper_repro`. The public names are here, each loaded when it is 
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
     from exact_mdp.analysis import assert_policy_optimal, check
-    from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-    from exact_mdp.solvers import certify, evaluate, solve
+    from exact_mdp.mdp import (
+        MDP,
+        Family,
+        ModelError,
+        Parameter,
+        Policy,
+        PolicyLike,
+        Scenario,
+        moving,
+    )
+    from exact_mdp.solvers import (
+        BackwardInduction,
+        Certificate,
+        GaussSeidel,
+        LinearProgram,
+        ModifiedPolicyIteration,
+        PolicyIteration,
+        Solution,
+        SolverError,
+        ValueIteration,
+        certify,
+        evaluate,
+        return_distribution,
+        simulate,
+        solve,
+        solve_robust,
+    )
 
 __all__ = [
     "MDP",
+    "BackwardInduction",
+    "Certificate",
+    "Family",
+    "GaussSeidel",
+    "LinearProgram",
     "ModelError",
+    "ModifiedPolicyIteration",
+    "Parameter",
     "Policy",
+    "PolicyIteration",
+    "PolicyLike",
     "Scenario",
+    "Solution",
+    "SolverError",
+    "ValueIteration",
     "assert_policy_optimal",
     "certify",
     "check",
     "evaluate",
+    "moving",
+    "return_distribution",
+    "simulate",
     "solve",
+    "solve_robust",
 ]
 
-_ROOM = {
-    "MDP": "mdp",
-    "ModelError": "mdp",
-    "Policy": "mdp",
-    "Scenario": "mdp",
-    "assert_policy_optimal": "analysis",
-    "certify": "solvers",
-    "check": "analysis",
-    "evaluate": "solvers",
-    "solve": "solvers",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _ROOM:
-        return getattr(import_module(f"{__name__}.{_ROOM[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+_MDP = ("MDP", "Family", "ModelError", "Parameter", "Policy", "PolicyLike", "Scenario", "moving")
+_ANALYSIS = ("assert_policy_optimal", "check")
+__getattr__, __dir__ = names_later(
+    __name__,
+    {
+        "exact_mdp.mdp": _MDP,
+        "exact_mdp.analysis": _ANALYSIS,
+        "exact_mdp.solvers": [name for name in __all__ if name not in (*_MDP, *_ANALYSIS)],
+    },
+)

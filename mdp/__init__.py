@@ -5,16 +5,25 @@
 MDP(yuan2025: 241 states, 4 actions, 961 pairs, 8065 transitions, discount 1)
 """
 
-from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, ScenarioWarning
-from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.policies.policy import Policy, PolicyLike
-from exact_mdp.mdp.space import Column, StateSpace
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from exact_mdp.mdp.lazy import names_later
+
+if TYPE_CHECKING:
+    from exact_mdp.mdp.care.scenario import Scenario
+    from exact_mdp.mdp.errors import ModelError, ScenarioWarning
+    from exact_mdp.mdp.model import MDP
+    from exact_mdp.mdp.parameter import Parameter
+    from exact_mdp.mdp.parametric import Family, moving
+    from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+    from exact_mdp.mdp.space import Column, StateSpace
 
 __all__ = [
     "MDP",
     "Column",
+    "Family",
     "ModelError",
     "Parameter",
     "Policy",
@@ -22,7 +31,21 @@ __all__ = [
     "Scenario",
     "ScenarioWarning",
     "StateSpace",
+    "moving",
 ]
+
+__getattr__, __dir__ = names_later(
+    __name__,
+    {
+        "exact_mdp.mdp.care.scenario": ["Scenario"],
+        "exact_mdp.mdp.errors": ["ModelError", "ScenarioWarning"],
+        "exact_mdp.mdp.model": ["MDP"],
+        "exact_mdp.mdp.parameter": ["Parameter"],
+        "exact_mdp.mdp.parametric": ["Family", "moving"],
+        "exact_mdp.mdp.policies.policy": ["Policy", "PolicyLike"],
+        "exact_mdp.mdp.space": ["Column", "StateSpace"],
+    },
+)
 
 if __name__ == "mdp":
     from exact_mdp._checkout import alias

@@ -3,6 +3,10 @@
     cvxpy = later("cvxpy")        # at the top of a module; nothing is loaded yet
     cvxpy.Variable(3)             # loads it, or names the extra that brings it
 
+A package's own names load when they are first asked for, too:
+
+    __getattr__, __dir__ = names_later(__name__, {"exact_mdp.solvers.solve": ["solve"]})
+
 The core needs NumPy, SciPy, pandas, numba and click. `pip install exact-mdp` brings everything that
 the commands of the README use; an environment that leaves some of it out is told what is missing
 where it is needed.
@@ -10,6 +14,7 @@ where it is needed.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -108,3 +113,35 @@ def later(name: str) -> Any:
     if not name.startswith((*EXTRAS, *HEAVY)):
         raise ModelError(f"{name} is not in the list of packages that load late", where="later")
     return _Later(name)
+
+
+def names_later(
+    package: str, homes: Mapping[str, Sequence[str]]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__getattr__` and `__dir__` of a package whose names load when first asked for.
+
+    Parameters
+    ----------
+    package : str
+        The package's own name, `__name__`.
+    homes : {module: names}
+        Where each name comes from. Type checkers read the same imports under `TYPE_CHECKING`.
+
+    Returns
+    -------
+    pair of functions
+
+    Examples
+    --------
+    >>> get, names = names_later("mine", {"math": ["pi", "tau"]})
+    >>> get("pi"), names()
+    (3.14..., ['pi', 'tau'])
+    """
+    home = {name: module for module, names in homes.items() for name in names}
+
+    def get(name: str) -> Any:
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(home[name]), name)
+
+    return get, lambda: sorted(home)

@@ -11,9 +11,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from exact_mdp.mdp.lazy import names_later
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
 from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -71,23 +71,18 @@ __all__ = [
     "solve_robust",
 ]
 
-_LATER = {
-    "BoundedCertificate": "exact_mdp.solvers.proof.certificate",
-    "Certificate": "exact_mdp.solvers.proof.certificate",
-    "certify": "exact_mdp.solvers.proof.certify",
-    "evaluate": "exact_mdp.solvers.values.evaluate",
-    "operator_mean": "exact_mdp.solvers.dynamic.operator",
-    "return_distribution": "exact_mdp.solvers.values.returns",
-    "simulate": "exact_mdp.solvers.values.simulate",
-    "solve_robust": "exact_mdp.solvers.robust.robust",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _LATER:
-        return getattr(import_module(_LATER[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
+__getattr__, __dir__ = names_later(
+    __name__,
+    {
+        "exact_mdp.solvers.dynamic.operator": ["operator_mean"],
+        "exact_mdp.solvers.proof.certificate": ["BoundedCertificate", "Certificate"],
+        "exact_mdp.solvers.proof.certify": ["certify"],
+        "exact_mdp.solvers.robust.robust": ["solve_robust"],
+        "exact_mdp.solvers.values.evaluate": ["evaluate"],
+        "exact_mdp.solvers.values.returns": ["return_distribution"],
+        "exact_mdp.solvers.values.simulate": ["simulate"],
+    },
+)
 
 if __name__ == "solvers":
     from exact_mdp._checkout import alias
