@@ -17,9 +17,10 @@ from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of, rob
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.io.load import load
 from exact_mdp.solvers import PrecisionWarning, SolverError, evaluate, solve
+from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import RobustSolution, solve_robust
-from exact_mdp.solvers.robust.sets import Intervals, L1Ball
+from exact_mdp.solvers.robust.sets import Inner, Intervals, L1Ball
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 F = Fraction
@@ -69,7 +70,7 @@ def test_the_care_model_in_rationals(objective, nature, share) -> None:
     found = solve_robust(mdp, Intervals.relative(mdp, share), nature=nature, objective=objective)
     off = np.array([float(abs(F(v) - r)) for v, r in zip(found.value.tolist(), right, strict=True)])
     assert (off <= found.state_error).all()
-    assert found.error_bound < 1e-9
+    assert found.error < 1e-9
     held = PolicyChain.of(mdp, "random").weights
     right = exact_values(mdp, share, objective, nature, held)
     found = solve_robust(
@@ -140,7 +141,7 @@ def test_bellman_equations_by_linear_programs(rows: Rows, game: tuple[str, str])
             done = linprog(sign * cost, A_eq=np.ones((1, len(cost))), b_eq=[1.0], bounds=bounds)
             worths.append(sign * done.fun * size)
         best = max(worths) if objective == "max" else min(worths)
-        assert found.value[state] == pytest.approx(best, abs=1e-6 * size + 2 * found.error_bound)
+        assert found.value[state] == pytest.approx(best, abs=1e-6 * size + 2 * found.error)
 
 
 def test_discount_near_1_ends_with_honest_bounds() -> None:
@@ -155,7 +156,7 @@ def test_discount_near_1_ends_with_honest_bounds() -> None:
         found = solve_robust(mdp, kind)
         system = np.eye(60) - mdp.discount * found.transition.toarray()
         earned = np.linalg.solve(system, found.reward)
-        assert np.abs(earned - found.value).max() <= 3 * found.error_bound + 1e-6
+        assert np.abs(earned - found.value).max() <= 3 * found.error + 1e-6
         assert found.iterations < 30
 
 
@@ -184,6 +185,28 @@ def test_unknown_words_are_refused(choices: dict) -> None:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     with pytest.raises(ModelError):
         solve_robust(mdp, L1Ball(radius=0.1), **choices)
+
+
+def test_a_policy_is_bounded_where_nature_answers_exactly() -> None:
+    """The mean over a state's pairs is rounded: the bounds count that, whatever nature's error."""
+    rewards = [F(k * k, 7) for k in range(1, 12)]
+    rows = [(0, k, [(1, 1, float(reward))]) for k, reward in enumerate(rewards)]
+    mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+    chosen = np.array([*(0.1 * k for k in range(1, 12)), 1.0])
+    shares = [F(w) for w in chosen[:-1].tolist()]
+    right = sum(w * F(float(r)) for w, r in zip(shares, rewards, strict=True)) / sum(shares)
+
+    class Sharp(Game):
+        def ask(self, value: np.ndarray) -> Inner:
+            q = self.mdp.reward[self.pairs]
+            return Inner(low=q, high=q, value=q, laws=[])
+
+    game = Sharp(mdp=mdp, ambiguity=L1Ball(radius=0.0), against=True, weights=chosen)
+    assert F(float(game.agent(game.ask(np.zeros(2)).value)[0])) != right
+    value = np.array([float(game.agent(game.ask(np.zeros(2)).value)[0]), 0.0])
+    found = robust_bounds(game, margins(game), value)
+    assert F(value[0]) + F(found.low) <= right <= F(value[0]) + F(found.high)
+    assert found.error < 1e-12
 
 
 # ---- the analysis ----------------------------------------------------------------------------

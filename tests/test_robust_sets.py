@@ -11,8 +11,7 @@ from scipy.optimize import linprog
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
-from exact_mdp.solvers.robust.rows import blocks_of, inner
-from exact_mdp.solvers.robust.sets import Intervals, L1Ball, interval_model
+from exact_mdp.solvers.robust.sets import Intervals, L1Ball, blocks_of, inner
 
 fewer = settings(max_examples=40)
 WEIGHTS = st.lists(st.integers(1, 50), min_size=1, max_size=7)
@@ -186,25 +185,9 @@ def test_a_radius_for_each_pair() -> None:
         lambda mdp: Intervals(lower=[0, 0, 1], upper=[0.3, 0.3, 1]).check(mdp),
         lambda mdp: Intervals(lower=[np.nan, 0, 1], upper=[1, 1, 1]).check(mdp),
         lambda mdp: Intervals(lower=[0.9, 0, 1], upper=[0.8, 1, 1]).check(mdp),
-        lambda mdp: interval_model([(0, 0, [("0.6", "0.7", 0, 0), ("0.6", "0.7", 0, 1)])]),
     ],
 )
 def test_what_is_no_set_of_laws_is_refused(make) -> None:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     with pytest.raises(ModelError):
         make(mdp)
-
-
-def test_outcomes_of_one_state_and_reward_add_up() -> None:
-    half = ("0.25", "0.75", 1, 2)
-    mdp, intervals = interval_model(
-        [
-            (0, 0, [half, ("0.1", "0.2", 1, 2), ("0", "1", 2, 0)]),
-            (1, 0, [(1, 1, 1, 0)]),
-            (2, 0, [(1, 1, 2, 0)]),
-        ]
-    )
-    total = dict(zip(mdp.table.next[:-2].tolist(), intervals.lower[:-2].tolist(), strict=False))
-    assert total[2] == 0
-    assert asked(mdp, intervals, against=True)[0] == pytest.approx(0.7)
-    assert asked(mdp, intervals, against=False)[1] == pytest.approx(1.9)

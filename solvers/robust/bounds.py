@@ -31,7 +31,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.robust.rows import Ambiguity, Block, Inner, blocks_of, entries, inner
+from exact_mdp.solvers.robust.sets import Ambiguity, Block, Inner, blocks_of, entries, inner
 from exact_mdp.solvers.solution import SolverError, Status
 
 WEIGHT_ITERATIONS = 200
@@ -99,13 +99,8 @@ class Game:
 
     def ask(self, value: Floats) -> Inner:
         """Return what nature makes of each of `pairs`, at values (S,)."""
-        return inner(
-            self.ambiguity,
-            self.blocks,
-            value,
-            discount=self.mdp.discount,
-            against=self.against,
-        )
+        rate = self.mdp.discount
+        return inner(self.ambiguity, self.blocks, value, discount=rate, against=self.against)
 
     def agent(self, q: Floats) -> Floats:
         """Return (T,) what the agent makes of pair values (U,)."""
@@ -148,12 +143,8 @@ class Margins:
 def margins(game: Game) -> Margins:
     """Return verified margins.
 
-    Raises
-    ------
-    ModelError
-        At discount 1, where some policy and some laws in the sets never end.
-    SolverError
-        Where double precision does not suffice.
+    Raises ModelError where some policy and some laws never end at discount 1, SolverError where
+    double precision does not suffice.
     """
     mdp, rate = game.mdp, game.mdp.discount
     order = game.order
@@ -178,14 +169,8 @@ def margins(game: Game) -> Margins:
 
 
 def _steps(delay: Game, weight: Floats) -> Inner:
-    return inner(
-        delay.ambiguity,
-        delay.blocks,
-        weight,
-        discount=delay.mdp.discount,
-        against=False,
-        rewards=False,
-    )
+    sets, rows, rate = delay.ambiguity, delay.blocks, delay.mdp.discount
+    return inner(sets, rows, weight, discount=rate, against=False, rewards=False)
 
 
 def _longest(delay: Game) -> Floats:
@@ -243,11 +228,11 @@ class RobustBounds:
 
     value: Floats
     weight: Floats
-    low: float
-    high: float
-    kept: float
-    chosen: Integers | None
     asked: Inner
+    chosen: Integers | None = None
+    low: float = 0.0
+    high: float = 0.0
+    kept: float = 0.0
 
     @property
     def error(self) -> float:
@@ -258,34 +243,31 @@ class RobustBounds:
 def robust_bounds(game: Game, found: Margins, value: Floats) -> RobustBounds:
     """Return bounds on the robust value around `value` (S,), 0 in terminal states."""
     asked, here = game.ask(value), value[game.live]
+    chosen = None if game.weights is not None else game.choice(asked.value)
     if not len(here):
-        none = None if game.weights is not None else np.zeros(0, dtype=np.int64)
-        return RobustBounds(
-            value=value, weight=found.weight, low=0.0, high=0.0, kept=0.0, chosen=none, asked=asked
-        )
+        return RobustBounds(value=value, weight=found.weight, asked=asked, chosen=chosen)
+    # What rounds here: the mean over pairs, and the difference from the value.
     size = np.abs(here) + np.maximum.reduceat(np.abs(asked.value), game.first)
     doubt = 4 * UNIT * size
     if game.weights is not None:
         most = np.diff(np.append(game.first, len(asked.value))).max()
         doubt = doubt * (1 + float(most))
-    rise = (game.agent(asked.high) - here + doubt) / found.margin
-    fall = (game.agent(asked.low) - here - doubt) / found.margin
-    chosen, kept = None, 0.0
-    if game.weights is None:
-        chosen = game.choice(asked.value)
+    rise = float(((game.agent(asked.high) - here + doubt) / found.margin).max())
+    fall = float(((game.agent(asked.low) - here - doubt) / found.margin).min())
+    kept = 0.0
+    if chosen is not None:
         side = asked.low if game.most else asked.high
         reached = (side[chosen] - here - (doubt if game.most else -doubt)) / found.margin
-        kept = float(reached.min() if game.most else reached.max())
-        kept = min(kept, 0.0) if game.most else max(kept, 0.0)
-    low, high = min(float(fall.min()), 0.0), max(float(rise.max()), 0.0)
+        kept = min(float(reached.min()), 0.0) if game.most else max(float(reached.max()), 0.0)
+    low, high = min(fall, 0.0), max(rise, 0.0)
     if not np.isfinite(high - low):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
     return RobustBounds(
         value=value,
         weight=found.weight,
+        asked=asked,
+        chosen=chosen,
         low=low * SLACK,
         high=high * SLACK,
         kept=kept * SLACK,
-        chosen=chosen,
-        asked=asked,
     )

@@ -21,15 +21,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import UNIT, gamma
-from exact_mdp.solvers.robust.rows import Block
-from exact_mdp.solvers.robust.sets import check_radii, of_pairs, radii_of
+from exact_mdp.solvers.robust.sets import Ball, Block
 
 STEPS = 200
 NEAR = 1e-12
@@ -38,33 +35,23 @@ Divergence = Callable[[Floats, Integers], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Likelihood:
+class Likelihood(Ball):
     """Laws that make the nominal row, taken for observed frequencies, likely: KL(p‖q) ≤ radius.
 
-    Attributes
-    ----------
-    radius : float or (L,)
-        β in nats. With n observations of a row of k outcomes, χ²(k - 1, level) / (2 n) makes this
-        the likelihood-ratio region of that level.
+    With n observations of a row of k outcomes, a radius (in nats) of χ²(k - 1, level) / (2 n) makes
+    this the likelihood-ratio region of that level.
 
     Examples
     --------
-    >>> from exact_mdp.solvers.robust.rows import blocks_of
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    >>> (block,) = blocks_of(mdp, np.arange(1))
-    >>> q, short = Likelihood(radius=0.5).least(block, np.array([[0.0, 1.0]]))
-    >>> q.round(4).tolist(), bool(short[0] < 1e-13)  # 4 q (1 - q) = 1/e
-    ([[0.8975, 0.1025]], True)
+    >>> from exact_mdp import MDP
+    >>> from exact_mdp.solvers.robust.robust import solve_robust
+    >>> toss = [("1/2", 1, 1), ("1/2", 1, 0)]
+    >>> mdp = MDP.from_outcomes([(0, 0, toss), (1, 0, [(1, 1, 0)])])
+    >>> round(solve_robust(mdp, Likelihood(radius=0.5)).start.value, 4)  # 4 q (1 - q) = 1/e
+    0.1025
     """
 
-    radius: Any
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", radii_of(self.radius, "a likelihood radius"))
-
-    def check(self, mdp: MDP) -> None:
-        """Raise ModelError unless there is a radius for each pair."""
-        check_radii(self.radius, mdp)
+    NAME = "a likelihood radius"
 
     def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
@@ -90,36 +77,14 @@ class Likelihood:
             )
             return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
 
-        return _least(block, payoff, of_pairs(self.radius, block), divergence, law, bound)
+        return _least(block, payoff, self.radii(block), divergence, law, bound)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RelativeEntropy:
-    """Laws of small relative entropy to the nominal row: KL(q‖p) ≤ radius.
+class RelativeEntropy(Ball):
+    """Laws of small relative entropy to the nominal row: KL(q‖p) ≤ radius, in nats."""
 
-    Attributes
-    ----------
-    radius : float or (L,)
-        β in nats.
-
-    Examples
-    --------
-    >>> from exact_mdp.solvers.robust.rows import blocks_of
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    >>> (block,) = blocks_of(mdp, np.arange(1))
-    >>> q, short = RelativeEntropy(radius=0.1).least(block, np.array([[0.0, 1.0]]))
-    >>> round(float((q * np.log(2 * q)).sum()), 12), bool(short[0] < 1e-12)
-    (0.1, True)
-    """
-
-    radius: Any
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", radii_of(self.radius, "an entropy radius"))
-
-    def check(self, mdp: MDP) -> None:
-        """Raise ModelError unless there is a radius for each pair."""
-        check_radii(self.radius, mdp)
+    NAME = "an entropy radius"
 
     def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
@@ -145,7 +110,7 @@ class RelativeEntropy:
             doubt = float(gamma(2 * d.shape[1] + 16)) * s[:, 0] * (np.abs(log) + beta)
             return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
 
-        return _least(block, payoff, of_pairs(self.radius, block), divergence, law, bound)
+        return _least(block, payoff, self.radii(block), divergence, law, bound)
 
 
 def _mean_log(p: Floats, u: Floats) -> Floats:

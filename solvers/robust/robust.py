@@ -16,21 +16,28 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.gains import SLACK
 from exact_mdp.solvers.bounds.linear import DIRECT_STATES, LinearSystem
 from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, check_counts
 from exact_mdp.solvers.robust.bounds import Game, Margins, RobustBounds, margins, robust_bounds
-from exact_mdp.solvers.robust.rows import Ambiguity, blocks_of, inner
+from exact_mdp.solvers.robust.sets import Ambiguity, blocks_of, inner
 from exact_mdp.solvers.solution import Bounded, Claim, PrecisionWarning, SolverError, Status
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
 
 Nature = Literal["worst", "best"]
 Objective = Literal["max", "min"]
@@ -40,7 +47,41 @@ PATIENCE = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RobustSolution:
+class RobustModel:
+    """A model of whose rows only sets are known; `solve` takes it.
+
+    Attributes
+    ----------
+    model : MDP
+    ambiguity : Intervals, L1Ball, Likelihood, RelativeEntropy, or another `Ambiguity`
+        The set of laws of each row.
+    nature : "worst" or "best"
+        Against the agent (robust), or with it (cooperative).
+    objective : "max" or "min"
+        Whether rewards are gains or costs to the agent.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import solve
+    >>> from exact_mdp.solvers.robust.sets import Intervals
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])  # worth 1 / (1 - p)
+    >>> print(solve(RobustModel(model=mdp, ambiguity=Intervals.relative(mdp, 0.2))).start)
+    1.66666666667 ± ... (bounded)
+    """
+
+    model: MDP
+    ambiguity: Ambiguity
+    nature: Nature = "worst"
+    objective: Objective = "max"
+
+    def solved(self, *, tol: float | None = None) -> RobustSolution:
+        """Return what `solve_robust` gives; `solve` calls this."""
+        how = {"nature": self.nature, "objective": self.objective}
+        return solve_robust(self.model, self.ambiguity, tol=tol, **how)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RobustSolution(Result):
     """Robust values with bounds that hold in every state, and who does what to reach them.
 
     Attributes
@@ -84,7 +125,7 @@ class RobustSolution:
         return None if self.pairs is None else self.mdp.pair_action[self.pairs]
 
     @property
-    def error_bound(self) -> float:
+    def error(self) -> float:
         """The greatest `state_error`."""
         return float(self.state_error.max())
 
@@ -97,6 +138,19 @@ class RobustSolution:
         error = float(weights @ self.state_error) * (1 + 1e-9) + rounding
         return Bounded(value=float(terms.sum()), error=error)
 
+    @property
+    def start_value(self) -> float:
+        """Value of the start distribution."""
+        return self.start.value
+
+    def frame(self) -> DataFrame:
+        """Return value, error bound and action of each state."""
+        columns = {"value (reward)": self.value, "error bound (reward)": self.state_error}
+        if self.policy is not None:
+            columns["action"] = [self.mdp.actions[action] for action in self.policy]
+        states = [self.mdp.space.label(state) for state in range(self.mdp.n_states)]
+        return pandas.DataFrame(columns, index=pandas.Index(states, name="state"))
+
     def __repr__(self) -> str:
         return (
             f"RobustSolution({self.objective}, nature {self.nature}: start value {self.start}, "
@@ -105,7 +159,7 @@ class RobustSolution:
 
 
 def solve_robust(
-    mdp: MDP,
+    model: MDP,
     ambiguity: Ambiguity,
     *,
     nature: Nature = "worst",
@@ -118,15 +172,22 @@ def solve_robust(
 
     Parameters
     ----------
+    model : MDP
     ambiguity : Intervals, L1Ball, Likelihood, RelativeEntropy, or another `Ambiguity`
     nature : "worst" or "best"
         Against the agent (robust), or with it (cooperative).
     objective : "max" or "min"
         Whether rewards are gains or costs to the agent; to a given policy, which side is worst.
-    policy : anything that `solvers.evaluate` takes, optional
+    policy : PolicyLike, optional
         Hold this policy instead of choosing the best.
     tol : float, optional
         Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
+    max_iterations : int
+        Of value iteration, for models with cycles.
+
+    Returns
+    -------
+    RobustSolution
 
     Raises
     ------
@@ -144,7 +205,17 @@ def solve_robust(
     1.66666666667 ± ... (bounded)
     """
     started = perf_counter()
-    game = game_of(mdp, ambiguity, nature=nature, objective=objective, policy=policy)
+    for word, known in ((nature, ("worst", "best")), (objective, ("max", "min"))):
+        if word not in known:
+            raise ModelError(f"unknown {word!r}", where="robust", fix=f"say {' or '.join(known)}")
+    ambiguity.check(model)
+    game = Game(
+        mdp=model,
+        ambiguity=ambiguity,
+        against=(nature == "worst") == (objective == "max"),
+        most=objective == "max",
+        weights=None if policy is None else PolicyChain.of(model, policy).weights,
+    )
     if tol is not None and not 0 < tol < np.inf:
         raise ModelError(f"tol is {tol}", where="robust", fix="choose a positive number, or None")
     check_counts("robust", max_iterations=max_iterations)
@@ -152,16 +223,15 @@ def solve_robust(
     if game.order is None:
         status, end, iterations = _iterate(game, found, tol, max_iterations)
     else:
-        end = robust_bounds(game, found, one_pass(game, game.order))
+        end = robust_bounds(game, found, _one_pass(game, game.order))
         status, iterations = Status.DIRECT, int(game.order.max(initial=0))
     pairs = None
-    if game.weights is None:
-        pairs = mdp.pair_offsets[:-1].copy()
-        if end.chosen is not None:
-            pairs[game.live] = game.pairs[end.chosen]
-    chain, earned = game.chain(end.asked.laws, None if game.weights is not None else end.chosen)
+    if end.chosen is not None:
+        pairs = model.pair_offsets[:-1].copy()
+        pairs[game.live] = game.pairs[end.chosen]
+    chain, earned = game.chain(end.asked.laws, end.chosen)
     solution = RobustSolution(
-        mdp=mdp,
+        mdp=model,
         nature=nature,
         objective=objective,
         value=np.array(end.value),
@@ -174,34 +244,12 @@ def solve_robust(
         seconds=perf_counter() - started,
     )
     if status is Status.PRECISION:
-        message = f"the error bound is {solution.error_bound:.2g}: {status}"
+        message = f"the error bound is {solution.error:.2g}: {status}"
         warnings.warn(message, PrecisionWarning, stacklevel=2)
     return solution
 
 
-def game_of(
-    mdp: MDP,
-    ambiguity: Ambiguity,
-    *,
-    nature: Nature = "worst",
-    objective: Objective = "max",
-    policy: object | None = None,
-) -> Game:
-    """Return the game that these words mean; raises ModelError for others."""
-    for word, known in ((nature, ("worst", "best")), (objective, ("max", "min"))):
-        if word not in known:
-            raise ModelError(f"unknown {word!r}", where="robust", fix=f"say {' or '.join(known)}")
-    ambiguity.check(mdp)
-    return Game(
-        mdp=mdp,
-        ambiguity=ambiguity,
-        against=(nature == "worst") == (objective == "max"),
-        most=objective == "max",
-        weights=None if policy is None else PolicyChain.of(mdp, policy).weights,
-    )
-
-
-def one_pass(game: Game, level: Integers) -> Floats:
+def _one_pass(game: Game, level: Integers) -> Floats:
     """Return (S,) robust values of an acyclic model, level by level from the end."""
     mdp = game.mdp
     value = np.zeros(mdp.n_states)
@@ -210,13 +258,8 @@ def one_pass(game: Game, level: Integers) -> Floats:
     for depth in range(1, int(level.max(initial=0)) + 1):
         now = np.flatnonzero(state_level == depth)
         positions = spans(game.first[now], game.first[now] + lengths[now])
-        found = inner(
-            game.ambiguity,
-            blocks_of(mdp, game.pairs[positions]),
-            value,
-            discount=mdp.discount,
-            against=game.against,
-        )
+        rows = blocks_of(mdp, game.pairs[positions])
+        found = inner(game.ambiguity, rows, value, discount=mdp.discount, against=game.against)
         first = np.cumsum(lengths[now]) - lengths[now]
         if game.weights is not None:
             worth = np.add.reduceat(game.share[positions] * found.value, first)

@@ -1,4 +1,12 @@
-"""Sets of laws around a row: intervals and L1 balls, and what nature picks from them.
+"""Sets of laws around the rows of a model, and what nature picks from them.
+
+A row of pair l has outcomes i with nominal probability p_i, next state s_i and reward g_i, and is
+worth Σ q_i x_i under another law q, x_i = g_i + γ V(s_i). Outcomes, not next states, are what
+nature weighs: two outcomes may lead to one state with different rewards. Rows of floats, whose sums
+are 1 only nearly, count divided by their sums. Outcomes that a row does not have stay impossible.
+Sets of all rows are independent, and nature chooses anew whenever a pair is used, knowing state and
+action (a dynamic model; Iyengar, Mathematics of Operations Research 30, 2005): for the stationary
+policies here a nature that chooses once and for all does as well.
 
 Intervals (Givan, Leach and Dean, Artificial Intelligence 122, 2000; Nilim and El Ghaoui,
 Operations Research 53, 2005):
@@ -8,26 +16,70 @@ Operations Research 53, 2005):
 Least Σ q x: outcomes in rising order of x get their upper bound as long as the rest can still have
 its lower bound. L1 balls {q : Σ |q_i - p_i| ≤ ρ} (Strehl and Littman, Journal of Computer and
 System Sciences 74, 2008): ρ/2 of the mass moves from the greatest x to the least. Both are exact up
-to rounding. Outcomes that a row does not have stay impossible. Sets of all rows are independent,
-and nature chooses anew whenever a pair is used, knowing state and action (a dynamic model; Iyengar,
-Mathematics of Operations Research 30, 2005): for the stationary policies here a nature that chooses
-once and for all does as well.
+to rounding.
+
+Rows of about the same length are put side by side in one block (K, n), n a power of two, so that
+one call of NumPy asks nature about all of them. A row that is shorter is filled up with copies of
+its first outcome of probability 0, which are worth the same and so change nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, float_array
-from exact_mdp.solvers.bounds.gains import UNIT
-from exact_mdp.solvers.robust.rows import Block
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+
+ROOM = 2**22  # outcomes in one block
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Block:
+    """K rows of n outcomes.
+
+    Attributes
+    ----------
+    place : (K,) int64
+        Positions of the rows among the pairs that were asked for.
+    pair : (K,) int64
+    outcome : (K, n) int64
+        Numbers of the outcomes in the model's table.
+    filled : (K, n) bool
+        True where a copy of the first outcome stands in.
+    next, probability, gain : (K, n)
+    largest : (K,)
+        The greatest |gain| of each row.
+    """
+
+    place: Integers
+    pair: Integers
+    outcome: Integers
+    filled: NDArray[np.bool_]
+    next: Integers
+    probability: Floats
+    gain: Floats
+    largest: Floats
+
+
+class Ambiguity(Protocol):
+    """A set of laws for each row, chosen from independently: (s, a)-rectangular uncertainty."""
+
+    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+        """Return laws q (K, n) and b (K,): q in the set, and no member has Σ q x below Σ q x - b.
+
+        Both hold up to rounding, which `inner` accounts for.
+        """
+
+    def check(self, model: MDP) -> None:
+        """Raise ModelError where this is not a set of laws for the rows of a model."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,8 +89,7 @@ class Intervals:
     Attributes
     ----------
     lower, upper : (N,)
-        In the order of `mdp.table.next`. Make them with `relative`, `absolute` or
-        `interval_model`.
+        In the order of `mdp.table.next`. Make them with `relative` or `absolute`.
 
     Examples
     --------
@@ -58,29 +109,29 @@ class Intervals:
             object.__setattr__(self, name, array)
 
     @classmethod
-    def relative(cls, mdp: MDP, share: object) -> Intervals:
+    def relative(cls, model: MDP, share: object) -> Intervals:
         """Return p (1 ± share) within [0, 1]; below a share of 1 every outcome stays possible."""
         part = radius_of(share, "a relative radius")
-        p = mdp.table.probabilities()
+        p = model.table.probabilities()
         return cls(lower=np.maximum(p * (1 - part), 0.0), upper=np.minimum(p * (1 + part), 1.0))
 
     @classmethod
-    def absolute(cls, mdp: MDP, width: object) -> Intervals:
+    def absolute(cls, model: MDP, width: object) -> Intervals:
         """Return p ± width within [0, 1]."""
         part = radius_of(width, "a radius")
-        p = mdp.table.probabilities()
+        p = model.table.probabilities()
         return cls(lower=np.maximum(p - part, 0.0), upper=np.minimum(p + part, 1.0))
 
-    def check(self, mdp: MDP) -> None:
+    def check(self, model: MDP) -> None:
         """Raise ModelError where a row has no law within its intervals."""
-        shape = mdp.table.next.shape
+        shape = model.table.next.shape
         if self.lower.shape != shape or self.upper.shape != shape:
             raise ModelError(
                 f"bounds of shapes {self.lower.shape} and {self.upper.shape}, not {shape}",
                 where="intervals",
                 fix="give one bound for each outcome of the model's table",
             )
-        first = mdp.table.offsets[:-1]
+        first = model.table.offsets[:-1]
         good = (self.lower >= 0) & (self.lower <= self.upper) & (self.upper <= 1)  # no NaN passes
         least, most = np.add.reduceat(self.lower, first), np.add.reduceat(self.upper, first)
         bad = ~np.logical_and.reduceat(good, first)
@@ -90,7 +141,7 @@ class Intervals:
             raise ModelError(
                 "no law lies within the intervals of a row: lower bounds sum to "
                 f"{least[pair]:g}, upper bounds to {most[pair]:g}",
-                where=mdp.where(pair),
+                where=model.where(pair),
                 fix="give 0 ≤ lower ≤ upper ≤ 1 with sums below and above 1",
             )
 
@@ -108,8 +159,8 @@ class Intervals:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class L1Ball:
-    """Laws within an L1 distance of the nominal row: Σ |q - p| ≤ radius, from 0 to 2.
+class Ball:
+    """Laws within a radius of the nominal row.
 
     Attributes
     ----------
@@ -117,14 +168,55 @@ class L1Ball:
         One for all pairs, or one for each.
     """
 
+    NAME: ClassVar[str]
+
     radius: Any
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", radii_of(self.radius, "an L1 radius"))
+        given = self.radius
+        if not isinstance(given, np.ndarray | list | tuple):
+            object.__setattr__(self, "radius", radius_of(given, self.NAME))
+            return
+        numbers = float_array(given).copy()
+        if numbers.ndim != 1 or not np.all((numbers >= 0) & (numbers < np.inf)):
+            raise ModelError(
+                f"{self.NAME} is negative or not a number",
+                where="radius",
+                fix="give finite radii from 0 up, one for each pair",
+            )
+        numbers.setflags(write=False)
+        object.__setattr__(self, "radius", numbers)
 
-    def check(self, mdp: MDP) -> None:
-        """Raise ModelError unless there is a radius for each pair."""
-        check_radii(self.radius, mdp)
+    def check(self, model: MDP) -> None:
+        """Raise ModelError unless there is one radius, or one for each pair."""
+        if isinstance(self.radius, np.ndarray) and len(self.radius) != model.n_pairs:
+            raise ModelError(
+                f"{len(self.radius)} radii for {model.n_pairs} pairs",
+                where="radius",
+                fix="give one for each",
+            )
+
+    def radii(self, block: Block) -> Floats:
+        """Return (K,) the radius of each row of a block."""
+        each = self.radius
+        return each[block.pair] if isinstance(each, np.ndarray) else np.full(len(block.pair), each)
+
+    @abstractmethod
+    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.least`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class L1Ball(Ball):
+    """Laws within an L1 distance of the nominal row: Σ |q - p| ≤ radius, from 0 to 2.
+
+    Examples
+    --------
+    >>> L1Ball(radius="1/2").radius
+    0.5
+    """
+
+    NAME = "an L1 radius"
 
     def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
@@ -133,7 +225,7 @@ class L1Ball:
         lowest = order[:, -1:]
         mass = np.take_along_axis(p, order, axis=1)
         free = 1 - mass[:, -1]
-        moved = np.minimum(of_pairs(self.radius, block) / 2, free)[:, None]
+        moved = np.minimum(self.radii(block) / 2, free)[:, None]
         before = np.cumsum(mass, axis=1) - mass
         taken = np.clip(moved - before, 0.0, mass)
         # An outcome that is taken all but for rounding is taken whole: it becomes impossible.
@@ -145,75 +237,6 @@ class L1Ball:
         return q, np.zeros(len(q))
 
 
-def interval_model(
-    rows: Iterable[tuple[int, int, Sequence[tuple[Any, Any, int, Any]]]],
-    discount: object = 1,
-    **names: Any,
-) -> tuple[MDP, Intervals]:
-    """Return an interval MDP: a model with a law inside the intervals of each row, and these.
-
-    Parameters
-    ----------
-    rows : (state, action, [(lower, upper, next state, reward), …]), …
-    discount, **names
-        As in `MDP.from_outcomes`.
-
-    Raises
-    ------
-    ModelError
-        Where a row has no law within its intervals.
-
-    Examples
-    --------
-    >>> mdp, intervals = interval_model(
-    ...     [
-    ...         (0, 0, [("0.4", "0.9", 1, 1), ("0.5", "0.8", 2, 0)]),
-    ...         (1, 0, [(1, 1, 1, 0)]),
-    ...         (2, 0, [(1, 1, 2, 0)]),
-    ...     ]
-    ... )
-    >>> mdp.table.row(0)[0][0], intervals.lower[:2].tolist()
-    (Fraction(37, 80), [0.4, 0.5])
-    """
-    outcomes = []
-    bounds: dict[tuple[int, int], list[tuple[int, Fraction, Fraction, Fraction, Fraction]]] = {}
-    for state, action, listed in rows:
-        row = [(exact(low), exact(high), to, exact(gain)) for low, high, to, gain in listed]
-        least = sum((low for low, *_ in row), Fraction(0))
-        room = sum((high - low for low, high, *_ in row), Fraction(0))
-        wrong = any(not 0 <= low <= high <= 1 for low, high, *_ in row)
-        if wrong or not least <= 1 <= least + room:
-            raise ModelError(
-                "no law lies within the intervals of a row",
-                where=f"state {state}, action {action}",
-                fix="give 0 ≤ lower ≤ upper ≤ 1 with sums below and above 1",
-            )
-        share = (1 - least) / room if room else Fraction(0)
-        law = [(low + share * (high - low), to, gain) for low, high, to, gain in row]
-        outcomes.append((state, action, [each for each in law if each[0]]))
-        for (low, high, *_), (p, to, gain) in zip(row, law, strict=True):
-            if p:
-                bounds.setdefault((state, action), []).append((to, gain, p, low, high))
-    mdp = MDP.from_outcomes(outcomes, discount, **names)
-    lower, upper = [], []
-    for pair in range(mdp.n_pairs):
-        waiting = list(bounds[int(mdp.pair_state[pair]), int(mdp.pair_action[pair])])
-        for p, to, gain in mdp.table.row(pair):
-            found = next((k for k, each in enumerate(waiting) if each[:3] == (to, gain, p)), None)
-            if found is None:  # outcomes alike in state and reward were added up
-                alike = [each for each in waiting if each[:2] == (to, gain)]
-                waiting = [each for each in waiting if each[:2] != (to, gain)]
-                low = sum((each[3] for each in alike), Fraction(0))
-                high = min(sum((each[4] for each in alike), Fraction(0)), Fraction(1))
-            else:
-                _, _, _, low, high = waiting.pop(found)
-            lower.append(float(low))
-            upper.append(float(high))
-    intervals = Intervals(lower=np.array(lower), upper=np.array(upper))
-    intervals.check(mdp)
-    return mdp, intervals
-
-
 def radius_of(given: object, what: str) -> float:
     """Return a radius as a float; raises ModelError unless it is finite and at least 0."""
     number = float(given) if isinstance(given, float | int | np.number) else float(exact(given))
@@ -222,26 +245,109 @@ def radius_of(given: object, what: str) -> float:
     return number
 
 
-def radii_of(given: object, what: str) -> float | Floats:
-    """Return one radius, or one for each pair (L,), checked as `radius_of` does."""
-    if not isinstance(given, np.ndarray | list | tuple):
-        return radius_of(given, what)
-    numbers = float_array(given).copy()
-    if numbers.ndim != 1 or not np.all((numbers >= 0) & (numbers < np.inf)):
-        raise ModelError(f"{what} that is negative or no number", where="radius", fix="mend it")
-    numbers.setflags(write=False)
-    return numbers
+# ---- rows side by side ---------------------------------------------------------------------------
 
 
-def check_radii(radius: float | Floats, mdp: MDP) -> None:
-    """Raise ModelError unless there is one radius, or one for each pair."""
-    if isinstance(radius, np.ndarray) and len(radius) != mdp.n_pairs:
-        raise ModelError(
-            f"{len(radius)} radii for {mdp.n_pairs} pairs", where="radius", fix="give one for each"
-        )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Inner:
+    """What nature makes of rows: its optimum lies in [low, high], and q gives about `value`.
+
+    Attributes
+    ----------
+    low, high, value : (U,)
+    laws : list of (K, n), one for each block
+    """
+
+    low: Floats
+    high: Floats
+    value: Floats
+    laws: list[Floats]
 
 
-def of_pairs(radius: float | Floats, block: Block) -> Floats:
-    """Return (K,) the radius of each row of a block."""
-    each: Integers = block.pair
-    return radius[each] if isinstance(radius, np.ndarray) else np.full(len(each), radius)
+def blocks_of(model: MDP, pairs: Integers) -> list[Block]:
+    """Return the rows of some pairs (U,), in blocks."""
+    table = model.table
+    probability, gain = table.probabilities(), table.gains()
+    start, length = table.offsets[pairs], np.diff(table.offsets)[pairs]
+    width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
+    found = []
+    for n in np.unique(width).tolist():
+        rows = np.flatnonzero(width == n)
+        for first in range(0, len(rows), max(1, ROOM // n)):
+            place = rows[first : first + max(1, ROOM // n)]
+            column = np.arange(n)
+            filled = column >= length[place][:, None]
+            outcome = start[place][:, None] + np.where(filled, 0, column)
+            p = np.where(filled, 0.0, probability[outcome])
+            found.append(
+                Block(
+                    place=place,
+                    pair=np.asarray(pairs[place]),
+                    outcome=outcome,
+                    filled=filled,
+                    next=table.next[outcome],
+                    probability=p / p.sum(axis=1, keepdims=True),
+                    gain=gain[outcome],
+                    largest=np.abs(gain[outcome]).max(axis=1),
+                )
+            )
+    return found
+
+
+def inner(
+    ambiguity: Ambiguity,
+    blocks: Sequence[Block],
+    value: Floats,
+    *,
+    discount: float,
+    against: bool,
+    rewards: bool = True,
+) -> Inner:
+    """Return what each row is worth at values (S,) once nature has chosen its law.
+
+    Nature makes rows worth as little as it can where it is `against` the agent, and as much
+    elsewhere; without `rewards` the gains are left out.
+    """
+    count = sum(len(block.place) for block in blocks)
+    low, high, middle = np.empty(count), np.empty(count), np.empty(count)
+    laws = []
+    for block in blocks:
+        later = value[block.next]
+        payoff = discount * later
+        size = np.abs(payoff).max(axis=1)
+        if rewards:
+            payoff += block.gain
+            size += block.largest
+        q, short = ambiguity.least(block, payoff if against else -payoff)
+        base = payoff[:, :1]
+        worth = base[:, 0] + np.einsum("kn,kn->k", q, payoff - base)
+        n = payoff.shape[1]
+        # A payoff is rounded four times; the mass of a law misses the set by (2 n + 6) units, over
+        # payoffs that are up to twice `size` apart; the sum is rounded n times.
+        error = (float(gamma(8 * n + 32)) * size + TINY * n * (size > 0)) * SLACK
+        low[block.place] = worth - error - (short if against else 0.0)
+        high[block.place] = worth + error + (0.0 if against else short)
+        middle[block.place] = worth
+        laws.append(q)
+    return Inner(low=low, high=high, value=middle, laws=laws)
+
+
+def entries(
+    blocks: Sequence[Block], laws: Sequence[Floats], chosen: NDArray[np.bool_] | None = None
+) -> tuple[Integers, Integers, Floats, Floats]:
+    """Return place, next state and probability (N,) of laws, and the expected gain of rows (U,).
+
+    With `chosen` (U,) only these places; the gain of others is 0.
+    """
+    earned = np.zeros(sum(len(block.place) for block in blocks))
+    nothing: Integers = np.zeros(0, dtype=np.int64)
+    place, following, weight = [nothing], [nothing], [np.zeros(0)]
+    for block, q in zip(blocks, laws, strict=True):
+        kept = slice(None) if chosen is None else chosen[block.place]
+        used, law = block.place[kept], q[kept]
+        earned[used] = np.einsum("kn,kn->k", law, block.gain[kept])
+        positive = law > 0
+        place.append(np.repeat(used, positive.sum(axis=1)))
+        following.append(block.next[kept][positive])
+        weight.append(law[positive])
+    return np.concatenate(place), np.concatenate(following), np.concatenate(weight), earned

@@ -33,8 +33,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, Objective, RobustSolution, solve_robust
-from exact_mdp.solvers.robust.rows import Ambiguity
-from exact_mdp.solvers.robust.sets import Intervals, L1Ball, radius_of
+from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_of
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
