@@ -20,7 +20,7 @@ LAYERS = ["mdp", "solvers", "analysis", "paper_repro"]
 NUMBA_MODULES = ["solvers/kernels.py", "solvers/kernels/*.py"]
 
 # Packages which are slow to import or optional, and the modules that may import them at their
-# top because their whole job is that package. Everywhere else they are imported in functions.
+# top because their whole job is that package. Everywhere else they are taken with `later`.
 LAZY = {
     "IPython": [],
     "SALib": [],
@@ -83,8 +83,10 @@ def imports_of(path: str, source: str) -> list[Import]:
                 base = package[: len(package) - level + 1]
                 for name in [module] if module else [alias.name for alias in names]:
                     yield Import(path, node.lineno, ".".join([*base, name]), at_import_time)
+            case ast.Call(func=ast.Name(id="later"), args=[ast.Constant(value=str(name))]):
+                yield Import(path, node.lineno, name, False)  # loaded when it is first used
             case ast.Call(
-                func=ast.Name(id="import_module" | "__import__" | "later" | "load")
+                func=ast.Name(id="import_module" | "__import__" | "load")
                 | ast.Attribute(attr="import_module"),
                 args=[ast.Constant(value=str(name)), *_],
             ) if not name.startswith("."):
@@ -255,6 +257,7 @@ def test_every_package_says_that_it_is_typed() -> None:
     ("source", "name", "at_import_time"),
     [
         ("import exact_mdp.solvers.policy", "exact_mdp.solvers.policy", True),
+        ("pandas = later('pandas')", "pandas", False),
         ("from solvers import policy", "solvers", True),
         ("from . import rewards", "mdp.io.rewards", True),
         ("from ..build import rows", "mdp.build", True),

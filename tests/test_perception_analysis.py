@@ -152,7 +152,7 @@ def test_curves_are_evaluations(care: MDP) -> None:
 
 
 def test_prices_are_in_order(care: MDP) -> None:
-    found = price_of_perception(care, ROUGH, tolerance=0.05)
+    found = price_of_perception(care, ROUGH, tol=0.05)
     fixed, placed = found.memoryless, found.with_place
     assert found.taken_as_true.value <= placed.value.value + 1e-9
     assert fixed.value.value <= placed.value.value + 1e-9
@@ -188,7 +188,7 @@ def test_figures_are_drawn(care: MDP) -> None:
 
     mpl.use("Agg")
     levels = [1.0, 0.9]
-    priced = prices(care, levels, tolerance=0.5, node_limit=200)
+    priced = prices(care, levels, tol=0.5, node_limit=200)
     drawn = [
         plot_accuracy_curves(accuracy_curves(care, levels=levels), needed=accuracy_needed(care)),
         plot_prices(levels, priced),

@@ -18,14 +18,11 @@ from exact_mdp.mdp.care.perception import independent, perceived
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.solvers import evaluate, solve
-from exact_mdp.solvers.pomdp.belief import BeliefController, fib_vectors, qmdp_vectors
-from exact_mdp.solvers.pomdp.belief_simulation import simulate_beliefs
-from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
+from exact_mdp.solvers.pomdp.pomdp import BeliefProblem, solve_beliefs
 from exact_mdp.solvers.pomdp.values import (
     acting,
     at_start,
     fast_informed,
-    qmdp,
     rounding,
     values,
     visits,
@@ -90,7 +87,7 @@ def test_the_best_controller_of_the_reference_model(settings_, readings, noticed
     mdp = Scenario.load("yuan2025").with_(readings=readings, **settings_).compile()
     process = Process.of(mdp, SHARPER, events=None if noticed else ())
     wanted = care(Oracle(readings=readings, **settings_), noticed=noticed).best()
-    found = solve_beliefs(process, tolerance=1e-7, seconds=20)
+    found = solve_beliefs(process, tol=1e-7, seconds=20)
     assert found.closed
     assert found.lower <= wanted <= found.upper
 
@@ -98,8 +95,7 @@ def test_the_best_controller_of_the_reference_model(settings_, readings, noticed
 def test_not_noticing_a_skip_costs_something() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=1).compile()
     aware, unaware = (
-        solve_beliefs(Process.of(mdp, ROUGH, events=events), tolerance=1e-6)
-        for events in (None, ())
+        solve_beliefs(Process.of(mdp, ROUGH, events=events), tol=1e-6) for events in (None, ())
     )
     assert unaware.upper < aware.lower
 
@@ -146,15 +142,13 @@ def test_tiny_models(case: tuple[MDP, np.ndarray, Hidden]) -> None:
     mdp, matrix, reference = case
     process = Process.of(mdp, matrix)
     best = reference.best()
-    found = solve_beliefs(process, tolerance=1e-8)
+    found = solve_beliefs(process, tol=1e-8)
     assert found.closed
     assert found.lower <= best <= found.upper
     informed = (process.start * process.confusion.T) @ fast_informed(process)[0, ..., 0].T
-    known = (process.start * process.confusion.T) @ qmdp(process)[0].T
     slack = 4 * rounding(process)
     assert best <= informed.max(axis=1).sum() + slack
-    assert informed.max(axis=1).sum() <= known.max(axis=1).sum() + slack
-    assert known.max(axis=1).sum() <= solve(mdp).start_value + slack + 1e-9
+    assert informed.max(axis=1).sum() <= solve(mdp).start_value + slack + 1e-9
     for columns, by_place in ((("status",), False), (("place", "status"), True)):
         wanted = reference.best_fixed(by_place=by_place)
         fixed = best_perceived_policy(mdp, process, columns)
@@ -183,56 +177,23 @@ def test_values_and_visits_are_those_of_the_mixed_policy() -> None:
     assert together == pytest.approx(alone, rel=1e-12)
 
 
-@pytest.mark.parametrize("scenario", ["yuan2025", "tea"])
-def test_a_controller_earns_what_it_is_said_to(scenario: str) -> None:
-    mdp = Scenario.load(scenario).compile()
-    size = mdp.space.column("status").size
-    bits = size.bit_length() - 1
-    process = Process.of(mdp, independent([0.8] * bits, [0.7] * bits))
-    found = solve_beliefs(process, tolerance=0.05, seconds=3)
-    sampled = simulate_beliefs(process, found.vectors, 20_000, seed=1)
-    low, high = (found.lower - sampled.mean, found.upper - sampled.mean)
-    assert low < 4 * sampled.standard_error
-    assert high > -4 * sampled.standard_error
-    for vectors in (qmdp_vectors(process), fib_vectors(process)):
-        other = simulate_beliefs(process, vectors, 20_000, seed=2)
-        assert other.mean - found.upper < 4 * other.standard_error
-
-
-def test_one_controller_and_many_episodes_are_the_same() -> None:
-    """The stepwise controller, driven through the model by hand, has the mean of the batch."""
-    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
-    process = Process.of(mdp, ROUGH)
-    found = solve_beliefs(process, tolerance=1e-4, seconds=5)
-    controller = BeliefController(process, found.vectors)
-    rng = np.random.default_rng(3)
-    returns = []
-    for _ in range(1500):
-        controller.reset()
-        state, total = mdp.start[0][0], 0.0
-        while not mdp.terminal[state]:
-            seen = int(rng.choice(16, p=process.confusion[state % 16]))
-            pair = mdp.pair(state, controller.act(LABELS[seen]))
-            assert controller.belief[state % 16] > 0
-            rows = mdp.table.row(pair)
-            number = int(rng.choice(len(rows), p=[float(p) for p, _, _ in rows]))
-            _, state, gain = rows[number]
-            total += float(gain)
-            skipped = mdp.table.event[mdp.table.offsets[pair] + number] & 1
-            columns = mdp.space.as_dict(state)
-            place = {} if mdp.terminal[state] else {k: int(columns[k]) for k in process.space.names}
-            controller.update(events=["skip"] if skipped else [], **place)
-        returns.append(total)
-    error = np.std(returns) / np.sqrt(len(returns))
-    assert found.lower - 4 * error < np.mean(returns) < found.upper + 4 * error
-    with pytest.raises(ModelError, match="after the end"):
-        controller.act("0000")
+def test_solve_takes_a_belief_problem() -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    matrix = independent([0.9] * 4, [0.9] * 4)
+    found = solve(BeliefProblem(model=mdp, confusion=matrix, max_trials=1, seconds=60))
+    same = solve_beliefs(Process.of(mdp, matrix), max_trials=1, seconds=60)
+    assert found.interval == same.interval
+    assert found.start.interval[0] <= found.lower <= found.upper <= found.start.interval[1]
+    assert found.action(0, np.eye(16)[0]) == "non-directive"
+    assert found.frame()["closed"].tolist() == [False]
+    with pytest.raises(ModelError, match="one algorithm"):
+        solve(BeliefProblem(model=mdp, confusion=matrix), "value-iteration")
 
 
 def test_perfect_perception_is_worth_the_optimum() -> None:
     mdp = Scenario.load("yuan2025").compile()
     process = Process.of(mdp, np.eye(16))
-    found = solve_beliefs(process, tolerance=1e-6)
+    found = solve_beliefs(process, tol=1e-6)
     optimum = solve(mdp).start
     assert found.closed
     assert found.lower <= optimum.value + optimum.error
@@ -241,11 +202,11 @@ def test_perfect_perception_is_worth_the_optimum() -> None:
 
 def test_a_limit_leaves_sound_bounds() -> None:
     process = Process.of(Scenario.load("yuan2025").compile(), ROUGH)
-    early = solve_beliefs(process, tolerance=1e-9, max_trials=1)
-    late = solve_beliefs(process, tolerance=1e-9, max_trials=30, seconds=60)
+    early = solve_beliefs(process, tol=1e-9, max_trials=1)
+    late = solve_beliefs(process, tol=1e-9, max_trials=30, seconds=60)
     assert not early.closed
     assert early.lower <= late.lower <= late.upper <= early.upper
-    for limit in ({"seconds": 0}, {"tolerance": -1.0}, {"max_trials": 0}):
+    for limit in ({"seconds": 0}, {"tol": -1.0}, {"max_trials": 0}):
         with pytest.raises(ModelError, match="more than 0"):
             solve_beliefs(process, **limit)
 
@@ -254,19 +215,6 @@ def test_the_bounds_say_the_same_twice() -> None:
     process = Process.of(Scenario.load("yuan2025").compile(), ROUGH)
     first, second = (solve_beliefs(process, max_trials=5, seconds=60) for _ in range(2))
     assert first.interval == second.interval
-
-
-def test_an_impossible_perception_is_refused() -> None:
-    process = Process.of(Scenario.load("yuan2025").compile(), np.eye(16))
-    controller = BeliefController(process, qmdp_vectors(process))
-    with pytest.raises(ModelError, match="no action was taken"):
-        controller.update(subtask=0, trial=1)
-    with pytest.raises(ModelError, match="what is perceived cannot be"):
-        controller.act("1111")
-    controller.reset()
-    controller.act("0000")
-    with pytest.raises(ModelError, match="does not follow"):
-        controller.update(subtask=2, trial=4)
 
 
 def test_models_that_cannot_be_tracked() -> None:
@@ -294,7 +242,7 @@ def test_chances_near_nothing_leave_the_bounds_as_they_are(tiny: float) -> None:
     for least in (0.0, tiny):
         matrix = np.where(far, 0.0, independent([0.7] * 4, [0.8] * 4))
         matrix = np.where(far, least, matrix / matrix.sum(axis=1, keepdims=True))
-        found.append(solve_beliefs(Process.of(mdp, matrix), tolerance=1e-3, seconds=30))
+        found.append(solve_beliefs(Process.of(mdp, matrix), tol=1e-3, seconds=30))
     assert all(each.closed and np.isfinite(each.interval).all() for each in found)
     none, some = found
     assert some.lower <= none.upper

@@ -296,7 +296,7 @@ def perception(
 
     loaded = load(model, sets=sets, discount=discount)
     mdp = loaded.mdp
-    limits = _limits(seconds, trials) | {"tolerance": _positive(tolerance, "--tolerance")}
+    limits = _limits(seconds, trials) | {"tol": _positive(tolerance, "--tolerance")}
     drawn = whole_of(draws, "--draws", least=2, most=10**6)
     seeded = whole_of(seed, "--seed")
     matrix, counts = _confusion(mdp, perception, accuracy, prior)
@@ -313,7 +313,7 @@ def perception(
         "policy": policy,
         "perception": told,
         "discount": mdp.discount,
-        "claim": price.filtering.claim,
+        "claim": price.filtering.value.claim,
         **prices_of(price, mdp),
         **costs_of(costs),
         "needed": {name: None if each is None else need_of(each) for name, each in needed.items()},

@@ -78,7 +78,7 @@ def price_of_perception(
     confusion: ArrayLike,
     *,
     policy: object = "optimal",
-    tolerance: float = 0.02,
+    tol: float = 0.02,
     seconds: float = 5.0,
     max_trials: int = 100_000,
     node_limit: int = NODES,
@@ -90,7 +90,7 @@ def price_of_perception(
     mdp : MDP with a column `status`
     confusion : (Z, Z) probabilities of the perceived status (column) given the true one (row)
     policy : what is taken for true perceptions; the optimum unless given
-    tolerance, seconds, max_trials : when each of the two searches over beliefs ends; where time
+    tol, seconds, max_trials : when each of the two searches over beliefs ends; where time
         ends it, bounds differ a little from one run to the next
     node_limit : relaxations solved for the best memoryless policy at most
 
@@ -99,14 +99,14 @@ def price_of_perception(
     >>> from exact_mdp import Scenario
     >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
-    >>> found = price_of_perception(mdp, independent([0.9] * 4, [0.9] * 4), tolerance=0.05)
+    >>> found = price_of_perception(mdp, independent([0.9] * 4, [0.9] * 4), tol=0.05)
     >>> f"{found.taken_as_true.value:.2f} {found.memoryless.value.value:.2f}"
     '60.32 60.54'
     >>> found.memoryless.value.value <= found.filtering.upper <= found.perfect.interval[1] + 1e-9
     True
     """
     limits: dict[str, Any] = {
-        "tolerance": tolerance, "seconds": seconds, "max_trials": max_trials
+        "tol": tol, "seconds": seconds, "max_trials": max_trials
     }  # fmt: skip
     process = Process.of(mdp, confusion)
     optimum = solve(mdp)

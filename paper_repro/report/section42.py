@@ -117,7 +117,7 @@ def worsening() -> tuple[tuple[PriceOfPerception, ...], Hedging, AccuracyCurves,
     """Return what is left as perception worsens, how reading hedges, curves, and what is needed."""
     mdp = measured().mdp
     # Limits by count, not by time: every run says the same.
-    found = prices(mdp, LEVELS, tolerance=0.05, seconds=60, max_trials=20, node_limit=4000)
+    found = prices(mdp, LEVELS, tol=0.05, seconds=60, max_trials=20, node_limit=4000)
     return found, Hedging.of(mdp, LEVELS, found), accuracy_curves(mdp), accuracy_needed(mdp)
 
 

@@ -17,27 +17,85 @@ included; where there is time they meet.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 from time import perf_counter
+from typing import TYPE_CHECKING
+
+from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.pomdp.search import Search, Vectors
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solution import Bounded
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas, tqdm = later("pandas"), later("tqdm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BeliefSolution:
-    """What the best controller with memory is worth at the start, from both sides.
+class BeliefProblem:
+    """A model whose status is perceived with errors, to be acted in with memory; `solve` takes it.
+
+    Attributes
+    ----------
+    model : MDP
+        With a column `status`, the one that moves fastest.
+    confusion : (Z, Z)
+        Probabilities of the perceived status (column) given the true one (row).
+    events : sequence of str, optional
+        Names of the model's events that the actor notices; all of them unless given.
+    seconds, max_trials : float, int
+        Limits of the search.
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, solve
+    >>> from exact_mdp.mdp.care.perception import independent
+    >>> mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
+    >>> problem = BeliefProblem(model=mdp, confusion=independent([0.9] * 4, [0.8] * 4))
+    >>> solve(problem, tol=1e-6).closed
+    True
+    """
+
+    model: MDP
+    confusion: ArrayLike
+    events: Sequence[str] | None = None
+    seconds: float = 10.0
+    max_trials: int = 100_000
+
+    def solve_with(self, solver: object, tol: float | None) -> BeliefSolution:
+        """Return what `solve_beliefs` gives; `solve` calls this."""
+        if solver != "auto":
+            raise ModelError(
+                "a belief problem has one algorithm", where="solve", fix="leave the solver out"
+            )
+        return solve_beliefs(
+            Process.of(self.model, self.confusion, events=self.events),
+            tol=1e-3 if tol is None else tol,
+            seconds=self.seconds,
+            max_trials=self.max_trials,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BeliefSolution(Result):
+    """The value of the best controller with memory at the start, from both sides.
 
     Attributes
     ----------
     process : Process
     lower, upper : float
-        The optimum lies between them; so does the value of `solvers.pomdp.belief.BeliefController`
-        with these vectors.
+        The optimum lies between them; so does the value of the controller that takes, in belief
+        b at place x, the action of the vector of x with the greatest α · b.
     vectors : tuple of Vectors
         For each of the P places.
     trials : int
@@ -55,19 +113,38 @@ class BeliefSolution:
     closed: bool
 
     @property
-    def claim(self) -> Claim:
-        """What is claimed: a sound interval."""
-        return Claim.BOUNDED
+    def value(self) -> Bounded:
+        """The middle of the interval, and its half width."""
+        half = (self.upper - self.lower) / 2
+        return Bounded(value=self.lower + half, error=half * (1 + 1e-9) + 2e-16 * abs(self.upper))
+
+    start = value
+
+    @property
+    def error(self) -> float:
+        """Half the width of the interval."""
+        return self.value.error
+
+    @property
+    def start_value(self) -> float:
+        """The middle of the interval."""
+        return self.value.value
 
     @property
     def interval(self) -> tuple[float, float]:
         """Lower and upper bound."""
         return self.lower, self.upper
 
-    @property
-    def gap(self) -> float:
-        """Upper less lower bound."""
-        return self.upper - self.lower
+    def action(self, place: int, belief: Floats) -> str:
+        """Return the action to take at a place, in a belief (Z,) after perceiving."""
+        known = self.vectors[place]
+        number = int(known.action[int((known.value @ belief).argmax())])
+        return self.process.mdp.actions[number]
+
+    def frame(self) -> DataFrame:
+        """Return both bounds, and how the search ended."""
+        row = {"lower (reward)": self.lower, "upper (reward)": self.upper}
+        return pandas.DataFrame([row | {"trials": self.trials, "closed": self.closed}])
 
     def __repr__(self) -> str:
         end = "" if self.closed else "; the limit came first"
@@ -77,7 +154,7 @@ class BeliefSolution:
 def solve_beliefs(
     process: Process,
     *,
-    tolerance: float = 1e-3,
+    tol: float = 1e-3,
     seconds: float = 10.0,
     max_trials: int = 100_000,
     begin: object = None,
@@ -86,42 +163,44 @@ def solve_beliefs(
 
     Parameters
     ----------
-    tolerance : the gap at which the search ends, in units of reward
-    seconds, max_trials : limits; the bounds are sound wherever it stops. Where trials end it, not
-        time, they are the same in every run
-    begin : policy on perceived statuses, or a sequence of them, optional
+    process : Process
+    tol : float
+        The gap at which the search ends, in units of reward.
+    seconds, max_trials : float, int
+        Limits; the bounds are sound wherever it stops. Where trials end it, not time, they are the
+        same in every run.
+    begin : PolicyLike on perceived statuses, or a sequence of them, optional
         The lower bound is at least their values. Every available action for ever, unless given.
+
+    Returns
+    -------
+    BeliefSolution
 
     Raises
     ------
     ModelError
-        For limits that are no positive numbers, and rewards too large for floats.
+        For limits that are not positive numbers, and rewards too large for floats.
 
     Examples
     --------
     >>> from exact_mdp import Scenario
     >>> from exact_mdp.mdp.care.perception import independent
     >>> mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
-    >>> found = solve_beliefs(Process.of(mdp, independent([0.9] * 4, [0.8] * 4)), tolerance=1e-6)
+    >>> found = solve_beliefs(Process.of(mdp, independent([0.9] * 4, [0.8] * 4)), tol=1e-6)
     >>> found.closed, f"{found.lower:.4f} {found.upper:.4f}"
     (True, '...')
     """
-    for name, limit in (("tolerance", tolerance), ("seconds", seconds), ("max_trials", max_trials)):
+    for name, limit in (("tol", tol), ("seconds", seconds), ("max_trials", max_trials)):
         if not limit > 0:
             raise ModelError(f"{name} is {limit}", where="solve_beliefs", fix="give more than 0")
     check_counts("solve_beliefs", max_trials=max_trials)
-    from tqdm import tqdm
-
     started = perf_counter()
-    search = Search(process, begin)
-    trials = 0
+    search, trials = Search(process, begin), 0
     lower, upper = search.lower, search.upper
     # With `disable=None` there is a bar where stderr is a terminal, and none elsewhere.
-    with tqdm(desc="beliefs", unit=" trials", delay=1, disable=None, leave=False) as bar:
-        while (
-            upper - lower > tolerance and trials < max_trials and perf_counter() - started < seconds
-        ):
-            search.trial(tolerance, started + seconds)
+    with tqdm.tqdm(desc="beliefs", unit=" trials", delay=1, disable=None, leave=False) as bar:
+        while upper - lower > tol and trials < max_trials and perf_counter() - started < seconds:
+            search.trial(tol, started + seconds)
             trials += 1
             lower, upper = search.lower, search.upper
             bar.set_postfix_str(f"gap {upper - lower:.3g}", refresh=False)
@@ -139,5 +218,5 @@ def solve_beliefs(
         vectors=search.vectors(),
         trials=trials,
         seconds=perf_counter() - started,
-        closed=upper - lower <= tolerance,
+        closed=upper - lower <= tol,
     )

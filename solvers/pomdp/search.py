@@ -35,50 +35,42 @@ class Vectors:
 
 
 class _Growing:
-    """Rows (n, Z) with a number each, kept in arrays that double when they are full."""
+    """Rows of one shape, kept in an array that doubles when it is full."""
 
-    def __init__(self, size: int) -> None:
-        self._rows, self._numbers = np.zeros((8, size)), np.zeros(8)
-        self.count = 0
+    def __init__(self, *shape: int) -> None:
+        self._all, self.count = np.zeros((8, *shape)), 0
 
-    def add(self, row: Floats, number: float) -> None:
+    def add(self, row: Floats | float) -> None:
         """Add one row."""
-        if self.count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            self._numbers = np.concatenate([self._numbers, np.zeros_like(self._numbers)])
-        self._rows[self.count], self._numbers[self.count] = row, number
+        if self.count == len(self._all):
+            self._all = np.concatenate([self._all, np.zeros_like(self._all)])
+        self._all[self.count] = row
         self.count += 1
 
     @property
     def rows(self) -> Floats:
-        """(n, Z) the rows."""
-        return self._rows[: self.count]
-
-    @property
-    def numbers(self) -> Floats:
-        """(n,) the numbers."""
-        return self._numbers[: self.count]
+        """(n, …) what was added."""
+        return self._all[: self.count]
 
 
 class _Upper:
     """Upper bounds of one place: fast informed vectors, corners and points."""
 
     def __init__(self, fast: Floats) -> None:
+        size = fast.shape[1]
         self.fast = fast  # (A, Z), available actions alone
         self.corner = fast.max(axis=0)
-        self.points = _Growing(fast.shape[1])
-        self._inverse = np.zeros((8, fast.shape[1]))
-        self._barred = np.zeros((8, fast.shape[1]))
+        self._points, self._values = _Growing(size), _Growing()
+        self._inverse, self._barred = _Growing(size), _Growing(size)
 
     def at(self, beliefs: Floats) -> Floats:
         """Return (B,) upper bounds at beliefs (B, Z) of any sum."""
         found = (beliefs @ self.fast.T).max(axis=1)
         base = beliefs @ self.corner
         np.minimum(found, base, out=found)
-        if self.points.count:
-            n = self.points.count
-            drop = self.points.numbers - self.points.rows @ self.corner
-            share = beliefs[:, None, :] * self._inverse[:n] + self._barred[:n]
+        if self._points.count:
+            drop = self._values.rows - self._points.rows @ self.corner
+            share = beliefs[:, None, :] * self._inverse.rows + self._barred.rows
             saw = base + (share.min(axis=2) * np.minimum(drop, 0.0)).min(axis=1)
             np.minimum(found, saw, out=found)
         return np.asarray(found)
@@ -94,13 +86,10 @@ class _Upper:
             return
         if not value < self.at(belief[None])[0] - CHECKED * abs(value):
             return
-        n = self.points.count
-        self.points.add(belief, value)
-        if n == len(self._inverse):
-            self._inverse = np.concatenate([self._inverse, np.zeros_like(self._inverse)])
-            self._barred = np.concatenate([self._barred, np.zeros_like(self._barred)])
-        self._inverse[n] = np.divide(1.0, belief, out=np.zeros_like(belief), where=belief > 0)
-        self._barred[n] = np.where(belief > 0, 0.0, np.inf)
+        self._points.add(belief)
+        self._values.add(value)
+        self._inverse.add(np.divide(1.0, belief, out=np.zeros_like(belief), where=belief > 0))
+        self._barred.add(np.where(belief > 0, 0.0, np.inf))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,21 +118,27 @@ class Search:
         fast = fast_informed(process)[..., 0]
         self.available = [np.flatnonzero(row) for row in process.offered]
         self.up = [_Upper(fast[x][self.available[x]]) for x in range(places)]
-        self.low = [_Growing(size) for _ in range(places)]  # with the vectors' actions
+        self.low = [_Growing(size) for _ in range(places)]
+        self.actions: list[list[int]] = [[] for _ in range(places)]  # of these vectors
         for table in _tables(process, begin):
             _, q = values(process, acting(process, table))
             for place in process.order:
                 for action in self.available[place]:
-                    self.low[place].add(q[place, :, action, 0], int(action))
+                    self._learn(place, q[place, :, action, 0], int(action))
         first = process.start * process.confusion.T  # (Z, Z) by what is seen
         self.first = first[first.sum(axis=1) > 0]
 
     def vectors(self) -> tuple[Vectors, ...]:
         """Return a copy of every place's vectors."""
+        both = zip(self.low, self.actions, strict=True)
         return tuple(
-            Vectors(value=each.rows.copy(), action=each.numbers.astype(np.int64))
-            for each in self.low
+            Vectors(value=low.rows.copy(), action=np.array(actions, dtype=np.int64))
+            for low, actions in both
         )
+
+    def _learn(self, place: int, vector: Floats, action: int) -> None:
+        self.low[place].add(vector)
+        self.actions[place].append(action)
 
     @property
     def lower(self) -> float:
@@ -161,9 +156,7 @@ class Search:
         place = self.process.start_place
         gaps = self.up[place].at(self.first) - (self.first @ self.low[place].rows.T).max(axis=1)
         belief = self.first[int(gaps.argmax())]
-        self._explore(place, belief / belief.sum(), tolerance * LEFT, end)
-
-    def _explore(self, place: int, belief: Floats, tolerance: float, end: float) -> None:
+        belief, tolerance = belief / belief.sum(), tolerance * LEFT
         path = []
         while True:
             path.append((place, belief))
@@ -185,8 +178,8 @@ class Search:
             belief = np.zeros(self.process.statuses)
             belief[branch.move.reach] = branch.beliefs[action, number]
             belief /= belief.sum()
-        for place, belief in reversed(path):
-            self._back_up(place, belief)
+        for each in reversed(path):
+            self._back_up(*each)
 
     def _look(self, place: int, belief: Floats) -> tuple[list[_Branch], Floats, Floats]:
         """Return the branches of a belief, and bounds (A,) on its actions, not available -inf."""
@@ -235,7 +228,7 @@ class Search:
             rows = self.low[move.place].rows[branch.vector[action]][:, move.reach]
             ahead = (branch.seen * rows).sum(axis=0)
             vector += process.discount * (move.chance[action] @ ahead)
-        self.low[place].add(vector, action)
+        self._learn(place, vector, action)
 
 
 def _tables(process: Process, begin: object) -> list[Floats]:
@@ -243,10 +236,10 @@ def _tables(process: Process, begin: object) -> list[Floats]:
     if begin is not None:
         forms = list(begin) if isinstance(begin, list | tuple) else [begin]
         return [process.table(form) for form in forms]
-    tables = []
-    for action in range(process.offered.shape[1]):
-        row = np.eye(process.offered.shape[1])[action]
-        first = np.eye(process.offered.shape[1])[process.offered.argmax(axis=1)]
-        table = np.where(process.offered[:, action][:, None], row, first)
-        tables.append(np.repeat(table[:, None], process.statuses, axis=1))
-    return tables
+    one_hot = np.eye(process.offered.shape[1])
+    first = one_hot[process.offered.argmax(axis=1)]
+    tables = [
+        np.where(offered[:, None], row, first)
+        for offered, row in zip(process.offered.T, one_hot, strict=True)
+    ]
+    return [np.repeat(table[:, None], process.statuses, axis=1) for table in tables]

@@ -8,19 +8,16 @@ pass forward. Every number is a sum of products, so with D steps at most, n roun
 them and R the greatest reward of an outcome, a start value is off by at most γ(D n) D R (Higham,
 Accuracy and Stability of Numerical Algorithms, SIAM 2002, section 3.1).
 
-Bounds on what can be had where a status is perceived: fully informed, QMDP and fast informed.
+The fast informed bound has one vector for each place x and action a, linear in the belief:
 
-Upper bounds that are linear in the belief, one vector for each place x and action a:
+    α(x, a)(s) = r + γ Σ_{x', σ, z'} max_a' Σ_{s'} T(s, a; x', σ, s') C(s', z') α(x', a')(s')
 
-    QMDP   α(x, a)(s) = r + γ Σ_{x', σ, s'} T(s, a; x', σ, s') max_a' α(x', a')(s')
-    FIB    α(x, a)(s) = r + γ Σ_{x', σ, z'} max_a' Σ_{s'} T(s, a; x', σ, s') C(s', z') α(x', a')(s')
-
-QMDP lets the actor know the status from the next step on, the fast informed bound only the one
-before. Each is at least the value of every controller that sees perceptions alone, with whatever
-memory, mixed or not: V* ≥ QMDP ≥ FIB ≥ the best (Hauskrecht, Value-function approximations for
-partially observable Markov decision processes, Journal of Artificial Intelligence Research 13,
-2000, sections 4.1 to 4.3). Where only some actions are allowed at each place and perceived status,
-FIB bounds all policies that keep to them, and with one action allowed it is that policy's value.
+It lets whoever acts know the status of the step before. It is at least the value of every
+controller that sees perceptions alone, with whatever memory, mixed or not (Hauskrecht,
+Value-function approximations for partially observable Markov decision processes, Journal of
+Artificial Intelligence Research 13, 2000, section 4.3). Where only some actions are allowed at each
+place and perceived status, it bounds all policies that keep to them, and with one action allowed it
+is that policy's value.
 """
 
 from __future__ import annotations
@@ -28,20 +25,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.care.process import Move, Process
+from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 
 
 def acting(process: Process, table: Floats, confusion: Floats | None = None) -> Floats:
-    """Return (P, Z, A, N) what is done in each *true* status.
+    """Return (P, Z, A, N) the probability of each action in each *true* status.
 
-    Parameters
-    ----------
-    table : (P, Z, A) or (N, P, Z, A)
-        Probability of each action by place and perceived status, as `Process.table` returns it.
-    confusion : (Z, Z) or (N, Z, Z), optional
-        The process's own unless given.
+    The table (P, Z, A) or (N, P, Z, A) has it by place and perceived status, as `Process.table`
+    gives it; the confusion (Z, Z) or (N, Z, Z) is the process's own unless given.
     """
     matrix = process.confusion if confusion is None else confusion
     if table.ndim == 3 and matrix.ndim == 2:
@@ -54,16 +47,7 @@ def acting(process: Process, table: Floats, confusion: Floats | None = None) -> 
 
 
 def values(process: Process, weights: Floats) -> tuple[Floats, Floats]:
-    """Return values (P, Z, N) and action values (P, Z, A, N) of policies (P, Z, A, N).
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> process = Process.of(Scenario.load("yuan2025").compile(), np.eye(16))
-    >>> value, _ = values(process, acting(process, process.table("always:directive")))
-    >>> round(float(at_start(process, value)[0]), 6)
-    64.363644
-    """
+    """Return values (P, Z, N) and action values (P, Z, A, N) of policies (P, Z, A, N)."""
     places, statuses, actions, count = weights.shape
     value = np.zeros((places, statuses, count))
     q = np.zeros((places, statuses, actions, count))
@@ -104,43 +88,11 @@ def rounding(process: Process) -> float:
     return float(gamma(process.depth * process.terms)) * largest(process) * SLACK
 
 
-Flags = NDArray[np.bool_]
-
-
-def qmdp(process: Process) -> Floats:
-    """Return (P, A, Z) vectors of action values for knowing the status from the next step on.
-
-    The greatest entry over the actions is the value of knowing the status already. An action that
-    is not available has -inf.
-    """
-    closed = ~process.offered[:, :, None]
-    vectors = np.where(closed, -np.inf, process.reward.transpose(0, 2, 1))
-    best = np.zeros(vectors.shape[::2])
-    for place in reversed(process.order):
-        for move in process.moves[place]:
-            vectors[place] += process.discount * (move.chance @ best[move.place][move.reach])
-        best[place] = vectors[place].max(axis=0)
-    return vectors
-
-
-def fast_informed(process: Process, allowed: Flags | None = None) -> Floats:
+def fast_informed(process: Process, allowed: NDArray[np.bool_] | None = None) -> Floats:
     """Return (P, A, Z, N) vectors of the fast informed bound.
 
-    Parameters
-    ----------
-    allowed : (P, Z, A, N) bool, optional
-        Actions allowed at each place and perceived status, among those on offer; all of them
-        unless given, with N = 1.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.mdp.care.perception import independent
-    >>> mdp = Scenario.load("yuan2025").compile()
-    >>> process = Process.of(mdp, independent([0.9] * 4, [0.9] * 4))
-    >>> known, guessed = qmdp(process)[0, :, 0].max(), fast_informed(process)[0, :, 0, 0].max()
-    >>> f"{known:.3f} {guessed:.3f}"
-    '146.236 145.886'
+    The actions `allowed` (P, Z, A, N) at each place and perceived status are all of those on offer
+    unless given, with N = 1.
     """
     places, actions = process.offered.shape
     if allowed is None:
@@ -150,22 +102,11 @@ def fast_informed(process: Process, allowed: Flags | None = None) -> Floats:
     for place in reversed(process.order):
         vectors[place] = process.reward[place].T[:, :, None]
         for move in process.moves[place]:
-            q = informed(process, move, vectors[move.place])
+            # (A, Z, Z', A', N) the value of a' after (a, s) where z' is perceived
+            weights = move.chance[:, :, None, :] * process.confusion[move.reach].T
+            ahead = vectors[move.place][:, move.reach].transpose(1, 0, 2)
+            q = weights.reshape(-1, len(move.reach)) @ ahead.reshape(len(move.reach), -1)
+            q = q.reshape(*weights.shape[:3], actions, count)
             q = np.where(allowed[move.place], q, -np.inf)
             vectors[place] += process.discount * q.max(axis=3).sum(axis=2)
     return vectors
-
-
-def informed(process: Process, move: Move, vectors: Floats) -> Floats:
-    """Return (A, Z, Z', A', N) what action a' is worth after (a, s), where z' is perceived.
-
-    Parameters
-    ----------
-    vectors : (A', Z, N)
-        At the place that the move leads to.
-    """
-    weights = move.chance[:, :, None, :] * process.confusion[move.reach].T
-    actions, statuses, seen, reached = weights.shape
-    ahead = vectors[:, move.reach].transpose(1, 0, 2).reshape(reached, -1)
-    found = weights.reshape(-1, reached) @ ahead
-    return np.asarray(found.reshape(actions, statuses, seen, len(vectors), -1))

@@ -74,10 +74,17 @@ class RobustModel:
     nature: Nature = "worst"
     objective: Objective = "max"
 
-    def solved(self, *, tol: float | None = None) -> RobustSolution:
+    def solve_with(self, solver: object, tol: float | None) -> RobustSolution:
         """Return what `solve_robust` gives; `solve` calls this."""
-        how = {"nature": self.nature, "objective": self.objective}
-        return solve_robust(self.model, self.ambiguity, tol=tol, **how)
+        if solver != "auto":
+            raise ModelError(
+                "a robust model has one algorithm",
+                where="solve",
+                fix="leave the solver out; solve_robust takes max_iterations",
+            )
+        return solve_robust(
+            self.model, self.ambiguity, nature=self.nature, objective=self.objective, tol=tol
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

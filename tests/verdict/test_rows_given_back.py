@@ -13,9 +13,9 @@ from mixed_numbers import again, rows_of
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care.perception import independent
+from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.io.npz import load, save
 from exact_mdp.solvers import ValueIteration, certify, evaluate, solve
-from exact_mdp.solvers.pomdp.belief import Process
 from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
 from exact_mdp.solvers.robust.robust import solve_robust
 from exact_mdp.solvers.robust.sets import Intervals
