@@ -23,14 +23,13 @@ from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.paper_repro.agents import DISCLAIMER, recording
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.claims import errors
-from exact_mdp.paper_repro.agents.conversation import Conversation, totals
+from exact_mdp.paper_repro.agents.conversation import Conversation, conversation, recorded, totals
 from exact_mdp.paper_repro.agents.measure import bits
 from exact_mdp.paper_repro.agents.modules import VARIANTS, Place
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, Tap
 from exact_mdp.paper_repro.agents.recording import Recording
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, render, replayed
-from exact_mdp.paper_repro.agents.setup import conversation, recorded
 from exact_mdp.paper_repro.agents.world import choose
 from exact_mdp.solvers import evaluate
 
@@ -322,8 +321,8 @@ def test_a_folder_with_another_conversation_is_left_alone(tmp_path: Path) -> Non
     [
         (lambda lines: [*lines[:2], b"{broken", *lines[3:]], "line 3 is not JSON"),
         (lambda lines: [*lines[:2], *lines[3:]], "line 3 is timestep 2, not 1"),
-        (lambda lines: lines[1:], "line 1 is no header"),
-        (lambda lines: [lines[0], b"[]", *lines[2:]], "line 2 is not an object"),
+        (lambda lines: lines[1:], "line 1 does not fit"),
+        (lambda lines: [lines[0], b"[]", *lines[2:]], "line 2 does not fit: it is not an object"),
         (lambda lines: [lines[0], b"\xff\xfe", *lines[2:]], "line 2 is not JSON"),
     ],
 )

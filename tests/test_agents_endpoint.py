@@ -12,14 +12,16 @@ from click.testing import CliRunner
 from fake_endpoint import GOOD, fake_endpoint
 
 from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.lazy import later
+from exact_mdp.paper_repro.agents import endpoint as module
 from exact_mdp.paper_repro.agents import recording
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.chat import Style
+from exact_mdp.paper_repro.agents.conversation import conversation, modules_of, recorded
 from exact_mdp.paper_repro.agents.endpoint import LONGEST_WAIT, Endpoint
 from exact_mdp.paper_repro.agents.modules import Place
 from exact_mdp.paper_repro.agents.protocol import BackendError, Request
 from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, replayed
-from exact_mdp.paper_repro.agents.setup import conversation, modules_of, recorded
 
 KEY = "sk-test-0123456789abcdef"
 
@@ -237,6 +239,7 @@ def test_without_a_key_none_is_sent(request_: Request, monkeypatch: pytest.Monke
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "httpcore", None)
     monkeypatch.delitem(sys.modules, "exact_mdp.paper_repro.agents.transport", raising=False)
+    monkeypatch.setattr(module, "transport", later("exact_mdp.paper_repro.agents.transport"))
     with pytest.raises(ModelError, match=r"exact-mdp\[agents-openai\]"):
         endpoint("http://127.0.0.1:1/v1")
 

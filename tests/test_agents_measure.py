@@ -20,6 +20,7 @@ from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.claims import EXACT, errors, misread, statements
+from exact_mdp.paper_repro.agents.conversation import conversation, modules_of
 from exact_mdp.paper_repro.agents.measure import (
     bits,
     cost,
@@ -33,7 +34,6 @@ from exact_mdp.paper_repro.agents.measure import (
 )
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.session import NAME, hold
-from exact_mdp.paper_repro.agents.setup import conversation, modules_of
 from exact_mdp.solvers import certify, evaluate
 
 PLAN = reported.policy("non-directive", reported.completions()[77])

@@ -14,16 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.paper_repro.agents.chat import (
+from exact_mdp.paper_repro.agents.conversation import modules_of
+from exact_mdp.paper_repro.agents.modules import VARIANTS, Modules, Place
+from exact_mdp.paper_repro.agents.prompts import COMPONENTS, FOLDER, Prompts, encode
+from exact_mdp.paper_repro.agents.protocol import Request
+from exact_mdp.paper_repro.agents.schema import (
     behaviour_schema,
     execution_schema,
     perception_schema,
     violations,
 )
-from exact_mdp.paper_repro.agents.modules import VARIANTS, Modules, Place
-from exact_mdp.paper_repro.agents.prompts import COMPONENTS, FOLDER, Prompts, encode
-from exact_mdp.paper_repro.agents.protocol import Request
-from exact_mdp.paper_repro.agents.setup import modules_of
 
 STATUS = {"forgetfulness": 1, "confusion": 0, "anger": 1, "disengagement": 0}
 PAST = [{"timestep": 0, "nonverbal": "Nods.", "verbal": "PAST WORDS", "caregiver": "PAST ANSWER"}]
@@ -96,11 +96,11 @@ def test_every_component_is_in_the_prompt(modules: Modules, purpose: str) -> Non
 def test_the_signs_tell_a_component_that_is_missing(modules: Modules, purpose: str) -> None:
     whole = modules.prompts[purpose]
     for left_out in whole.components:
-        rest = tuple(c for c in whole.components if c.name != left_out.name)
+        rest = tuple(c for c in whole.components if c["name"] != left_out["name"])
         prompts = dict(modules.prompts.prompts) | {purpose: replace(whole, components=rest)}
         without = replace(modules, prompts=replace(modules.prompts, prompts=prompts))
         prompt = text(requests(without)[purpose])
-        assert not all(sign in prompt for sign in SIGNS[purpose][left_out.name]), left_out.name
+        assert not all(sign in prompt for sign in SIGNS[purpose][left_out["name"]]), left_out
 
 
 def test_perception_is_never_told_the_status(modules: Modules) -> None:

@@ -91,6 +91,8 @@ def imports_of(path: str, source: str) -> list[Import]:
                 args=[ast.Constant(value=str(name)), *_],
             ) if not name.startswith("."):
                 yield Import(path, node.lineno, name, at_import_time)
+            case ast.Call(func=ast.Name(id="later"), args=[ast.Constant(value=str(name)), *_]):
+                yield Import(path, node.lineno, name, False)
         for field, value in ast.iter_fields(node):
             inside = at_import_time and not (
                 isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
@@ -160,6 +162,8 @@ def circles(sources: dict[str, str]) -> list[list[str]]:
                     wanted = [(f"{module}.{alias.name}", module) for alias in aliases]
                 case ast.Import(names=aliases):
                     wanted = [(alias.name, alias.name) for alias in aliases]
+                case ast.Call(func=ast.Name(id="later"), args=[ast.Constant(value=str(name))]):
+                    wanted = [(name, name)]
                 case _:
                     continue
             for either in wanted:  # a module of a package, or else a name in a module

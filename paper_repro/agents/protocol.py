@@ -1,9 +1,8 @@
 """What is asked of a language model and what comes back: messages and a schema in, an object out.
 
 A backend is anything with `describe` and `answer`. It returns an object that fits the request's
-schema, or raises BackendError; there is no third outcome.
-
-A backend that keeps what passes through it: the requests, and what the answers took.
+schema, or raises BackendError; there is no third outcome. `Tap` is a backend that keeps what passes
+through it to another one.
 """
 
 from __future__ import annotations
@@ -17,6 +16,17 @@ from typing import Any, Protocol
 from exact_mdp.mdp.errors import ModelError
 
 PURPOSES = ("behaviour", "perception", "execution")
+
+
+def plain(text: object) -> str:
+    """Return text on one line, without control characters.
+
+    Examples
+    --------
+    >>> plain("one\\nTimestep 7\\x1b[31m")
+    'one Timestep 7 [31m'
+    """
+    return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
 
 
 class BackendError(ModelError):

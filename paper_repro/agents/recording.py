@@ -1,6 +1,4 @@
-"""What the entries of a recording have to look like, so that a damaged one is told as such.
-
-A conversation on file: one JSON object a line, written as it goes, so a crash loses one step.
+"""A conversation on file: one JSON object a line, written as it goes, so a crash loses one step.
 
 The first line is the header: everything that the conversation follows from. Then one line for
 each timestep, and a last one with the totals. A line counts once its newline is written.
@@ -10,134 +8,71 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes
-
-MOST_COUNTED = 10**18  # of anything that a recording counts: steps, tokens
-EVENTS = ("completed", "failed", "skipped")
-CALL = ("purpose", "request", "data", "attempts", "prompt_tokens", "completion_tokens", "seconds")
-
-Test = Callable[[Any], bool]
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < MOST_COUNTED
-
-
-def _seed(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
-
-
-def _text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _texts(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(part, str) for part in value)
-
-
-def _table(value: Any) -> bool:
-    return isinstance(value, dict)
-
-
-def _fraction(value: Any) -> bool:
-    if not isinstance(value, str) or len(value) > 4000 or not value.isascii():
-        return False
-    if not value.lstrip("-").replace("/", "", 1).isdecimal():
-        return False
-    try:
-        Fraction(value)
-    except (ValueError, ZeroDivisionError):
-        return False
-    return True
-
-
-def _steps(value: Any) -> bool:
-    return isinstance(value, list) and all(
-        isinstance(part, dict) and _text(part.get("goal")) and _text(part.get("step"))
-        for part in value
-    )
-
-
-def _behaviour(value: Any) -> bool:
-    return _table(value) and _text(value.get("nonverbal")) and _text(value.get("verbal"))
-
-
-def _calls(value: Any) -> bool:
-    return isinstance(value, list) and all(
-        isinstance(call, dict)
-        and set(call) == set(CALL)
-        and _table(call["data"])
-        and all(_whole(call[name]) for name in CALL[3:6])
-        for call in value
-    )
-
-
-HEADER: dict[str, Test] = {
-    **dict.fromkeys(("disclaimer", "scenario", "policy", "setting", "activity", "variant"), _text),
-    **dict.fromkeys(("activity_named", "prompts_named"), _text),
-    "seed": _seed,
-    **dict.fromkeys(("trials", "history"), _whole),
-    **dict.fromkeys(("set", "statuses", "actions"), _texts),
-    "backend": _table,
-    "steps": _steps,
-}
-
-STEP: dict[str, Test] = {
-    **dict.fromkeys(("timestep", "state", "subtask", "trial", "next_state"), _whole),
-    **dict.fromkeys(("status", "perceived", "action", "assistance"), _text),
-    **dict.fromkeys(("reward", "return"), _fraction),
-    "behaviour": _behaviour,
-    "event": EVENTS.__contains__,
-    "calls": _calls,
-}
-
-END: dict[str, Test] = {
-    **dict.fromkeys(("timesteps", "completed", "skipped", "misperceived"), _whole),
-    **dict.fromkeys(("requests", "attempts", "prompt_tokens", "completion_tokens"), _whole),
-    "return": _fraction,
-}
-
-
-def fault(entry: Mapping[str, Any], shape: Mapping[str, Test]) -> str | None:
-    """Return the name of a part that is missing or of another kind; None where there is none.
-
-    Examples
-    --------
-    >>> fault({"seed": -1}, {"seed": _whole})
-    'seed'
-    """
-    for name, test in shape.items():
-        value = entry.get(name)
-        try:
-            good = name in entry and test(value)
-        except TypeError:  # an unhashable value where a word is wanted
-            good = False
-        if not good:
-            return name
-    return None
-
-
-def step_fault(step: Mapping[str, Any], header: Mapping[str, Any]) -> str | None:
-    """Return the name of a part of a timestep that does not fit itself or the header."""
-    found = fault(step, STEP)
-    if found:
-        return found
-    for name in ("status", "perceived"):
-        if len(step[name]) != len(header["statuses"]) or not set(step[name]) <= {"0", "1"}:
-            return name
-    if step["subtask"] >= len(header["steps"]):
-        return "subtask"
-    return None if step["action"] in header["actions"] else "action"
-
+from exact_mdp.paper_repro.agents.schema import (
+    OBJECT,
+    TEXT,
+    Schema,
+    listed,
+    record,
+    violations,
+    whole,
+)
 
 FORMAT = 1
+COUNT = whole(0, 10**18 - 1)  # of anything that a recording counts: steps, tokens
+COUNTS = dict.fromkeys(("attempts", "prompt_tokens", "completion_tokens"), COUNT)
+FRACTION = {"type": "string", "maxLength": 4000, "pattern": "-?[0-9]+(/[0-9]*[1-9][0-9]*)?"}
+CALL = record({"purpose": TEXT, "request": TEXT, "data": OBJECT, **COUNTS, "seconds": {}})
+
+HEADER = record(
+    {
+        "kind": {"type": "string", "enum": ["header"]},
+        "format": {"type": "integer", "enum": [FORMAT]},
+        **dict.fromkeys(("disclaimer", "scenario", "policy", "setting", "activity"), TEXT),
+        **dict.fromkeys(("variant", "activity_named", "prompts_named"), TEXT),
+        "seed": whole(),
+        **dict.fromkeys(("trials", "history"), COUNT),
+        **dict.fromkeys(("set", "statuses", "actions"), listed(TEXT)),
+        "backend": OBJECT,
+        "steps": listed(record({"goal": TEXT, "step": TEXT}, others=True)),
+    },
+    others=True,
+)
+END = record(
+    {
+        **dict.fromkeys(("timesteps", "completed", "skipped", "misperceived", "requests"), COUNT),
+        **COUNTS,
+        "return": FRACTION,
+    },
+    others=True,
+)
+
+
+def step_schema(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of a timestep of the conversation that a header describes."""
+    vector = {"type": "string", "pattern": f"[01]{{{len(header['statuses'])}}}"}
+    return record(
+        {
+            "kind": {"type": "string", "enum": ["step"]},
+            **dict.fromkeys(("timestep", "state", "trial", "next_state"), COUNT),
+            "subtask": whole(0, len(header["steps"]) - 1),
+            **dict.fromkeys(("status", "perceived"), vector),
+            "action": {"type": "string", "enum": header["actions"]},
+            "assistance": TEXT,
+            **dict.fromkeys(("reward", "return"), FRACTION),
+            "behaviour": record({"nonverbal": TEXT, "verbal": TEXT}, others=True),
+            "event": {"type": "string", "enum": ["completed", "failed", "skipped"]},
+            "calls": listed(CALL),
+        },
+        others=True,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,11 +106,12 @@ class Recorder:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             os.ftruncate(self._file, keep)
         except OSError as error:
-            raise ModelError(
-                f"cannot write the recording: {error.strerror}",
-                where=str(path),
-                fix="check the folder",
-            ) from error
+            raise self._unwritten(error, "check the folder") from error
+
+    def _unwritten(self, error: OSError, fix: str) -> ModelError:
+        return ModelError(
+            f"cannot write the recording: {error.strerror}", where=str(self._path), fix=fix
+        )
 
     def add(self, entry: Mapping[str, Any]) -> None:
         """Write one entry and wait until it is on the disk."""
@@ -185,11 +121,7 @@ class Recorder:
                 data = data[os.write(self._file, data) :]
             os.fsync(self._file)
         except OSError as error:
-            raise ModelError(
-                f"cannot write the recording: {error.strerror}",
-                where=str(self._path),
-                fix="make room, then resume",
-            ) from error
+            raise self._unwritten(error, "make room, then resume") from error
 
     def __enter__(self) -> Recorder:
         return self
@@ -204,39 +136,36 @@ def read(path: str | Path) -> Recording:
     Raises
     ------
     ModelError
-        For a file that is no recording, or is damaged before its last line.
+        For a file that is not a recording, or is damaged before its last line.
     """
     data = read_bytes(path)
-    entries: list[dict[str, Any]] = []
     whole = data[: data.rfind(b"\n") + 1]
+    entries = []
     for number, written in enumerate(whole.split(b"\n")[:-1], start=1):
         try:
-            entry = json.loads(written.decode("utf-8"))
+            entries.append(json.loads(written.decode("utf-8")))
         except (ValueError, RecursionError) as error:
             raise _damaged(path, number, "is not JSON") from error
-        if not isinstance(entry, dict):
-            raise _damaged(path, number, "is not an object")
-        entries.append(entry)
-    if not entries or entries[0].get("kind") != "header" or entries[0].get("format") != FORMAT:
-        raise _damaged(path, 1, f"is no header of format {FORMAT}")
-    header = entries[0]
-    wrong = fault(header, HEADER)
-    if wrong:
-        raise _damaged(path, 1, f"has no good {wrong!r}")
-    end = entries.pop() if entries[-1].get("kind") == "end" else None
+    if not entries:
+        raise _damaged(path, 1, f"is not a header of format {FORMAT}")
+    header, last = entries[0], len(entries)
+    _hold(path, 1, header, HEADER)
+    ended = last > 1 and isinstance(entries[-1], dict) and entries[-1].get("kind") == "end"
+    end = entries.pop() if ended else None
+    schema = step_schema(header)
     for number, entry in enumerate(entries[1:], start=2):
-        if entry.get("kind") != "step":
-            raise _damaged(path, number, "is no timestep")
-        wrong = step_fault(entry, header)
-        if wrong:
-            raise _damaged(path, number, f"has no good {wrong!r}")
+        _hold(path, number, entry, schema)
         if entry["timestep"] != number - 2:
             raise _damaged(path, number, f"is timestep {entry['timestep']}, not {number - 2}")
-    if end:
-        wrong = fault(end, END)
-        if wrong:
-            raise _damaged(path, len(entries) + 1, f"has no good {wrong!r}")
+    if end is not None:
+        _hold(path, last, end, END)
     return Recording(header=header, steps=tuple(entries[1:]), end=end, whole=len(whole))
+
+
+def _hold(path: str | Path, number: int, entry: object, schema: Schema) -> None:
+    wrong = violations(entry, schema, "it")
+    if wrong:
+        raise _damaged(path, number, f"does not fit: {wrong[0]}")
 
 
 def _damaged(path: str | Path, number: int, what: str) -> ModelError:

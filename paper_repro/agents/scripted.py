@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.paper_repro.agents.chat import violations
 from exact_mdp.paper_repro.agents.prompts import look_up, read_toml
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
+from exact_mdp.paper_repro.agents.schema import violations
 
 FOLDER = Path(__file__).parent / "phrases"
 

@@ -16,12 +16,11 @@ from typing import Any
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes, write_atomically
-from exact_mdp.paper_repro.agents import recording, text_view
-from exact_mdp.paper_repro.agents.chat import violations
+from exact_mdp.paper_repro.agents import recording, views
 from exact_mdp.paper_repro.agents.conversation import Conversation, totals
-from exact_mdp.paper_repro.agents.html_view import page
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
 from exact_mdp.paper_repro.agents.recording import Recorder, Recording
+from exact_mdp.paper_repro.agents.schema import violations
 
 NAME = "conversation.jsonl"
 
@@ -66,7 +65,7 @@ def hold(
         raise ModelError(
             f"cannot make the folder: {error.strerror}", where=str(out), fix="name another --out"
         ) from error
-    text = text_view.heading(header) + "".join(text_view.block(header, step) for step in steps)
+    text = views.heading(header) + "".join(views.block(header, step) for step in steps)
     write_atomically(path.with_suffix(".txt"), text)
     end = None
     try:
@@ -79,27 +78,27 @@ def hold(
                 if step is None:
                     end = totals(steps)
                     recorder.add(end)
-                    _append(path, text_view.closing(end))
+                    _append(path, views.closing(end))
                     break
                 recorder.add(step)
                 steps.append(step)
-                _append(path, text_view.block(header, step))
+                _append(path, views.block(header, step))
                 progress(step)
     finally:  # what there is, whatever stopped the run
         whole = Recording(header=header, steps=tuple(steps), end=end, whole=0)
-        write_atomically(path.with_suffix(".html"), page(whole))
+        write_atomically(path.with_suffix(".html"), views.page(whole))
     return whole
 
 
 def render(path: Path, out: Path) -> list[Path]:
     """Write the text and the page of a recording into a folder, and return their paths."""
     told = recording.read(path)
-    texts = [text_view.heading(told.header)]
-    texts += [text_view.block(told.header, step) for step in told.steps]
-    texts += [text_view.closing(told.end)] if told.end else []
+    texts = [views.heading(told.header)]
+    texts += [views.block(told.header, step) for step in told.steps]
+    texts += [views.closing(told.end)] if told.end else []
     written = [out / f"{path.stem}.txt", out / f"{path.stem}.html"]
     write_atomically(written[0], "".join(texts))
-    write_atomically(written[1], page(told))
+    write_atomically(written[1], views.page(told))
     return written
 
 

@@ -297,7 +297,7 @@ def post(
     address: Address,
     path: str,
     body: bytes,
-    headers: Mapping[str, str],
+    headers: Mapping[bytes | str, bytes | str],
     *,
     route: Route,
     seconds: float,
@@ -324,7 +324,7 @@ def post(
     url = httpcore.URL(
         scheme=address.scheme, host=address.host, port=address.port, target=address.path + path
     )
-    sent = {
+    sent: dict[bytes | str, bytes | str] = {
         "Host": address.authority,
         "User-Agent": "exact-mdp",
         "Accept": "application/json",

@@ -64,10 +64,11 @@ def _encouraged(view: View) -> bool:
 
 def _saved(view: View) -> bool:
     """Hold a scripted conversation and look for each timestep's four parts in the text file."""
+    from exact_mdp.paper_repro.agents.conversation import conversation
+    from exact_mdp.paper_repro.agents.protocol import plain
     from exact_mdp.paper_repro.agents.scripted import Scripted
     from exact_mdp.paper_repro.agents.session import hold
-    from exact_mdp.paper_repro.agents.setup import conversation
-    from exact_mdp.paper_repro.agents.text_view import plain, vector
+    from exact_mdp.paper_repro.agents.views import vector
 
     with TemporaryDirectory() as folder:
         record = hold(conversation(Scripted(), seed=0), Path(folder) / "talk", limit=3)

@@ -91,9 +91,9 @@ def claims() -> list[Row]:
 @cache
 def measured() -> Measured:
     """Return the perception of the scripted agent as `measure` counts it, and what it costs."""
+    from exact_mdp.paper_repro.agents.conversation import modules_of
     from exact_mdp.paper_repro.agents.measure import labelled
     from exact_mdp.paper_repro.agents.scripted import Scripted
-    from exact_mdp.paper_repro.agents.setup import modules_of
 
     scenario = Scenario.load(SCENARIO)
     mdp = scenario.compile()
@@ -125,14 +125,14 @@ def conversation_text(seed: int = 3, timesteps: int = 6) -> str:
     """Return the first timesteps of a scripted conversation, as the paper's record shows them."""
     from itertools import islice
 
-    from exact_mdp.paper_repro.agents import text_view
+    from exact_mdp.paper_repro.agents import views
+    from exact_mdp.paper_repro.agents.conversation import conversation
     from exact_mdp.paper_repro.agents.scripted import Scripted
-    from exact_mdp.paper_repro.agents.setup import conversation
 
     talk = conversation(Scripted(noise=NOISE), seed=seed)
     header = talk.header()
-    blocks = [text_view.block(header, step) for step in islice(talk.steps(), timesteps)]
-    return text_view.heading(header) + "".join(blocks)
+    blocks = [views.block(header, step) for step in islice(talk.steps(), timesteps)]
+    return views.heading(header) + "".join(blocks)
 
 
 def figures() -> dict[str, Callable[[], Figure]]:

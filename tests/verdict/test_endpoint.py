@@ -30,11 +30,10 @@ from fake_endpoint import (
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.chat import Malformed, Style, decoded
+from exact_mdp.paper_repro.agents.conversation import modules_of
 from exact_mdp.paper_repro.agents.endpoint import Endpoint
 from exact_mdp.paper_repro.agents.modules import Place
-from exact_mdp.paper_repro.agents.protocol import BackendError, Request
-from exact_mdp.paper_repro.agents.setup import modules_of
-from exact_mdp.paper_repro.agents.text_view import plain
+from exact_mdp.paper_repro.agents.protocol import BackendError, Request, plain
 
 KEY = "sk-test-0123456789abcdef"
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "NO_PROXY")

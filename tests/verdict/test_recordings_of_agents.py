@@ -14,17 +14,16 @@ from click.testing import CliRunner
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.paper_repro.agents import local as model_file
 from exact_mdp.paper_repro.agents.__main__ import main
-from exact_mdp.paper_repro.agents.chat import Style, ask, execution_schema
+from exact_mdp.paper_repro.agents.chat import Style, ask
+from exact_mdp.paper_repro.agents.conversation import conversation, modules_of, recorded
 from exact_mdp.paper_repro.agents.measure import Notebook
-from exact_mdp.paper_repro.agents.modules import FOLDER as ACTIVITIES
-from exact_mdp.paper_repro.agents.modules import Activity
-from exact_mdp.paper_repro.agents.prompts import FOLDER, Prompts
+from exact_mdp.paper_repro.agents.prompts import ACTIVITIES, FOLDER, Activity, Prompts
 from exact_mdp.paper_repro.agents.protocol import Request
 from exact_mdp.paper_repro.agents.recording import read
+from exact_mdp.paper_repro.agents.schema import execution_schema
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, replayed
-from exact_mdp.paper_repro.agents.setup import conversation, modules_of, recorded
-from exact_mdp.paper_repro.agents.text_view import number
+from exact_mdp.paper_repro.agents.views import number
 
 SETS = ("tasks=[1,1]",)
 
@@ -165,12 +164,12 @@ def test_a_measurement_goes_on_only_with_its_own_entries(
 @pytest.mark.parametrize(
     "name, before, after, told",
     [
-        ("guidelines.toml", "[status.", "[stat.", "lacks a part"),
-        ("guidelines.toml", "meaning = ", "meant = ", "lacks a part"),
-        ("guidelines.toml", "signs = [", "signs = 'x' # [", "lacks a part"),
-        ("guidelines.toml", "version = ", "edition = ", "no version"),
-        ("perception.toml", "version = 1", "version = 'one'", "no version"),
-        ("perception.toml", 'message = "user"', 'message = "person"', "of no message"),
+        ("guidelines.toml", "[status.", "[stat.", "lacks status"),
+        ("guidelines.toml", "meaning = ", "meant = ", "lacks meaning"),
+        ("guidelines.toml", "signs = [", "signs = 'x' # [", "signs is not a list"),
+        ("guidelines.toml", "version = ", "edition = ", "lacks version"),
+        ("perception.toml", "version = 1", "version = 'one'", "version is not a whole number"),
+        ("perception.toml", 'message = "user"', 'message = "person"', "not one of system, user"),
         ("perception.toml", "$behaviour", "$behavior", "that nothing fills"),
         ("perception.toml", "$behaviour", "$ 5", "that nothing fills"),
     ],
@@ -208,7 +207,7 @@ def test_an_activity_holds_texts(tmp_path: Path) -> None:
     start = text.index("item = ")
     path = tmp_path / "own.toml"
     path.write_text(text[:start] + "item = 5" + text[text.index("\n", start) :])
-    with pytest.raises(ModelError, match="without text as its item"):
+    with pytest.raises(ModelError, match="item is not a string"):
         Activity.load(str(path), tasks=[3, 1])
 
 
