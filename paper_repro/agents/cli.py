@@ -223,7 +223,7 @@ class Recording(Programs):
 
 @click.group(cls=Recording)
 def main() -> None:
-    """The two agents of Yuan et al. (2025): a person living with dementia and a robot caregiver.
+    """Play the two agents of Yuan et al. (2025): a person with dementia and a robot caregiver.
 
     A simulator for research on decision models. Not medical advice.
     """

@@ -268,7 +268,6 @@ def _route(address: Address, key: bool, trust: bool) -> Route:
 
 def _proxy(text: str, variable: str) -> tuple[Address, tuple[str, str] | None]:
     """Return a proxy's address, and the name and password for it."""
-
     scheme, _, rest = text.partition("://")
     words, at, place = rest.rpartition("@")
     address = transport.Address.of(f"{scheme}://{place}")
