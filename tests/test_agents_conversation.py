@@ -23,14 +23,19 @@ from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.paper_repro.agents import DISCLAIMER, recording
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.claims import errors
-from exact_mdp.paper_repro.agents.conversation import Conversation, conversation, recorded, totals
+from exact_mdp.paper_repro.agents.conversation import (
+    Conversation,
+    choose,
+    conversation,
+    recorded,
+    totals,
+)
 from exact_mdp.paper_repro.agents.measure import bits
-from exact_mdp.paper_repro.agents.modules import VARIANTS, Place
+from exact_mdp.paper_repro.agents.prompts import VARIANTS, Place
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, Tap
 from exact_mdp.paper_repro.agents.recording import Recording
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, render, replayed
-from exact_mdp.paper_repro.agents.world import choose
 from exact_mdp.solvers import evaluate
 
 SAVED = [

@@ -19,7 +19,7 @@ from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.chat import Style
 from exact_mdp.paper_repro.agents.conversation import conversation, modules_of, recorded
 from exact_mdp.paper_repro.agents.endpoint import LONGEST_WAIT, Endpoint
-from exact_mdp.paper_repro.agents.modules import Place
+from exact_mdp.paper_repro.agents.prompts import Place
 from exact_mdp.paper_repro.agents.protocol import BackendError, Request
 from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, replayed
 

@@ -17,7 +17,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro.agents import local
 from exact_mdp.paper_repro.agents.conversation import modules_of
 from exact_mdp.paper_repro.agents.local import LONGEST, MEMBER, Local, unpack
-from exact_mdp.paper_repro.agents.modules import Place
+from exact_mdp.paper_repro.agents.prompts import Place
 from exact_mdp.paper_repro.agents.protocol import BackendError
 
 

@@ -15,10 +15,17 @@ from hypothesis import strategies as st
 
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.paper_repro.agents.conversation import modules_of
-from exact_mdp.paper_repro.agents.modules import VARIANTS, Modules, Place
-from exact_mdp.paper_repro.agents.prompts import COMPONENTS, FOLDER, Prompts, encode
-from exact_mdp.paper_repro.agents.protocol import Request
-from exact_mdp.paper_repro.agents.schema import (
+from exact_mdp.paper_repro.agents.prompts import (
+    COMPONENTS,
+    FOLDER,
+    VARIANTS,
+    Modules,
+    Place,
+    Prompts,
+    encode,
+)
+from exact_mdp.paper_repro.agents.protocol import (
+    Request,
     behaviour_schema,
     execution_schema,
     perception_schema,

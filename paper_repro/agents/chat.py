@@ -15,8 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
-from exact_mdp.paper_repro.agents.schema import violations
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, violations
 
 SHAPES = ("json_schema", "json_object", "none")
 DIGITS = 40  # of a number in an answer

@@ -30,8 +30,8 @@ from exact_mdp.paper_repro.agents.conversation import (
     uncounted,
 )
 from exact_mdp.paper_repro.agents.endpoint import Endpoint
-from exact_mdp.paper_repro.agents.modules import HISTORY, VARIANTS
 from exact_mdp.paper_repro.agents.prompts import FOLDER as PROMPTS
+from exact_mdp.paper_repro.agents.prompts import HISTORY, VARIANTS
 from exact_mdp.paper_repro.agents.protocol import PURPOSES, Backend, BackendError, Tap, plain
 from exact_mdp.paper_repro.agents.scripted import Scripted
 

@@ -42,10 +42,15 @@ from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes, write_atomically
 from exact_mdp.paper_repro.agents import DISCLAIMER, recording
-from exact_mdp.paper_repro.agents.modules import VARIANTS, Modules, Place
-from exact_mdp.paper_repro.agents.protocol import Backend
-from exact_mdp.paper_repro.agents.schema import behaviour_schema, record, violations, whole
-from exact_mdp.paper_repro.agents.world import seed_of
+from exact_mdp.paper_repro.agents.conversation import seed_of
+from exact_mdp.paper_repro.agents.prompts import VARIANTS, Modules, Place
+from exact_mdp.paper_repro.agents.protocol import (
+    Backend,
+    behaviour_schema,
+    record,
+    violations,
+    whole,
+)
 from exact_mdp.solvers import evaluate
 
 

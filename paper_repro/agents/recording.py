@@ -15,7 +15,7 @@ from typing import Any
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes
-from exact_mdp.paper_repro.agents.schema import (
+from exact_mdp.paper_repro.agents.protocol import (
     OBJECT,
     TEXT,
     Schema,

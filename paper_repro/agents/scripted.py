@@ -21,8 +21,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.paper_repro.agents.prompts import look_up, read_toml
-from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
-from exact_mdp.paper_repro.agents.schema import violations
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, violations
 
 FOLDER = Path(__file__).parent / "phrases"
 

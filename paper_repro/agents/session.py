@@ -18,9 +18,8 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes, write_atomically
 from exact_mdp.paper_repro.agents import recording, views
 from exact_mdp.paper_repro.agents.conversation import Conversation, totals
-from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request
+from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, violations
 from exact_mdp.paper_repro.agents.recording import Recorder, Recording
-from exact_mdp.paper_repro.agents.schema import violations
 
 NAME = "conversation.jsonl"
 

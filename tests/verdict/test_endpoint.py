@@ -32,7 +32,7 @@ from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.chat import Malformed, Style, decoded
 from exact_mdp.paper_repro.agents.conversation import modules_of
 from exact_mdp.paper_repro.agents.endpoint import Endpoint
-from exact_mdp.paper_repro.agents.modules import Place
+from exact_mdp.paper_repro.agents.prompts import Place
 from exact_mdp.paper_repro.agents.protocol import BackendError, Request, plain
 
 KEY = "sk-test-0123456789abcdef"

@@ -18,9 +18,8 @@ from exact_mdp.paper_repro.agents.chat import Style, ask
 from exact_mdp.paper_repro.agents.conversation import conversation, modules_of, recorded
 from exact_mdp.paper_repro.agents.measure import Notebook
 from exact_mdp.paper_repro.agents.prompts import ACTIVITIES, FOLDER, Activity, Prompts
-from exact_mdp.paper_repro.agents.protocol import Request
+from exact_mdp.paper_repro.agents.protocol import Request, execution_schema
 from exact_mdp.paper_repro.agents.recording import read
-from exact_mdp.paper_repro.agents.schema import execution_schema
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.session import NAME, Recorded, hold, replayed
 from exact_mdp.paper_repro.agents.views import number
