@@ -76,8 +76,8 @@ test: lint types $(STAMP) ## every check: lint, types, unit tests, doctests and 
 	$(PYTEST) -m "not slow and not bench"
 
 .PHONY: test-slow
-test-slow: $(STAMP) ## the tests that take long
-	$(PYTEST) -m slow
+test-slow: $(STAMP) ## the tests that take long, and every property on examples never seen before
+	EXPLORE=1 $(PYTEST) -m "(slow or hypothesis) and not bench"
 
 # The core at the lowest versions that are declared: models, solvers, certificates, the gate, the
 # commands, and each optional package that has a bound of its own. Not what takes long.

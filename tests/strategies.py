@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from hypothesis import settings
 from hypothesis import strategies as st
 
 from exact_mdp.mdp import MDP
@@ -14,8 +13,6 @@ F = Fraction
 Row = tuple[int, int, Fraction, Mapping[int, Fraction]]
 
 # How long an example takes says more of the machine than of the code.
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
 
 DISCOUNTS = (F(0), F(1, 2), F(9, 10), F(9999, 10_000))
 REWARDS = st.one_of(

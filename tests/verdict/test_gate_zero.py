@@ -232,7 +232,7 @@ def movable(mdp: MDP, pair: int, worth: list[F]) -> F:
     return own + mdp.discount_exact * moved * span
 
 
-@settings(max_examples=150, derandomize=True)
+@settings(max_examples=150)
 @given(small(), st.data())
 def test_the_verdict_is_that_of_enumeration(mdp: MDP, data: st.DataObject) -> None:
     """It passes exactly where the exact regret is at most what rounding can move."""

@@ -43,7 +43,7 @@ def laws(draw: st.DrawFn) -> tuple[int, list[Law], F]:
     return states, rows, draw(st.sampled_from([F(0), F(1, 2), F(9, 10)]))
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(laws(), st.data())
 def test_a_mixture_is_worth_what_fractions_are_worth(
     law: tuple[int, list[Law], F], data: st.DataObject
@@ -63,7 +63,7 @@ def test_a_mixture_is_worth_what_fractions_are_worth(
     assert found.violations() == []
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(laws(), st.data())
 def test_a_float_of_the_same_value_changes_nothing(
     law: tuple[int, list[Law], F], data: st.DataObject
