@@ -1,20 +1,17 @@
-"""Errors that say what is wrong, where, and how to correct it.
+"""Errors that say what is wrong, where, and how to correct it; and what names may hold.
 
 What a message repeats from a file or a command line is data. Control characters steer a terminal
 and are not allowed in XML 1.0 (section 2.2); others change the direction of the text around them
-(Unicode Standard Annex 9), end a line, or cannot be seen. Messages show all of these escaped.
-
-What the names of a model may hold: one rule for every reader and every constructor.
-
-Names of states, actions, columns, components, events, statuses and parameters reach terminals,
-figures, web pages and XML reports. A name that steers the terminal, turns the text around it or
-looks like another one is refused where it comes in, so that nothing behind has to escape it.
+(Unicode Standard Annex 9), end a line, or cannot be seen. Messages show all of these escaped. A
+name of a state, action, column, component, event, status or parameter that holds one is refused
+where it comes in, so that figures, web pages and XML reports need not escape it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 CONTROL = "\\x00-\\x1f\\x7f-\\x9f"
@@ -23,23 +20,15 @@ SURROGATES = "\\ud800-\\udfff"
 DIRECTIONS = "\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u206f"
 INVISIBLE = "\\u200b\\u2060-\\u2064\\ufeff"
 NEVER_CHARACTERS = "\\ufffe\\uffff"
-
 UNSAFE = re.compile(f"[{CONTROL}{SEPARATORS}{SURROGATES}{DIRECTIONS}{INVISIBLE}{NEVER_CHARACTERS}]")
-"""Characters that no name may hold, and that are escaped where a text is only shown."""
+
+LONGEST = 1000  # characters of a name, and of what a message quotes
+LONGEST_TEXT = 20_000  # of a text of several lines, such as a source
+SHOWN = 40
 
 
 def shown_text(text: str, *, lines: bool = False) -> str:
-    r"""Return a text with every character escaped that a terminal or XML could stumble over.
-
-    Parameters
-    ----------
-    text : str
-    lines : bool
-        Keep the ends of lines.
-
-    Returns
-    -------
-    str
+    r"""Return a text with unsafe characters escaped, ends of lines kept where `lines` says so.
 
     Examples
     --------
@@ -53,9 +42,6 @@ def shown_text(text: str, *, lines: bool = False) -> str:
         return found[0] if lines and found[0] == "\n" else ascii(found[0])[1:-1]
 
     return UNSAFE.sub(escaped, text)
-
-
-LONGEST = 1000  # characters of what a message quotes
 
 
 class ModelError(ValueError):
@@ -100,6 +86,27 @@ def _rebuild(kind: type[ModelError], what: str, where: str, fix: str) -> ModelEr
     return kind(what, where=where, fix=fix)
 
 
+@contextmanager
+def located(where: str, *, instead: bool = False) -> Iterator[None]:
+    """Put a place in front of that of a ModelError raised inside, or `instead` of it.
+
+    Examples
+    --------
+    >>> with located("line 3"):
+    ...     raise ModelError("not a number", where="column 2")
+    Traceback (most recent call last):
+    exact_mdp.mdp.errors.ModelError: not a number
+      where: line 3, column 2
+    """
+    try:
+        yield
+    except ModelError as error:
+        if error.where.startswith(shown_text(short(where))):
+            raise
+        place = f"{where}, {error.where}" if error.where and not instead else where
+        raise ModelError(error.what, where=place, fix=error.fix) from error
+
+
 def short(text: str, most: int = LONGEST) -> str:
     """Return a text as it is, or its two ends where it has more than `most` characters.
 
@@ -134,27 +141,8 @@ def suggest(name: str, known: Iterable[str]) -> str:
     return f"choose one of the {len(options)} known names, such as {', '.join(options[:4])}"
 
 
-LONGEST_TEXT = 20_000
-"""Characters of a name, and of a text of several lines such as a source."""
-SHOWN = 40
-
-
 def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
-    """Raise ModelError where a name holds a character that is not one to read, or is too long.
-
-    Parameters
-    ----------
-    names : iterable of str
-    what : str
-        What they are names of, such as "action".
-    where : str, optional
-        The file or part of the model; "names" where it is left out.
-
-    Raises
-    ------
-    ModelError
-        For control characters, ends of lines, characters that change the direction of text,
-        invisible ones, halves of surrogate pairs, and names of over 1,000 characters.
+    """Raise ModelError for a name, of what `what` says, that is unsafe, too long or no text.
 
     Examples
     --------
@@ -166,64 +154,41 @@ def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
       where: names
       fix:   remove it; names are plain text on one line
     """
-    listed = list(names)
+    listed, where = list(names), where or "names"
+    of = f"the name of {'an' if what[0] in 'aeiou' else 'a'} {what}"
     for name in listed:
         if not isinstance(name, str):
             raise ModelError(
-                f"the name of {_a(what)} is {_short(repr(name))}, not a text",
-                where=where or "names",
-                fix="give a text",
+                f"{of} is {_cut(repr(name))}, not a text", where=where, fix="give a text"
             )
     # One search through all of them: a million states may have a name each.
     if not UNSAFE.search("".join(listed)) and max(map(len, listed), default=0) <= LONGEST:
         return
     for name in listed:
-        _check(name, f"the name of {_a(what)}", where or "names")
+        _check(name, of, where, LONGEST)
 
 
 def check_text(text: str, what: str, *, where: str = "") -> None:
-    """Raise ModelError as `check_names` does, of a text that may have several lines.
-
-    Parameters
-    ----------
-    text : str
-    what : str
-        What it is, such as "source".
-    where : str, optional
-
-    Raises
-    ------
-    ModelError
-        As for names, with 20,000 characters; ends of lines and tabs are allowed.
-
-    Examples
-    --------
-    >>> check_text("Yuan et al. (2025)" + chr(10) + "Table 3", "source")
-    """
-    _check(
-        text.replace("\n", "").replace("\t", ""), f"the {what}", where or what, longest=LONGEST_TEXT
-    )
+    """Raise ModelError as `check_names` does, of a text that may have several lines and tabs."""
+    one_line = text.replace("\n", "").replace("\t", "")
+    _check(one_line, f"the {what}", where or what, LONGEST_TEXT)
 
 
-def _check(name: str, what: str, where: str, longest: int = LONGEST) -> None:
+def _check(name: str, what: str, where: str, longest: int) -> None:
     if len(name) > longest:
         raise ModelError(
-            f"{what} has {len(name):,} characters: {_short(name)}",
+            f"{what} has {len(name):,} characters: {_cut(name)}",
             where=where,
             fix=f"shorten it to {longest:,}",
         )
     found = UNSAFE.search(name)
     if found:
         raise ModelError(
-            f"{what} holds the character U+{ord(found[0]):04X}: {_short(name)}",
+            f"{what} holds the character U+{ord(found[0]):04X}: {_cut(name)}",
             where=where,
             fix="remove it; names are plain text on one line",
         )
 
 
-def _short(name: str) -> str:
+def _cut(name: str) -> str:
     return shown_text(name[:SHOWN]) + ("…" if len(name) > SHOWN else "")
-
-
-def _a(noun: str) -> str:
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"

@@ -16,9 +16,8 @@ action offered, say nothing about what to do and are refused.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,58 +28,28 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Integers, Numbers
 
 Flags = NDArray[np.bool_]
-ReadAs = Literal["q", "policy"]
 KINDS = ("auto", "q", "policy")
 SAY = 'say which: kind="policy" (--kind policy) or kind="q" (--kind q)'
+Q_TABLE, PROBABILITIES = "a Q-table: its greedy policy", "action probabilities"
+
+Parts = dict[str, Any]
+"""What `Policy` takes, by name."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArrayPolicy:
-    """A policy as an array gives it.
+def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
+    """Return the policy that an array of real numbers gives.
 
-    Attributes
-    ----------
-    read_as : "q" or "policy"
-    space, actions : StateSpace, tuple of str
-        What the rows and columns are over.
-    table : (K, A)
-        Probabilities of actions, none of them rounded; NaN in rows that say nothing.
-    values : (K, A), optional
-        The array as it is, where it is a Q-table.
-    """
-
-    read_as: ReadAs
-    space: StateSpace
-    actions: tuple[str, ...]
-    table: Numbers
-    values: Numbers | None = None
-
-
-def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy:
-    """Return the policy that an array of numbers gives.
-
-    Parameters
-    ----------
-    array : (S, A) over all states, or (2^n, A) over the status vectors
-        Where the model stops after N steps, S may be the states without their time, and (N, S, A)
-        depends on time. Extra states (the end) may be left out where they offer no choice. Real
-        numbers of any type.
-    kind : "auto", "q" or "policy"
-
-    Raises
-    ------
-    ModelError
-        For another shape; for rows that are no distribution, or from which no action can be
-        chosen; where both readings fit and differ.
+    It is (S, A) over all states, or (2^n, A) over the status vectors. Where the model stops after
+    N steps, S may be the states without their time, and (N, S, A) depends on time. Extra states
+    (the end) may be left out where they offer no choice.
 
     Examples
     --------
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
     >>> table = np.array([[0.5, 0.5], [7, 7]])
-    >>> found = policy_of_array(mdp, table * 2)
-    >>> found.read_as, found.table.tolist()
-    ('q', [[1.0, 0.0], [1.0, 0.0]])
-    >>> policy_of_array(mdp, table, "policy").table.tolist()
+    >>> policy_of_array(mdp, table * 2)["rule"].tolist()
+    [0, 0]
+    >>> policy_of_array(mdp, table, "policy")["rule"].tolist()
     [[0.5, 0.5], [nan, nan]]
     >>> policy_of_array(mdp, table)
     Traceback (most recent call last):
@@ -88,22 +57,19 @@ def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy
       where: policy, state 0
       fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q)
     """
-    kind = checked_kind(kind)
-    array = by_time(mdp, array, 0, of_actions=True)
-    layout = _Layout.of(mdp, array.shape)
-    if kind == "q":
-        return layout.greedy(array)
+    array = by_time(model, array, 0, of_actions=True)
+    layout = _layout(model, array.shape)
     fits = _distributions(array)
     wrong = np.flatnonzero(layout.counts & ~fits)
-    if kind == "policy" and len(wrong):
+    if kind == "q" or (kind == "auto" and len(wrong)):
+        return layout.parts(_greedy(array, layout), values=array, source=Q_TABLE)
+    if len(wrong):
         row = int(wrong[0])
         raise ModelError(
             f"action probabilities are {array[row].tolist()}, not a distribution",
             where=f"policy, {layout.space.label(row)}",
             fix="make them at least 0, with sum 1",
         )
-    if len(wrong):
-        return layout.greedy(array)
     alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
     mixed = np.flatnonzero(layout.counts & ~np.asarray(alone, dtype=bool))
     if kind == "auto" and len(mixed):
@@ -112,15 +78,15 @@ def policy_of_array(mdp: MDP, array: Numbers, kind: str = "auto") -> ArrayPolicy
             where=f"policy, {layout.space.label(int(mixed[0]))}",
             fix=SAY,
         )
-    floats = np.full(array.shape, np.nan)
-    floats[fits] = array[fits].astype(np.float64)
-    lost = np.flatnonzero(layout.counts & ((floats == 0) & np.asarray(array != 0)).any(axis=1))
-    if len(lost):
-        raise too_small(f"policy, {layout.space.label(int(lost[0]))}")
-    kept = fits & ~((floats == 0) & np.asarray(array != 0)).any(axis=1)
+    floats = np.where(fits[:, None], array, 0).astype(np.float64)
+    lost = ((floats == 0) & np.asarray(array != 0)).any(axis=1) & fits
+    if (lost & layout.counts).any():
+        first = int(np.flatnonzero(lost & layout.counts)[0])
+        raise too_small(f"policy, {layout.space.label(first)}")
+    kept = fits & ~lost
     table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))
     table[kept] = array[kept]
-    return ArrayPolicy(read_as="policy", space=layout.space, actions=layout.actions, table=table)
+    return layout.parts(table, source=PROBABILITIES)
 
 
 def too_small(where: str) -> ModelError:
@@ -137,22 +103,8 @@ def check_action(name: str, actions: Sequence[str], where: str) -> int:
     return list(actions).index(name)
 
 
-def checked_kind(kind: object) -> str:
-    """Return what was said of an array, or raise ModelError where it is not one of `KINDS`."""
-    if kind not in KINDS:
-        raise ModelError(
-            f"{kind!r} is not a kind of array", where="kind", fix=f"choose {', '.join(KINDS)}"
-        )
-    return str(kind)
-
-
 def numbers_of(given: object) -> Numbers:
-    """Return an array of numbers as they are, none of them rounded; lists included.
-
-    Raises
-    ------
-    ModelError
-        Where something in it is not a real number, or is masked.
+    """Return an array of real numbers as they are, none of them rounded; lists included.
 
     Examples
     --------
@@ -194,8 +146,7 @@ def _plain(number: Any) -> Any:
     return number.item() if isinstance(number, np.generic) else number
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Layout:
+class _Layout(NamedTuple):
     """What the rows and columns of an array are over.
 
     `offered` (K, A) says what can be chosen, `counts` (K,) which rows a state with a choice reads.
@@ -206,64 +157,57 @@ class _Layout:
     offered: Flags
     counts: Flags
 
-    @classmethod
-    def of(cls, mdp: MDP, shape: tuple[int, ...]) -> _Layout:
-        offered = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
-        offered[mdp.pair_state, mdp.pair_action] = True
-        choosing = ~mdp.forced & ~mdp.terminal
-        space = space_of(mdp, shape[0]) if shape[1:] == (mdp.n_actions,) else None
-        if space is not None:
-            row = rows_read(mdp, space)
-            each = np.zeros((space.size, mdp.n_actions), dtype=bool)
-            each[row[mdp.pair_state], mdp.pair_action] = True
-            counts = np.zeros(space.size, dtype=bool)
-            counts[row[choosing]] = True
-            return cls(space=space, actions=mdp.actions, offered=each, counts=counts)
-        numbers = np.flatnonzero(offered[~mdp.forced].any(axis=0))
-        actions = tuple(mdp.actions[number] for number in numbers)
-        expected = [f"({mdp.n_states}, {mdp.n_actions}) over all states"]
-        untimed = mdp.space.untimed
-        if untimed is not None:
-            also = f"({untimed.size}, {mdp.n_actions}) over the states without their time"
-            expected.append(also)
-        if "status" in mdp.space.names:
-            column = mdp.space.column("status")
-            if shape == (column.size, len(actions)):
-                counts = np.zeros(column.size, dtype=bool)
-                counts[mdp.space.values("status")[choosing]] = True
-                every = np.ones(shape, dtype=bool)
-                space = StateSpace(columns=(column,))
-                return cls(space=space, actions=actions, offered=every, counts=counts)
-            expected.append(f"({column.size}, {len(actions)}) over the statuses")
+    def parts(self, rule: Numbers, **more: Any) -> Parts:
+        return {"space": self.space, "actions": self.actions, "rule": rule, **more}
+
+
+def _layout(model: MDP, shape: tuple[int, ...]) -> _Layout:
+    """Return what an array of some shape is over; raises ModelError where no reading fits."""
+    actions = model.actions
+    space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
+    expected = [f"({model.n_states}, {model.n_actions}) over all states"]
+    if model.space.untimed is not None:
+        also = f"({model.space.untimed.size}, {model.n_actions}) over the states without their time"
+        expected.append(also)
+    if space is None and "status" in model.space.names:
+        column = model.space.column("status")
+        numbers = np.unique(model.pair_action[~model.forced[model.pair_state]])
+        actions = tuple(model.actions[number] for number in numbers)
+        space = StateSpace(columns=(column,)) if shape == (column.size, len(actions)) else None
+        expected.append(f"({column.size}, {len(actions)}) over the statuses")
+    if space is None:
         raise ModelError(
             f"an array of shape {shape}", where="policy", fix=f"give {' or '.join(expected)}"
         )
+    row = rows_read(model, space)
+    counts = np.zeros(space.size, dtype=bool)
+    counts[row[~model.forced & ~model.terminal]] = True
+    offered = np.ones((space.size, len(actions)), dtype=bool)
+    if actions is model.actions:
+        offered[:] = False
+        offered[row[model.pair_state], model.pair_action] = True
+    return _Layout(space=space, actions=actions, offered=offered, counts=counts)
 
-    def greedy(self, values: Numbers) -> ArrayPolicy:
-        """Return the greedy policy of action values (K, A)."""
-        asked = self.offered & self.counts[:, None]
-        self._refuse("an action value is NaN", (np.asarray(values != values) & asked).any(axis=1))
-        best = np.asarray(values == np.inf) & asked
-        self._refuse("an action value is +inf", best.any(axis=1))
-        never = np.asarray(values == -np.inf) | ~self.offered
-        self._refuse("every action offered has the value -inf", never.all(axis=1) & self.counts)
-        # Elsewhere it does not matter what is chosen, as long as it is offered.
-        known = np.where(asked, values, _least(values))
-        chosen = np.argmax(known, axis=1)
-        lowest = np.argmax(self.offered, axis=1)
-        chosen = np.where(asked[np.arange(len(chosen)), chosen], chosen, lowest)
-        table = np.eye(len(self.actions))[chosen]
-        return ArrayPolicy(
-            read_as="q", space=self.space, actions=self.actions, table=table, values=values
-        )
 
-    def _refuse(self, what: str, rows: Any) -> None:
-        if np.any(rows):
+def _greedy(values: Numbers, layout: _Layout) -> Integers:
+    """Return (K,) the greedy actions of action values (K, A)."""
+    asked = layout.offered & layout.counts[:, None]
+    never = np.asarray(values == -np.inf) | ~layout.offered
+    for what, rows in (
+        ("an action value is NaN", (np.asarray(values != values) & asked).any(axis=1)),
+        ("an action value is +inf", (np.asarray(values == np.inf) & asked).any(axis=1)),
+        ("every action offered has the value -inf", never.all(axis=1) & layout.counts),
+    ):
+        if rows.any():
             raise ModelError(
                 what,
-                where=f"Q-table, {self.space.label(int(np.flatnonzero(rows)[0]))}",
+                where=f"Q-table, {layout.space.label(int(np.flatnonzero(rows)[0]))}",
                 fix="give a number for every available action; -inf for one never to be taken",
             )
+    # Elsewhere it does not matter what is chosen, as long as it is offered.
+    chosen = np.argmax(np.where(asked, values, _least(values)), axis=1)
+    lowest = np.argmax(layout.offered, axis=1)
+    return np.where(asked[np.arange(len(chosen)), chosen], chosen, lowest)
 
 
 def _least(values: Numbers) -> Any:
@@ -284,30 +228,30 @@ def _distributions(array: Numbers) -> Flags:
     return found
 
 
-def space_of(mdp: MDP, rows: int) -> StateSpace | None:
+def space_of(model: MDP, rows: int) -> StateSpace | None:
     """Return the states that so many rows of a table stand for; None where there are no such.
 
     All states; without the extra ones, where these offer no choice; or, where the first column is
     the time, the states without it.
     """
-    space = mdp.space
+    space = model.space
     if rows == space.size:
         return space
     if space.untimed is not None:
         untimed = space.untimed
         bare = StateSpace(columns=untimed.columns)
         return untimed if rows == untimed.size else bare if rows == bare.size else None
-    free = rows == space.regular and bool(mdp.forced[space.regular :].all())
+    free = rows == space.regular and bool(model.forced[space.regular :].all())
     return StateSpace(columns=space.columns) if free else None
 
 
-def rows_read(mdp: MDP, space: StateSpace) -> Integers:
+def rows_read(model: MDP, space: StateSpace) -> Integers:
     """Return (S,) the row of a table over `space` that each state reads; 0 for extra ones."""
-    if space.columns == mdp.space.columns and space.extra == mdp.space.extra:
-        return np.arange(mdp.n_states)
-    rows = np.zeros(mdp.n_states, dtype=np.int64)
+    if space.columns == model.space.columns and space.extra == model.space.extra:
+        return np.arange(model.n_states)
+    rows = np.zeros(model.n_states, dtype=np.int64)
     for column in space.columns:
-        theirs = mdp.space.column(column.name)
+        theirs = model.space.column(column.name)
         if theirs != column:
             raise ModelError(
                 f"column {column.name} has {column.size} values here and {theirs.size} "
@@ -315,45 +259,30 @@ def rows_read(mdp: MDP, space: StateSpace) -> Integers:
                 where="policy",
                 fix="use a policy made for this model",
             )
-        rows = rows * column.size + np.maximum(mdp.space.values(column.name), 0)
+        rows = rows * column.size + np.maximum(model.space.values(column.name), 0)
     return rows
 
 
-def action_numbers(mdp: MDP, given: Numbers) -> tuple[StateSpace, Integers]:
-    """Return action numbers (K,), and the states that they are over.
-
-    Raises
-    ------
-    ModelError
-        For numbers over other states, or outside those of the model's actions.
-    """
-    numbers = by_time(mdp, np.asarray(given), 0)
-    space = space_of(mdp, len(numbers)) if numbers.ndim == 1 else None
-    inside = numbers.dtype.kind in "iu" and ((numbers >= 0) & (numbers < mdp.n_actions)).all()
+def action_numbers(model: MDP, given: Numbers) -> Parts:
+    """Return the policy of action numbers (S,) or (N, S), checked against the model's own."""
+    numbers = by_time(model, np.asarray(given), 0)
+    space = space_of(model, len(numbers)) if numbers.ndim == 1 else None
+    inside = numbers.dtype.kind in "iu" and ((numbers >= 0) & (numbers < model.n_actions)).all()
     if space is None or not inside:
         raise ModelError(
-            f"action numbers of shape {numbers.shape}, or outside 0 … {mdp.n_actions - 1}",
+            f"action numbers of shape {numbers.shape}, or outside 0 … {model.n_actions - 1}",
             where="policy",
-            fix=f"give one action number for each of the {mdp.n_states} states",
+            fix=f"give one action number for each of the {model.n_states} states",
         )
-    return space, numbers.astype(np.int64)
+    return {"space": space, "actions": model.actions, "rule": numbers.astype(np.int64)}
 
 
-def by_time(mdp: MDP, table: Numbers, rest: float, *, of_actions: bool = False) -> Numbers:
-    """Return a table (N, S) or (N, S, A) over times and states as one over all states of `mdp`.
+def by_time(model: MDP, table: Numbers, rest: float, *, of_actions: bool = False) -> Numbers:
+    """Return a table (N, S) or (N, S, A) over times and states as one over all states.
 
-    Parameters
-    ----------
-    mdp : MDP
-        Where its first column is not the time, the table is returned as it is; so are tables of
-        other shapes.
-    table : (N, S) or (N, S, A)
-        S are the states without their time, with or without the extra ones; time N, where all is
-        over, may be there as well or not.
-    rest : float
-        What is put where all is over.
-    of_actions : bool
-        Whether the last axis is that of the actions.
+    Where the model's first column is not the time, or the shape is another, the table is returned
+    as it is. S are the states without their time, with or without the extra ones; time N, where
+    all is over, may be there as well or not, and `rest` is put there.
 
     Examples
     --------
@@ -361,15 +290,15 @@ def by_time(mdp: MDP, table: Numbers, rest: float, *, of_actions: bool = False) 
     >>> by_time(mdp, np.array([[0, 1], [1, 1]]), 0).tolist()
     [0, 1, 1, 1, 0, 0]
     """
-    untimed = mdp.space.untimed
+    untimed = model.space.untimed
     if untimed is None or table.ndim != 2 + of_actions:
         return table
-    times, own = mdp.space.columns[0].size, untimed.regular
-    over = bool(mdp.forced[(times - 1) * own :].all())
+    times, own = model.space.columns[0].size, untimed.regular
+    over = bool(model.forced[(times - 1) * own :].all())
     steps = times - 1 if over else times
     if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
         return table
     kind = table.dtype if float(rest).is_integer() else np.result_type(table.dtype, np.float64)
-    found = np.full((mdp.n_states, *table.shape[2:]), rest, dtype=kind)
+    found = np.full((model.n_states, *table.shape[2:]), rest, dtype=kind)
     found[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
     return found

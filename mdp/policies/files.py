@@ -1,40 +1,27 @@
-"""Policies as files: JSON and CSV by column labels, NumPy arrays, see `policy_array`."""
+"""Policies as files and mappings: JSON and CSV by column labels; NumPy arrays, see `.arrays`."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.io.arrays import read_array
+from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import check_action, rows_read, too_small
+from exact_mdp.mdp.policies.arrays import Parts, check_action, rows_read, too_small
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Numbers, exact
+from exact_mdp.mdp.table import Floats, Numbers, as_float, exact
 
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FileTable:
-    """A policy as a file or a mapping gives it: (K, A) probabilities over some columns.
-
-    Rows that it leaves out are NaN; `where` names it in errors.
-    """
-
-    space: StateSpace
-    table: Numbers
-    where: str
+Rows = dict[int, dict[int, Fraction]]
+"""Probabilities of actions by the number of a combination of column values."""
 
 
 class Written(Protocol):
@@ -54,185 +41,151 @@ class Written(Protocol):
     def deterministic(self) -> bool: ...
 
 
-def read(path: str | Path, mdp: MDP) -> FileTable:
+def read(path: str | Path, model: MDP) -> Parts:
     """Return what a `.json` or `.csv` file says; see `Policy.read`."""
     where, suffix = str(path), Path(path).suffix.lower()
     if suffix == ".json":
-        return _from_json(read_text(path), mdp, where)
+        content = json_of(
+            read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=str
+        )
+        if not isinstance(content, dict):
+            raise ModelError("the file is not a JSON object", fix='write {"0000": "none", …}')
+        return from_mapping(model, content)
     if suffix == ".csv":
-        return _from_csv(read_text(path), mdp, where)
+        return _from_csv(read_text(path), model)
     raise ModelError(
         f"unknown kind of policy {where!r}",
-        where="policy",
         fix="give optimal, random, always:ACTION, or a .json, .csv, .npy or .npz file",
     )
 
 
+def _once(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries: dict[str, Any] = {}
+    for key, value in items:
+        if key in entries:
+            raise ModelError(f"{key} appears twice", fix="keep one of them")
+        entries[key] = value
+    return entries
+
+
+def from_mapping(model: MDP, entries: Mapping[Any, Any]) -> Parts:
+    """Return what a mapping says: {status: action} or {status: {action: probability}}."""
+    names = (model.space.untimed or model.space).names
+    name = "status" if "status" in names else names[0]
+    space = StateSpace(columns=(model.space.column(name),))
+    rows: Rows = {}
+    for label, choice in entries.items():
+        key = space.columns[0].parse(str(label))
+        if key in rows:
+            raise ModelError(f"{name} {label} appears twice", fix="keep one of them")
+        mixed = choice if isinstance(choice, Mapping) else {str(choice): 1}
+        with located(f"{name} {label}"):
+            rows[key] = {
+                check_action(str(action), model.actions, ""): _probability(value)
+                for action, value in mixed.items()
+            }
+    return _complete(model, space, rows)
+
+
+def _from_csv(text: str, model: MDP) -> Parts:
+    try:
+        lines = list(csv.reader(io.StringIO(text), strict=True))
+    except csv.Error as error:
+        raise ModelError(f"broken CSV: {error}", fix="correct that line") from error
+    header = [name.strip() for name in lines[0]] if lines else []
+    columns = [name for name in header if name not in ("action", "probability")]
+    known = [*model.space.names, "action", "probability"]
+    for name in header:
+        if name not in known:
+            raise ModelError(f"unknown column {name!r}", fix=suggest(name, known))
+    if "action" not in header or not columns or len(set(header)) != len(header):
+        raise ModelError(
+            f"the header is {','.join(header) or 'missing'}",
+            fix=f"write {','.join([*model.space.names, 'action'])}, or status,action",
+        )
+    space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
+    rows: Rows = {}
+    for number, line in enumerate(lines[1:], start=2):
+        if line:
+            with located(f"line {number}"):
+                _add_line(rows, space, model, dict(zip(header, line, strict=False)), len(line))
+    return _complete(model, space, rows)
+
+
+def _add_line(
+    rows: Rows, space: StateSpace, model: MDP, entry: Mapping[str, str], given: int
+) -> None:
+    """Add one line of a CSV file, `given` values by heading, to the rows."""
+    headings = len(space.columns) + 1 + ("probability" in entry)
+    if given != len(entry) or given != headings:
+        raise ModelError(f"{given} values under the headings", fix="correct the line")
+    values = {column.name: column.parse(entry[column.name]) for column in space.columns}
+    word = entry["action"] if entry["action"] in model.actions else entry["action"].strip()
+    action, key = check_action(word, model.actions, ""), space.index(**values)
+    chances = rows.setdefault(key, {})
+    if action in chances or (chances and "probability" not in entry):
+        raise ModelError(
+            f"{space.label(key)} appears twice", fix="keep one of them, or add a column probability"
+        )
+    chances[action] = _probability(entry.get("probability", "1").strip())
+
+
+def _probability(value: object) -> Fraction:
+    number = exact(value)
+    if number and not as_float(number):
+        raise too_small("")
+    return number
+
+
+def _complete(model: MDP, space: StateSpace, rows: Rows) -> Parts:
+    """Return the policy; raises ModelError where a combination that a choice reads is missing."""
+    keys = rows_read(model, space)
+    silent = np.ones(space.size, dtype=bool)
+    silent[list(rows)] = False
+    missing = silent[keys] & ~model.forced & ~model.terminal
+    if missing.any():
+        lost = sorted(set(keys[missing].tolist()))
+        shown = "; ".join(space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")
+        raise ModelError(
+            f"{len(lost)} of {space.size} rows are missing: {shown}", fix="add an action for each"
+        )
+    floats = all(float(chance) == chance for row in rows.values() for chance in row.values())
+    table: Numbers = np.full(
+        (space.size, model.n_actions), np.nan, dtype=np.float64 if floats else object
+    )
+    for key, chances in rows.items():
+        table[key] = 0
+        for action, chance in chances.items():
+            table[key, action] = chance
+    return {"space": space, "actions": model.actions, "rule": table}
+
+
+# ---- writing -------------------------------------------------------------------------------------
+
+
 def write(policy: Written, path: str | Path) -> None:
-    """See `Policy.write`."""
+    """Write a policy as `.csv` or `.json`, by its ending; see `Policy.write`."""
     suffix = Path(path).suffix.lower()
-    if suffix == ".csv":
-        write_atomically(path, _as_csv(policy))
-    elif suffix == ".json":
-        write_atomically(path, _as_json(policy))
-    else:
+    if suffix not in (".csv", ".json"):
         raise ModelError(
             f"cannot write a policy as {suffix or 'a file without ending'}",
             where=str(path),
             fix="name it .csv or .json",
         )
+    write_atomically(path, _as_csv(policy) if suffix == ".csv" else _as_json(policy))
 
 
-def from_mapping(mdp: MDP, entries: Mapping[Any, Any], *, where: str) -> FileTable:
-    """Return what a mapping says: {status: action} or {status: {action: probability}}."""
-    names = (mdp.space.untimed or mdp.space).names
-    name = "status" if "status" in names else names[0]
-    rows: dict[int, dict[int, Fraction]] = {}
-    space = StateSpace(columns=(mdp.space.column(name),))
-    for label, choice in entries.items():
-        key = at_place(where, partial(space.columns[0].parse, str(label)))
-        place = f"{where}, {name} {label}"
-        if key in rows:
-            raise ModelError(f"{name} {label} appears twice", where=where, fix="keep one of them")
-        mixed = choice if isinstance(choice, Mapping) else {str(choice): 1}
-        rows[key] = {
-            check_action(str(action), mdp.actions, place): _probability(value, place)
-            for action, value in mixed.items()
-        }
-    return _filled(mdp, space, rows, where)
-
-
-def _from_json(text: str, mdp: MDP, where: str) -> FileTable:
-    def once(items: list[tuple[str, Any]]) -> dict[str, Any]:
-        entries: dict[str, Any] = {}
-        for key, value in items:
-            if key in entries:
-                raise ModelError(f"{key} appears twice", where=where, fix="keep one of them")
-            entries[key] = value
-        return entries
-
-    try:
-        content = json.loads(text, object_pairs_hook=once, parse_float=str, parse_int=str)
-    except ModelError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ModelError(
-            f"broken JSON: {str(error)[:200]}", where=where, fix="mend the syntax"
-        ) from error
-    if not isinstance(content, dict):
-        raise ModelError(
-            "the file is not a JSON object", where=where, fix='write {"0000": "none", …}'
-        )
-    return from_mapping(mdp, content, where=where)
-
-
-def _from_csv(text: str, mdp: MDP, where: str) -> FileTable:
-    try:
-        lines = list(csv.reader(io.StringIO(text), strict=True))
-    except csv.Error as error:
-        raise ModelError(f"broken CSV: {error}", where=where, fix="mend that line") from error
-    header = [name.strip() for name in lines[0]] if lines else []
-    columns = [name for name in header if name not in ("action", "probability")]
-    known = [*mdp.space.names, "action", "probability"]
-    for name in header:
-        if name not in known:
-            raise ModelError(f"unknown column {name!r}", where=where, fix=suggest(name, known))
-    if "action" not in header or not columns or len(set(header)) != len(header):
-        raise ModelError(
-            f"the header is {','.join(header) or 'missing'}",
-            where=where,
-            fix=f"write {','.join([*mdp.space.names, 'action'])}, or status,action",
-        )
-    space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
-    rows: dict[int, dict[int, Fraction]] = {}
-    for number, line in enumerate(lines[1:], start=2):
-        place = f"{where}, line {number}"
-        if not line:
-            continue
-        if len(line) != len(header):
-            raise ModelError(
-                f"{len(line)} values under {len(header)} headings", where=place, fix="mend the line"
-            )
-        entry = dict(zip(header, line, strict=True))
-        values = at_place(place, partial(_values, space, entry))
-        word = entry["action"] if entry["action"] in mdp.actions else entry["action"].strip()
-        action = check_action(word, mdp.actions, place)
-        chances = rows.setdefault(space.index(**values), {})
-        if action in chances or (chances and "probability" not in header):
-            raise ModelError(
-                f"{space.label(space.index(**values))} appears twice",
-                where=place,
-                fix="keep one of them, or add a column probability",
-            )
-        chances[action] = _probability(entry.get("probability", "1").strip(), place)
-    return _filled(mdp, space, rows, where)
-
-
-def array_file(path: str | Path, make: Callable[[Numbers], T]) -> T:
-    """Return what is made of the array of a file, with the file's name in what goes wrong."""
-    array = read_array(path, called="q")
-    return at_place(str(path), lambda: make(array))
-
-
-def _filled(
-    mdp: MDP, space: StateSpace, rows: Mapping[int, Mapping[int, Fraction]], where: str
-) -> FileTable:
-    floats = all(float(chance) == chance for row in rows.values() for chance in row.values())
-    kind = np.float64 if floats else object
-    table: Numbers = np.full((space.size, mdp.n_actions), np.nan, dtype=kind)
-    for key, chances in rows.items():
-        table[key] = 0
-        for action, chance in chances.items():
-            table[key, action] = chance
-    return FileTable(space=space, table=table, where=where)
-
-
-def check_complete(mdp: MDP, found: FileTable) -> None:
-    """Raise ModelError where a combination is missing that a state with a choice reads."""
-    keys = rows_read(mdp, found.space)
-    silent = np.isnan(found.table.astype(np.float64)[keys]).any(axis=1)
-    missing = silent & ~mdp.forced & ~mdp.terminal
-    if missing.any():
-        lost = sorted(set(keys[missing].tolist()))
-        shown = "; ".join(found.space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")
-        raise ModelError(
-            f"{len(lost)} of {found.space.size} rows are missing: {shown}",
-            where=found.where,
-            fix="add an action for each",
-        )
-
-
-def _values(space: StateSpace, entry: Mapping[str, str]) -> dict[str, int]:
-    return {column.name: column.parse(entry[column.name]) for column in space.columns}
-
-
-def _probability(value: object, where: str) -> Fraction:
-    number = at_place(where, lambda: exact(value))
-    if number and not at_place(where, lambda: float(number)):
-        raise too_small(where)
-    return number
-
-
-def at_place(where: str, make: Callable[[], T]) -> T:
-    """Return make(), with the place put in front of a ModelError's own."""
-    try:
-        return make()
-    except ModelError as error:
-        place = where if not error.where else f"{where}, {error.where}"
-        raise ModelError(error.what, where=place, fix=error.fix) from error
-    except OverflowError as error:
-        raise ModelError("a number too large for a float", where=where, fix="check it") from error
-
-
-def _written(policy: Written, key: int, action: int) -> float | str:
-    """Return a probability as it is written: as a decimal or "p/q", which is read as exact."""
-    rounded = float(policy.table[key, action])
-    if policy.shares is None:
-        return rounded
-    row = policy.shares[key].tolist()
-    share = Fraction(row[action], sum(row))
-    rounded = float(share)
-    return rounded if Fraction(repr(rounded)) == share else str(share)
+def _taken(policy: Written, key: int) -> dict[str, float | str]:
+    """Return the actions of one row with their probabilities: a decimal or "p/q", read as exact."""
+    found: dict[str, float | str] = {}
+    for action in np.flatnonzero(policy.table[key] > 0).tolist():
+        chance: float | str = float(policy.table[key, action])
+        if policy.shares is not None:
+            row = policy.shares[key].tolist()
+            share = Fraction(row[action], sum(row))
+            chance = float(share) if Fraction(repr(float(share))) == share else str(share)
+        found[policy.actions[action]] = chance
+    return found
 
 
 def _as_csv(policy: Written) -> str:
@@ -248,9 +201,8 @@ def _as_csv(policy: Written) -> str:
     writer.writerow([*policy.columns, "action", *(["probability"] if mixed else [])])
     for key in range(policy.space.regular):
         labels = list(policy.space.as_dict(key).values())
-        for action in np.flatnonzero(policy.table[key] > 0):
-            chance = [str(_written(policy, key, int(action)))] if mixed else []
-            writer.writerow([*labels, policy.actions[action], *chance])
+        for action, chance in _taken(policy, key).items():
+            writer.writerow([*labels, action, *([str(chance)] if mixed else [])])
     return out.getvalue()
 
 
@@ -263,10 +215,8 @@ def _as_json(policy: Written) -> str:
         )
     entries: dict[str, object] = {}
     for key in range(policy.space.regular):
-        row = policy.table[key]
-        taken = np.flatnonzero(row > 0).tolist()
-        chosen = [(policy.actions[action], _written(policy, key, action)) for action in taken]
-        if chosen:
+        taken = _taken(policy, key)
+        if taken:
             label = policy.space.columns[0].label(key)
-            entries[label] = chosen[0][0] if len(chosen) == 1 else dict(chosen)
+            entries[label] = next(iter(taken)) if len(taken) == 1 else taken
     return json.dumps(entries, indent=2) + "\n"

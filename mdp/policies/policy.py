@@ -11,20 +11,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, check_names
+from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import files
 from exact_mdp.mdp.policies.arrays import (
-    ArrayPolicy,
-    ReadAs,
+    KINDS,
+    Parts,
     action_numbers,
     by_time,
-    checked_kind,
     numbers_of,
     policy_of_array,
     rows_read,
@@ -42,6 +42,7 @@ from exact_mdp.mdp.table import (
     in_proportion,
     magnitude,
 )
+ReadAs = Literal["q", "policy"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -66,6 +67,10 @@ class Policy:
     shares : (K, A) integers, optional
         Whole numbers in proportion to the exact probabilities of each row, 0 in rows that say
         nothing. None where the floats of `rule` are what was given.
+    values : (K, A), optional
+        The action values as they are, where the policy is the greedy one of a Q-table.
+    source : str
+        What the policy was read from, in words, where that was a two-dimensional array.
 
     Examples
     --------
@@ -85,40 +90,39 @@ class Policy:
     actions: tuple[str, ...]
     rule: Numbers
     shares: Numbers | None = None
+    values: Numbers | None = None
+    source: str = ""
 
     def __post_init__(self) -> None:
         check_names(self.actions, "action", where="policy")
         given: Numbers = np.asarray(self.rule)
-        if given.ndim == 1 and given.dtype.kind in "iu":
-            rule, shares = self._checked_numbers(given), None
-        else:
-            table = self._checked_table(given)
-            shares = _rounded_away(given, table) if self.shares is None else self.shares
-            if shares is not None:
-                shares = self._checked_shares(shares, table)
-            numbers = _numbers_alone(table)
-            rule = table if numbers is None else numbers
-            shares = shares if numbers is None else None
+        numbers = given.ndim == 1 and given.dtype.kind in "iu"
+        shape = (self.space.size, len(self.actions))
+        if given.shape != (shape[:1] if numbers else shape):
+            raise ModelError(
+                f"a policy table of shape {given.shape}, not {shape}",
+                where="policy",
+                fix="give one row for each combination of the columns it reads",
+            )
+        rule, shares = (
+            (self._checked_numbers(given), None) if numbers else self._checked_table(given)
+        )
         rule.setflags(write=False)
         object.__setattr__(self, "rule", rule)
         object.__setattr__(self, "shares", shares)
 
     def _checked_numbers(self, given: Numbers) -> Numbers:
-        rule: Numbers = np.array(given, dtype=np.int64)
-        if rule.shape != (self.space.size,):
-            self._refuse_shape(rule)
-        if ((rule < -1) | (rule >= len(self.actions))).any():
+        if ((given < -1) | (given >= len(self.actions))).any():
             raise ModelError(
                 f"an action number is outside 0 … {len(self.actions) - 1}",
                 where="policy",
                 fix="use the model's action numbers",
             )
-        return rule
+        return np.array(given, dtype=np.int64)
 
-    def _checked_table(self, given: Numbers) -> Floats:
+    def _checked_table(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
+        """Return the rule of a table, action numbers where they say it all, and its shares."""
         table = float_array(given).copy()
-        if table.shape != (self.space.size, len(self.actions)):
-            self._refuse_shape(table)
         silent = np.isnan(table).all(axis=1)
         wrong = ~silent & ~(
             (np.abs(table.sum(axis=1) - 1) <= FLOAT_ROW_TOLERANCE) & (table >= 0).all(axis=1)
@@ -130,14 +134,13 @@ class Policy:
                 where=f"policy, {self.space.label(row)}",
                 fix="make them at least 0, with sum 1",
             )
-        return table
-
-    def _refuse_shape(self, table: Numbers) -> NoReturn:
-        raise ModelError(
-            f"a policy table of shape {table.shape}, not ({self.space.size}, {len(self.actions)})",
-            where="policy",
-            fix="give one row for each combination of the columns it reads",
-        )
+        shares = _rounded_away(given, table) if self.shares is None else self.shares
+        if shares is not None:
+            shares = self._checked_shares(shares, table)
+        alone = (table == 1).any(axis=1) & (np.count_nonzero(table, axis=1) == 1)
+        if (alone | silent).all():
+            return np.where(silent, -1, (table == 1).argmax(axis=1)), None
+        return table, shares
 
     def _checked_shares(self, given: Numbers, table: Floats) -> Numbers:
         """Return exact shares, read-only, or raise ModelError where they are not the table's."""
@@ -232,7 +235,12 @@ class Policy:
         table.setflags(write=False)
         return table
 
-    def weights(self, mdp: MDP) -> Floats:
+    @property
+    def read_as(self) -> ReadAs:
+        """"q" where the policy is the greedy one of a Q-table, else "policy"."""
+        return "policy" if self.values is None else "q"
+
+    def weights(self, model: MDP) -> Floats:
         """Return (L,) the probability of each pair given its state.
 
         Raises
@@ -241,44 +249,34 @@ class Policy:
             Where the policy says nothing of a state with a choice, or takes an action that the
             state does not offer.
         """
-        keys = self._keys(mdp)
-        numbers = np.array([*(mdp.action(name) for name in self.actions), -1])
-        if self.deterministic:
-            chosen = numbers[self.rule][keys]
-            weights = (mdp.pair_action == chosen[mdp.pair_state]).astype(np.float64)
-            weights[(chosen < 0)[mdp.pair_state]] = np.nan
-            wanted: Numbers = np.ones(mdp.n_states, dtype=np.int64)
-        else:
-            by_action = np.zeros((self.space.size, mdp.n_actions))
-            by_action[:, numbers[:-1]] = self.rule
-            weights = by_action[keys[mdp.pair_state], mdp.pair_action]
-            wanted = np.count_nonzero(by_action > 0, axis=1)[keys]
-        offered = np.add.reduceat((weights > 0).astype(np.int64), mdp.pair_offsets[:-1])
-        if mdp.space.extra and self.space.extra != mdp.space.extra:
-            weights[mdp.pair_state >= mdp.space.regular] = np.nan
-        weights[mdp.forced[mdp.pair_state]] = 1.0
-        total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
+        weights, wanted = self._by_pair(model, self.rule)
+        weights = weights.astype(np.float64)
+        offered = np.add.reduceat((weights > 0).astype(np.int64), model.pair_offsets[:-1])
+        if model.space.extra and self.space.extra != model.space.extra:
+            weights[model.pair_state >= model.space.regular] = np.nan
+        weights[model.forced[model.pair_state]] = 1.0
+        total = np.add.reduceat(weights, model.pair_offsets[:-1])
         bad = ~(np.abs(total - 1) <= FLOAT_ROW_TOLERANCE)
-        bad |= (offered < wanted) & ~mdp.forced  # however rarely it is taken
+        bad |= (offered < wanted) & ~model.forced  # however rarely it is taken
         # What is done where everything has ended does not matter: it may be left open.
-        ended = bad & mdp.terminal
-        weights[ended[mdp.pair_state]] = 0.0
-        weights[mdp.pair_offsets[:-1][ended]] = 1.0
+        ended = bad & model.terminal
+        weights[ended[model.pair_state]] = 0.0
+        weights[model.pair_offsets[:-1][ended]] = 1.0
         bad &= ~ended
         if bad.any():
             state = int(np.flatnonzero(bad)[0])
             missing = bool(np.isnan(total[state]))
-            names = [mdp.actions[mdp.pair_action[pair]] for pair in mdp.pairs_of(state)]
+            names = [model.actions[model.pair_action[pair]] for pair in model.pairs_of(state)]
             raise ModelError(
                 "the policy says nothing of a state with a choice"
                 if missing
                 else "the policy takes an action that is not available",
-                where=f"state ({mdp.space.label(state)})",
+                where=f"state ({model.space.label(state)})",
                 fix=f"choose one of {', '.join(names)} there",
             )
-        return np.asarray(weights, dtype=np.float64)
+        return weights
 
-    def weights_exact(self, mdp: MDP) -> Numbers | None:
+    def weights_exact(self, model: MDP) -> Numbers | None:
         """Return (L,) whole numbers in proportion to the exact probability of each pair.
 
         None where the floats of `weights`, divided by their exact sum, are the exact probabilities.
@@ -296,42 +294,53 @@ class Policy:
         """
         if self.shares is None:
             return None
-        taken = self.weights(mdp) > 0
-        numbers = np.array([mdp.action(name) for name in self.actions])
-        by_action = np.zeros((self.space.size, mdp.n_actions), dtype=self.shares.dtype)
-        by_action[:, numbers] = self.shares
-        found = by_action[self._keys(mdp)[mdp.pair_state], mdp.pair_action]
+        taken = self.weights(model) > 0
+        found, _ = self._by_pair(model, self.shares)
         # Where there is no choice, or all has ended, the policy is not asked.
-        other = np.logical_or.reduceat((found > 0) != taken, mdp.pair_offsets[:-1])
-        return np.where(other[mdp.pair_state], taken.astype(found.dtype), found)
+        other = np.logical_or.reduceat((found > 0) != taken, model.pair_offsets[:-1])
+        return np.where(other[model.pair_state], taken.astype(found.dtype), found)
 
-    def choices(self, mdp: MDP) -> Integers:
+    def _by_pair(self, model: MDP, rule: Numbers) -> tuple[Numbers, Integers]:
+        """Return (L,) what a rule gives each pair, and (S,) how many actions each state takes."""
+        keys = rows_read(model, self.space)
+        numbers = np.array([*map(model.action, self.actions), -1])
+        if rule.ndim == 1:
+            chosen = numbers[rule][keys]
+            weights: Numbers = (model.pair_action == chosen[model.pair_state]).astype(np.float64)
+            weights[(chosen < 0)[model.pair_state]] = np.nan
+            return weights, np.ones(model.n_states, dtype=np.int64)
+        by_action = np.zeros((self.space.size, model.n_actions), dtype=rule.dtype)
+        by_action[:, numbers[:-1]] = rule
+        wanted = np.count_nonzero(by_action > 0, axis=1)[keys]
+        return by_action[keys[model.pair_state], model.pair_action], wanted
+
+    def choices(self, model: MDP) -> Integers:
         """Return (S,) the likeliest action of every state, the lowest number on a tie."""
-        weights = self.weights(mdp)
-        best = np.maximum.reduceat(weights, mdp.pair_offsets[:-1])
-        first = np.where(weights == best[mdp.pair_state], np.arange(mdp.n_pairs), mdp.n_pairs)
-        return mdp.pair_action[np.minimum.reduceat(first, mdp.pair_offsets[:-1])]
-
-    def _keys(self, mdp: MDP) -> Integers:
-        """Return (S,) the row of the table that each state reads."""
-        return rows_read(mdp, self.space)
+        weights = self.weights(model)
+        best = np.maximum.reduceat(weights, model.pair_offsets[:-1])
+        first = np.where(weights == best[model.pair_state], np.arange(model.n_pairs), model.n_pairs)
+        return model.pair_action[np.minimum.reduceat(first, model.pair_offsets[:-1])]
 
     # ---- construction ------------------------------------------------------------------------
 
     @classmethod
-    def of(cls, mdp: MDP, policy: object, *, kind: str = "auto") -> Policy:
+    def of(cls, model: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
         """Return a policy from any form that the toolkit takes.
 
         Parameters
         ----------
-        mdp : MDP
-        policy : Policy, str, path, mapping, array, or object with an array `q` or `policy`
+        model : MDP
+        policy : PolicyLike
             A policy; "random", "always:ACTION" or a file; {status: action}; (S,) action numbers;
-            a two-dimensional array of probabilities or action values. Where the model stops after N
-            steps (`MDP.within`), S may be the states without their time, and (N, S) and (N, S, A)
-            depend on time.
+            a two-dimensional array of probabilities or action values; anything with a `policy`.
+            Where the model stops after N steps (`MDP.within`), S may be the states without their
+            time, and (N, S) and (N, S, A) depend on time.
         kind : "auto", "q" or "policy"
             What a two-dimensional array holds; `mdp.policies.arrays` states the rule of "auto".
+
+        Returns
+        -------
+        Policy
 
         Raises
         ------
@@ -345,70 +354,110 @@ class Policy:
         [0.5, 0.5, 1.0, 0.0]
         >>> Policy.of(mdp, [[0.5, 0.5], [0, 0]], kind="q").weights(mdp).tolist()
         [1.0, 0.0, 1.0, 0.0]
+        >>> Policy.of(mdp, [[1.5, 2.5], [0, 0]]).read_as, Policy.of(mdp, "random").read_as
+        ('q', 'policy')
         """
-        return taken(mdp, policy, kind=kind).policy
+        if kind not in KINDS:
+            raise ModelError(
+                f"{kind!r} is not a kind of array", where="kind", fix=f"choose {', '.join(KINDS)}"
+            )
+        if isinstance(policy, str | Path) and Path(policy).suffix.lower() in (".npy", ".npz"):
+            array = read_array(policy, called="q")
+            with located(str(policy)):
+                return cls(**_of_array(model, array, kind))
+        given: Any = policy
+        if not isinstance(given, Policy) and hasattr(given, "policy"):
+            if hasattr(given, "q") and callable(given.policy):
+                kind = "q" if kind == "auto" else kind
+                return cls(**_of_array(model, numbers_of(given.q), kind))
+            given = given.policy if isinstance(given.policy, np.ndarray | Policy) else given
+        words = isinstance(given, str | Path | Mapping)
+        if not words and not isinstance(given, Policy):
+            return cls(**_of_array(model, numbers_of(given), kind))
+        found = cls._of_words(model, given) if words else given
+        if kind == "q" and found.values is None:
+            raise ModelError(
+                "this is a policy, not a Q-table",
+                where="policy",
+                fix="leave kind out, or give an array of action values, or a file of one",
+            )
+        return found
 
     @classmethod
-    def uniform(cls, mdp: MDP) -> Policy:
+    def _of_words(cls, model: MDP, given: str | Path | Mapping[Any, Any]) -> Policy:
+        if given == "random":
+            return cls.uniform(model)
+        if isinstance(given, str) and given.startswith("always:"):
+            return cls.always(model, given.removeprefix("always:"))
+        mapping = isinstance(given, Mapping)
+        with located("policy" if mapping else str(given)):
+            read = files.from_mapping(model, given) if mapping else files.read(given, model)
+            found = cls(**read)
+            found.weights(model)
+        return found
+
+    @classmethod
+    def uniform(cls, model: MDP) -> Policy:
         """Return the policy that draws one of each state's actions uniformly."""
-        table = np.zeros((mdp.n_states, mdp.n_actions))
-        counts = np.diff(mdp.pair_offsets)[mdp.pair_state]
-        table[mdp.pair_state, mdp.pair_action] = 1 / counts
+        table = np.zeros((model.n_states, model.n_actions))
+        counts = np.diff(model.pair_offsets)[model.pair_state]
+        table[model.pair_state, model.pair_action] = 1 / counts
         shares = (table > 0).astype(np.int64)
-        return cls(space=mdp.space, actions=mdp.actions, rule=table, shares=shares)
+        return cls(space=model.space, actions=model.actions, rule=table, shares=shares)
 
     @classmethod
-    def always(cls, mdp: MDP, action: str) -> Policy:
+    def always(cls, model: MDP, action: str) -> Policy:
         """Return the policy that takes one action wherever there is a choice."""
-        number = mdp.action(action)
-        return cls(space=StateSpace(columns=()), actions=mdp.actions, rule=np.array([number]))
+        number = np.array([model.action(action)])
+        return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
 
     @classmethod
-    def from_choices(cls, mdp: MDP, choices: ArrayLike) -> Policy:
+    def from_choices(cls, model: MDP, choices: ArrayLike) -> Policy:
         """Return the policy of (S,) action numbers; a forced end may be left out.
 
         Where the model stops after N steps, (S,) without the time and (N, S) are taken as well.
         """
-        space, numbers = action_numbers(mdp, numbers_of(choices))
-        return cls(space=space, actions=mdp.actions, rule=numbers)
+        return cls(**action_numbers(model, numbers_of(choices)))
 
     @classmethod
-    def from_q(cls, mdp: MDP, table: ArrayLike) -> Policy:
+    def from_q(cls, model: MDP, table: ArrayLike) -> Policy:
         """Return the greedy policy of a Q-table; the lowest action number wins a tie.
 
         Parameters
         ----------
+        model : MDP
         table : (S, A) over all states, or (2^n, A) over the status vectors
             Action values, compared as they are; only the actions that a state offers count. Extra
             states (the end) may be left out where they offer no choice. See `mdp.policies.arrays`.
         """
-        return _made(policy_of_array(mdp, numbers_of(table), "q"))
+        return cls(**policy_of_array(model, numbers_of(table), "q"))
 
     @classmethod
-    def by(cls, mdp: MDP, columns: Sequence[str], table: ArrayLike) -> Policy:
+    def by(cls, model: MDP, columns: Sequence[str], table: ArrayLike) -> Policy:
         """Return a policy that reads the named columns.
 
         Parameters
         ----------
+        model : MDP
         columns : names of columns of the model's states
         table : (K,) action numbers or (K, A) probabilities, row-major over the columns
             Exact probabilities (Fractions) stay exact.
         """
-        space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
+        space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
         array: Numbers = np.asarray(table)
-        inside = array.dtype.kind in "iu" and ((array >= 0) & (array < mdp.n_actions)).all()
+        inside = array.dtype.kind in "iu" and ((array >= 0) & (array < model.n_actions)).all()
         if array.ndim == 1 and not inside:
             raise ModelError(
-                f"an action number is not whole, or outside 0 … {mdp.n_actions - 1}",
+                f"an action number is not whole, or outside 0 … {model.n_actions - 1}",
                 where="policy",
                 fix="use the model's action numbers",
             )
-        return cls(space=space, actions=mdp.actions, rule=array)
+        return cls(space=space, actions=model.actions, rule=array)
 
     @classmethod
-    def read(cls, path: str | Path, mdp: MDP, *, kind: str = "auto") -> Policy:
+    def read(cls, path: str | Path, model: MDP, *, kind: str = "auto") -> Policy:
         """Read a policy or Q-table from `.json`, `.csv`, `.npy` or `.npz`; see the README."""
-        return taken(mdp, Path(path), kind=kind).policy
+        return cls.of(model, Path(path), kind=kind)
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads the status alone) `.json`, atomically."""
@@ -427,109 +476,33 @@ PolicyLike: TypeAlias = Policy | str | Path | Mapping[Any, Any] | ArrayLike | So
 """What is taken as a policy: one, its name or file, a mapping, an array, or what has one."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Taken:
-    """A policy, and what it was taken from.
-
-    Attributes
-    ----------
-    policy : Policy
-    read_as : "q" or "policy"
-    array : bool
-        Whether a two-dimensional array was read, which might have been either.
-    values : (K, A), optional
-        The Q-table as it is.
-    """
-
-    policy: Policy
-    read_as: ReadAs = "policy"
-    array: bool = False
-    values: Numbers | None = None
-
-    @property
-    def said(self) -> str:
-        """What was taken, in words; empty where there was no array."""
-        if not self.array:
-            return ""
-        return "a Q-table: its greedy policy" if self.read_as == "q" else "action probabilities"
-
-
-def taken(mdp: MDP, policy: Any, *, kind: str = "auto") -> Taken:
-    """Return the policy of any form that the toolkit takes, and what was read; see `Policy.of`.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> taken(mdp, [[1.5, 2.5], [0, 0]]).read_as, taken(mdp, "random").read_as
-    ('q', 'policy')
-    """
-    asked = checked_kind(kind)
-    if isinstance(policy, str | Path) and Path(policy).suffix.lower() in (".npy", ".npz"):
-        return files.array_file(policy, lambda array: _of_array(mdp, array, asked))
-    if not isinstance(policy, Policy):
-        if hasattr(policy, "q") and callable(getattr(policy, "policy", None)):
-            return _of_array(mdp, numbers_of(policy.q), "q" if asked == "auto" else asked)
-        policy = policy.policy if _chosen(policy) else policy
-    found = _of_words(mdp, policy)
-    if found is None:
-        return _of_array(mdp, numbers_of(policy), asked)
-    if asked == "q":
-        raise ModelError(
-            "this is a policy, not a Q-table",
-            where="policy",
-            fix="leave kind out, or give an array of action values, or a file of one",
-        )
-    return Taken(policy=found)
-
-
-def _chosen(policy: object) -> bool:
-    """Return whether something holds (S,) action numbers, as solutions and certificates do."""
-    return isinstance(getattr(policy, "policy", None), np.ndarray | Policy)
-
-
-def _of_words(mdp: MDP, policy: object) -> Policy | None:
-    """Return the policy of anything but arrays; None where it must be one."""
-    if isinstance(policy, Policy):
-        return policy
-    if isinstance(policy, Mapping):
-        return _from_file(mdp, files.from_mapping(mdp, policy, where="policy"))
-    if isinstance(policy, str) and policy == "random":
-        return Policy.uniform(mdp)
-    if isinstance(policy, str) and policy.startswith("always:"):
-        return Policy.always(mdp, policy.removeprefix("always:"))
-    if isinstance(policy, str | Path):
-        return _from_file(mdp, files.read(policy, mdp))
-    return None
-
-
-def _of_array(mdp: MDP, array: Numbers, kind: str) -> Taken:
-    timed = mdp.space.untimed is not None
-    times = timed and array.ndim == 2 and by_time(mdp, array, 0).ndim == 1
-    if times and array.dtype.kind in "iu" and kind != "q" and array.shape[1] != mdp.n_actions:
-        return Taken(policy=Policy.from_choices(mdp, array))
-    if times and array.dtype.kind in "iu" and kind == "auto":
-        _refuse_two_meanings(mdp, array)
+def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:
+    timed = model.space.untimed is not None
+    whole = array.dtype.kind in "iu" and kind != "q"
+    if whole and timed and array.ndim == 2 and by_time(model, array, 0).ndim == 1:
+        if array.shape[1] != model.n_actions:
+            return action_numbers(model, array)
+        if kind == "auto":
+            _refuse_two_meanings(model, array)
     if array.ndim == 2 or (timed and array.ndim == 3):
-        found = policy_of_array(mdp, array, kind)
-        values = found.values
-        return Taken(policy=_made(found), read_as=found.read_as, array=True, values=values)
-    if array.ndim == 1 and array.dtype.kind in "iu" and kind != "q":
-        return Taken(policy=Policy.from_choices(mdp, array))
+        return policy_of_array(model, array, kind)
+    if whole and array.ndim == 1:
+        return action_numbers(model, array)
     raise ModelError(
         f"a policy of shape {array.shape} and type {array.dtype}",
         where="policy",
-        fix=f"give ({mdp.n_states},) action numbers, or ({mdp.n_states}, {mdp.n_actions}) "
+        fix=f"give ({model.n_states},) action numbers, or ({model.n_states}, {model.n_actions}) "
         "probabilities or action values",
     )
 
 
-def _refuse_two_meanings(mdp: MDP, array: Numbers) -> None:
+def _refuse_two_meanings(model: MDP, array: Numbers) -> None:
     """Raise ModelError where (N, S) action numbers may as well be (S, A) of something else."""
     try:
-        numbers = Policy.from_choices(mdp, array).weights(mdp)
+        numbers = Policy(**action_numbers(model, array)).weights(model)
     except ModelError:  # these are no action numbers
         return
-    if (numbers != _made(policy_of_array(mdp, array, "auto")).weights(mdp)).any():
+    if (numbers != Policy(**policy_of_array(model, array)).weights(model)).any():
         raise ModelError(
             f"an array of shape {array.shape} may be action numbers by time and state, or a table "
             "of states and actions, which differ",
@@ -538,39 +511,14 @@ def _refuse_two_meanings(mdp: MDP, array: Numbers) -> None:
         )
 
 
-def _made(found: ArrayPolicy) -> Policy:
-    return Policy(space=found.space, actions=found.actions, rule=found.table)
-
-
-def _numbers_alone(table: Floats) -> Numbers | None:
-    """Return (K,) action numbers where each row of (K, A) gives 1 to one action or is NaN."""
-    one = table == 1
-    silent = np.isnan(table).all(axis=1)
-    if not ((one.any(axis=1) & (np.count_nonzero(table, axis=1) == 1)) | silent).all():
-        return None
-    return np.where(silent, -1, one.argmax(axis=1))
-
-
-def _rounded_away(given: ArrayLike, table: Floats) -> Numbers | None:
+def _rounded_away(given: Numbers, table: Floats) -> Numbers | None:
     """Return (K, A) exact shares of the numbers given; None where the floats are these numbers."""
-    array: Numbers = np.asarray(given)
-    if array.dtype.kind in "biu" or (array.dtype.kind == "f" and array.dtype.itemsize <= 8):
+    if given.dtype.kind in "biu" or (given.dtype.kind == "f" and given.dtype.itemsize <= 8):
         return None
     said = np.flatnonzero(~np.isnan(table).all(axis=1)).tolist()
-    chances = {row: [exact(number) for number in array[row]] for row in said}
+    chances = {row: [exact(number) for number in given[row]] for row in said}
     if all(table[row].tolist() == numbers for row, numbers in chances.items()):
         return None
     rows = [in_proportion(chances[k]) if k in chances else None for k in range(len(table))]
     none = [0] * table.shape[1]
     return np.array([row or none for row in rows], dtype=object).reshape(table.shape)
-
-
-def _from_file(mdp: MDP, found: files.FileTable) -> Policy:
-    """Return the policy, with the file's name in what goes wrong; no row may be missing."""
-    where = found.where
-    policy = files.at_place(
-        where, lambda: Policy(space=found.space, actions=mdp.actions, rule=found.table)
-    )
-    files.check_complete(mdp, found)
-    files.at_place(where, lambda: policy.weights(mdp))
-    return policy
