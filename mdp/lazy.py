@@ -43,8 +43,16 @@ EXTRAS = {
 }
 
 # Parts of the core that take long to load: 0.1 to 0.5 s each.
-HEAVY = ("flint", "joblib", "numba", "pandas", "scipy", "tqdm", "exact_mdp.solvers.kernels")
-HEAVY += ("exact_mdp.paper_repro.agents.transport",)  # made of classes of httpcore
+HEAVY = (
+    "exact_mdp.paper_repro.agents.transport",  # made of classes of httpcore
+    "exact_mdp.solvers.kernels",
+    "flint",
+    "joblib",
+    "numba",
+    "pandas",
+    "scipy",
+    "tqdm",
+)
 
 
 def load(name: str) -> ModuleType:

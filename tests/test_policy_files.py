@@ -27,7 +27,7 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "json list": ("p.json", "[1]", "not a JSON object"),
     "json number": ("p.json", "3", "not a JSON object"),
     "json cut": ("p.json", GOOD_JSON[:-5], "broken JSON"),
-    "json deep": ("p.json", '{"a":' * 100_000, "broken JSON"),
+    "json deep": ("p.json", '{"a":' * 100_000, "nested more than 100 deep"),
     "json twice": ("p.json", GOOD_JSON[:-1] + ', "0000": "none"}', "0000 appears twice"),
     "json status": ("p.json", GOOD_JSON.replace("0110", "0120"), "unknown status '0120'"),
     "json short status": ("p.json", GOOD_JSON.replace("0110", "110"), "unknown status '110'"),

@@ -77,7 +77,7 @@ def check(
     """
     from time import perf_counter
 
-    from exact_mdp.analysis.cli.options import taken_of
+    from exact_mdp.analysis.cli.options import policy_of
     from exact_mdp.analysis.gate import check as compare
     from exact_mdp.analysis.gate.audit import UNEXPLAINED
     from exact_mdp.mdp.io.load import load
@@ -85,7 +85,7 @@ def check(
     started = perf_counter()
     check_outputs((junit, (".xml",)))
     loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
-    given = taken_of(loaded.mdp, learned, perception, kind=kind)
+    given = policy_of(loaded.mdp, learned, perception, kind=kind)
     audit = compare.check(
         loaded.mdp,
         given,

@@ -14,9 +14,9 @@ from exact_mdp.analysis.cli.options import (
     kind_option,
     model_options,
     perception_option,
+    policy_of,
     read_as,
     stopped,
-    taken_of,
     tell_limit,
     whole_of,
 )
@@ -57,8 +57,8 @@ def evaluate(
     from exact_mdp.mdp.io.load import load
 
     loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
-    given = taken_of(loaded.mdp, policy, perception, kind=kind)
-    found = solvers.evaluate(loaded.mdp, given.policy)
+    given = policy_of(loaded.mdp, policy, perception, kind=kind)
+    found = solvers.evaluate(loaded.mdp, given)
     shares = found.quantiles if quantiles else None
     missing = "left out" if not quantiles else found.quantiles_missing
     result: dict[str, Any] = {
@@ -136,9 +136,9 @@ def returns(
     from exact_mdp.solvers.values.returns import return_distribution
 
     loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
-    given = taken_of(loaded.mdp, policy, perception, kind=kind)
-    found = return_distribution(loaded.mdp, given.policy, exact=exact)
-    moments = solvers.evaluate(loaded.mdp, given.policy)
+    given = policy_of(loaded.mdp, policy, perception, kind=kind)
+    found = return_distribution(loaded.mdp, given, exact=exact)
+    moments = solvers.evaluate(loaded.mdp, given)
     values, chances = [decimal(value) for value in found.values], found.probabilities.tolist()
     error = float(found.error.max())
     result: dict[str, Any] = {
@@ -215,8 +215,8 @@ def simulate(
     count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
     endless = load(model, sets=sets, discount=discount)
     loaded, steps = stopped(endless, horizon)
-    given = taken_of(loaded.mdp, policy, perception, kind=kind)
-    found = sample(endless.mdp, given.policy, count, first, horizon=steps)
+    given = policy_of(loaded.mdp, policy, perception, kind=kind)
+    found = sample(endless.mdp, given, count, first, horizon=steps)
     low, high = found.estimate.interval
     result: dict[str, Any] = {
         "model": loaded.name,

@@ -13,7 +13,7 @@ import click
 if TYPE_CHECKING:
     from exact_mdp.mdp.io.load import Loaded
     from exact_mdp.mdp.model import MDP
-    from exact_mdp.mdp.policies.policy import Policy, Taken
+    from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -92,33 +92,28 @@ def tell_limit(mdp: MDP, *, option: bool = True) -> None:
 
 
 def policy_of(mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto") -> Policy:
-    """Return the policy that a command names; see `taken_of`."""
-    return taken_of(mdp, form, perception, kind=kind).policy
-
-
-def taken_of(mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto") -> Taken:
     """Return the policy that a command names, acting on what is perceived where that is given.
 
     The optimum is solved for; under a perception it is the optimum of whoever sees the truth.
     """
-    from exact_mdp.mdp.policies.policy import taken
+    from exact_mdp.mdp.policies.policy import Policy
 
-    given: object = form
+    given: PolicyLike = form
     if form == "optimal":
         from exact_mdp.solvers import solve
 
         given = solve(mdp)
-    found = taken(mdp, given, kind=kind)
+    found = Policy.of(mdp, given, kind=kind)
     if perception is None:
         return found
     from exact_mdp.mdp.care.perception import perceived, read
 
-    return replace(found, policy=perceived(mdp, found.policy, read(perception, mdp)), values=None)
+    return replace(perceived(mdp, found, read(perception, mdp)), source=found.source)
 
 
-def read_as(found: Taken) -> dict[str, str]:
+def read_as(found: Policy) -> dict[str, str]:
     """Return the first line of the output: what an array was taken for, where there was one."""
-    return {"read as": found.said} if found.said else {}
+    return {"read as": found.source} if found.source else {}
 
 
 def float_of(text: str | None, option: str) -> float | None:

@@ -21,8 +21,7 @@ from exact_mdp.analysis.gate.q_error import QError, q_error
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.analysis.gate.representation import Representation, representation
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import ReadAs
-from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.table import Floats, shown
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -20,7 +20,6 @@ from exact_mdp.analysis.gate.q_error import pair_values
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Taken
 from exact_mdp.mdp.table import LARGEST, exact, shown
 from exact_mdp.solvers.solution import Certified, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -41,7 +40,7 @@ def check(
     Parameters
     ----------
     mdp : MDP
-    learned : Policy, str, path, mapping, array, Solution, TrainingRun or Taken
+    learned : Policy, str, path, mapping, array, Solution or TrainingRun
         Whatever `Policy.of` takes, Q-tables included. Of these the greedy policy counts, the lowest
         action number on a tie.
     max_regret, max_relative_regret : number or "p/q", optional
@@ -81,10 +80,9 @@ def check(
         "max_regret": _limit("max_regret", max_regret),
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
     }
-    found = learned if isinstance(learned, Taken) else policy_of(mdp, learned, kind=kind)
-    policy = found.policy
+    policy = policy_of(mdp, learned, kind=kind)
     chain = PolicyChain.of(mdp, policy)
-    said = None if found.values is None else pair_values(mdp, policy, found.values)
+    said = None if policy.values is None else pair_values(mdp, policy, policy.values)
 
     def audit(lost: Regret) -> Audit:
         visits = own_visits(chain, exact=isinstance(lost.at_start, Certified))
@@ -96,8 +94,8 @@ def check(
             visits=visits.value,
             disagreements=disagreements(mdp, chain, lost, visits),
             said=said,
-            read_as=found.read_as,
-            source=found.said,
+            read_as=policy.read_as,
+            source=policy.source,
             **limits,
         )
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import by_time
+from exact_mdp.mdp.policies.arrays import by_time, rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers
 
@@ -61,7 +61,7 @@ def pair_values(mdp: MDP, policy: Policy, table: Numbers) -> Floats:
         Rows of the states, or of the columns that the policy reads; (N, S, A) by time.
     """
     table = by_time(mdp, table, np.nan, of_actions=True)
-    keys = policy._keys(mdp)[mdp.pair_state]
+    keys = rows_read(mdp, policy.space)[mdp.pair_state]
     column = np.array(
         [policy.actions.index(name) if name in policy.actions else -1 for name in mdp.actions]
     )[mdp.pair_action]

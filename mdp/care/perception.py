@@ -26,11 +26,11 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, beside, exact, float_array
 
 
-def perceived(mdp: MDP, policy: object, confusion: ArrayLike) -> Policy:
+def perceived(mdp: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     """Return the policy that acts on perceived statuses, as a mixed policy of the true state.
 
     Parameters

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from exact_mdp.mdp.care.perception import checked, status_size
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
@@ -121,7 +121,7 @@ class Process:
 
         return replace(self, confusion=_normalised(confusion, self.statuses))
 
-    def table(self, policy: object) -> Floats:
+    def table(self, policy: PolicyLike) -> Floats:
         """Return (P, Z, A) what a policy does at each place and *perceived* status.
 
         Parameters

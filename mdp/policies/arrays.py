@@ -207,7 +207,7 @@ def _greedy(values: Numbers, layout: _Layout) -> Integers:
     # Elsewhere it does not matter what is chosen, as long as it is offered.
     chosen = np.argmax(np.where(asked, values, _least(values)), axis=1)
     lowest = np.argmax(layout.offered, axis=1)
-    return np.where(asked[np.arange(len(chosen)), chosen], chosen, lowest)
+    return np.asarray(np.where(asked[np.arange(len(chosen)), chosen], chosen, lowest))
 
 
 def _least(values: Numbers) -> Any:

@@ -106,19 +106,18 @@ def _from_csv(text: str, model: MDP) -> Parts:
     space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
     rows: Rows = {}
     for number, line in enumerate(lines[1:], start=2):
-        if line:
-            with located(f"line {number}"):
-                _add_line(rows, space, model, dict(zip(header, line, strict=False)), len(line))
+        with located(f"line {number}"):
+            if line and len(line) != len(header):
+                raise ModelError(
+                    f"{len(line)} values under {len(header)} headings", fix="correct the line"
+                )
+            if line:
+                _add_line(rows, space, model, dict(zip(header, line, strict=True)))
     return _complete(model, space, rows)
 
 
-def _add_line(
-    rows: Rows, space: StateSpace, model: MDP, entry: Mapping[str, str], given: int
-) -> None:
-    """Add one line of a CSV file, `given` values by heading, to the rows."""
-    headings = len(space.columns) + 1 + ("probability" in entry)
-    if given != len(entry) or given != headings:
-        raise ModelError(f"{given} values under the headings", fix="correct the line")
+def _add_line(rows: Rows, space: StateSpace, model: MDP, entry: Mapping[str, str]) -> None:
+    """Add one line of a CSV file, its values by heading, to the rows."""
     values = {column.name: column.parse(entry[column.name]) for column in space.columns}
     word = entry["action"] if entry["action"] in model.actions else entry["action"].strip()
     action, key = check_action(word, model.actions, ""), space.index(**values)

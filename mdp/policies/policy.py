@@ -22,6 +22,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import files
 from exact_mdp.mdp.policies.arrays import (
     KINDS,
+    Q_TABLE,
     Parts,
     action_numbers,
     by_time,
@@ -42,6 +43,7 @@ from exact_mdp.mdp.table import (
     in_proportion,
     magnitude,
 )
+
 ReadAs = Literal["q", "policy"]
 
 
@@ -237,8 +239,8 @@ class Policy:
 
     @property
     def read_as(self) -> ReadAs:
-        """"q" where the policy is the greedy one of a Q-table, else "policy"."""
-        return "policy" if self.values is None else "q"
+        """ "q" where the policy is the greedy one of a Q-table, else "policy"."""
+        return "q" if self.source == Q_TABLE else "policy"
 
     def weights(self, model: MDP) -> Floats:
         """Return (L,) the probability of each pair given its state.
@@ -375,7 +377,7 @@ class Policy:
         if not words and not isinstance(given, Policy):
             return cls(**_of_array(model, numbers_of(given), kind))
         found = cls._of_words(model, given) if words else given
-        if kind == "q" and found.values is None:
+        if kind == "q" and found.read_as != "q":
             raise ModelError(
                 "this is a policy, not a Q-table",
                 where="policy",
@@ -389,10 +391,11 @@ class Policy:
             return cls.uniform(model)
         if isinstance(given, str) and given.startswith("always:"):
             return cls.always(model, given.removeprefix("always:"))
-        mapping = isinstance(given, Mapping)
-        with located("policy" if mapping else str(given)):
-            read = files.from_mapping(model, given) if mapping else files.read(given, model)
-            found = cls(**read)
+        with located("policy" if isinstance(given, Mapping) else str(given)):
+            if isinstance(given, Mapping):
+                found = cls(**files.from_mapping(model, given))
+            else:
+                found = cls(**files.read(given, model))
             found.weights(model)
         return found
 

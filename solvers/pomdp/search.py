@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -231,7 +232,7 @@ class Search:
         self._learn(place, vector, action)
 
 
-def _tables(process: Process, begin: object) -> list[Floats]:
+def _tables(process: Process, begin: Any) -> list[Floats]:
     """Return the policies (P, Z, A) that the lower bound begins with."""
     if begin is not None:
         forms = list(begin) if isinstance(begin, list | tuple) else [begin]

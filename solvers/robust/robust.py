@@ -24,6 +24,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.gains import SLACK
@@ -171,7 +172,7 @@ def solve_robust(
     *,
     nature: Nature = "worst",
     objective: Objective = "max",
-    policy: object | None = None,
+    policy: PolicyLike | None = None,
     tol: float | None = None,
     max_iterations: int = 100_000,
 ) -> RobustSolution:

@@ -23,7 +23,7 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import ReadAs
+from exact_mdp.mdp.policies.policy import PolicyLike, ReadAs
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
@@ -67,7 +67,7 @@ class Evaluation:
     @property
     def read_as(self) -> ReadAs:
         """What an array was taken for: "q" or "policy"."""
-        return self.chain.read_as
+        return "policy" if self.chain.policy is None else self.chain.policy.read_as
 
     @property
     def claim(self) -> Claim:
@@ -347,7 +347,7 @@ def _times(number: float, power: int, times: int = 1) -> float:
 
 
 def evaluate(
-    model: MDP | Scenario, policy: object, *, kind: str = "auto", horizon: int | None = None
+    model: MDP | Scenario, policy: PolicyLike, *, kind: str = "auto", horizon: int | None = None
 ) -> Evaluation:
     """Return the mean and all else that there is to know about a policy's return.
 

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import ReadAs
-from exact_mdp.mdp.policies.policy import Policy, Taken, taken
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     Floats,
@@ -42,7 +41,7 @@ Mask = NDArray[np.bool_]
 SHOWN = 4
 
 
-def policy_of(mdp: MDP, policy: object, *, kind: str = "auto") -> Taken:
+def policy_of(mdp: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
     """Return the policy of any form that the toolkit takes; for "optimal" the model is solved.
 
     Parameters
@@ -55,8 +54,7 @@ def policy_of(mdp: MDP, policy: object, *, kind: str = "auto") -> Taken:
 
     Returns
     -------
-    Taken
-        The policy, and what it was read from.
+    Policy
 
     Raises
     ------
@@ -66,12 +64,12 @@ def policy_of(mdp: MDP, policy: object, *, kind: str = "auto") -> Taken:
     Examples
     --------
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> policy_of(mdp, "optimal").policy.weights(mdp).tolist()
+    >>> policy_of(mdp, "optimal").weights(mdp).tolist()
     [0.0, 1.0, 1.0, 0.0]
     """
     if isinstance(policy, str) and policy == "optimal":
         policy = solve(mdp)
-    return taken(mdp, policy, kind=kind)
+    return Policy.of(mdp, policy, kind=kind)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,19 +82,16 @@ class PolicyChain:
     chosen : (L,)
         Probability of each pair given its state, as the policy states it: over the pairs of a
         state they sum to 1 up to rounding.
-    read_as : "q" or "policy"
-        What the policy was taken from; see `mdp.policies.arrays`.
     policy : Policy, optional
         Where `chosen` is from, which knows the exact probabilities behind these floats.
     """
 
     mdp: MDP
     chosen: Floats
-    read_as: ReadAs = "policy"
     policy: Policy | None = None
 
     @classmethod
-    def of(cls, mdp: MDP, policy: object, *, kind: str = "auto") -> PolicyChain:
+    def of(cls, mdp: MDP, policy: PolicyLike | PolicyChain, *, kind: str = "auto") -> PolicyChain:
         """Return the chain of a policy in any form that `evaluate` takes.
 
         Beside all that `Policy.of` takes, these are "optimal", for which the model is solved; a
@@ -110,8 +105,7 @@ class PolicyChain:
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
             return cls(mdp=mdp, chosen=_checked(mdp, policy))
         found = policy_of(mdp, policy, kind=kind)
-        weights = found.policy.weights(mdp)
-        return cls(mdp=mdp, chosen=weights, read_as=found.read_as, policy=found.policy)
+        return cls(mdp=mdp, chosen=found.weights(mdp), policy=found)
 
     # ---- outcomes ----------------------------------------------------------------------------
 

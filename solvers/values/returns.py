@@ -25,6 +25,7 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.dynamic.stopping import check_counts
@@ -144,7 +145,7 @@ class ReturnDistribution:
 
 def return_distribution(
     model: MDP | Scenario,
-    policy: object,
+    policy: PolicyLike,
     *,
     exact: bool = False,
     max_sweeps: int = 1_000_000,

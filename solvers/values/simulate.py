@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.dynamic.stopping import check_counts
@@ -101,7 +102,7 @@ class Simulation:
 
 def simulate(
     model: MDP | Scenario,
-    policy: object,
+    policy: PolicyLike,
     n: int,
     rng: RNG,
     *,

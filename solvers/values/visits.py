@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
@@ -23,7 +24,7 @@ from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure, transposed
 
 
-def occupancy(mdp: MDP, policy: object) -> Floats:
+def occupancy(mdp: MDP, policy: PolicyLike) -> Floats:
     """Return (L,) the expected discounted number of uses of each pair, from the start.
 
     Below discount 1 they sum to 1 / (1 - γ), terminal states included, in which a policy stays for

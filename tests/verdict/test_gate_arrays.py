@@ -12,7 +12,6 @@ from cli_runner import run
 from exact_mdp.analysis import assert_policy_optimal, check
 from exact_mdp.mdp import MDP, ModelError, Policy
 from exact_mdp.mdp.io.load import save_model
-from exact_mdp.mdp.policies.policy import taken
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.values.returns import return_distribution
 from exact_mdp.solvers.values.simulate import simulate
@@ -154,8 +153,8 @@ def test_numbers_beyond_floats_are_compared_too(mdp: MDP) -> None:
 def test_what_was_taken_is_said(mdp: MDP) -> None:
     """`taken` and the results of audits and evaluations name the reading."""
     q = whole([[3, 1], [1, 2]])
-    assert taken(mdp, q).said == "a Q-table: its greedy policy"
-    assert taken(mdp, q).values is q
+    assert Policy.of(mdp, q).source == "a Q-table: its greedy policy"
+    assert Policy.of(mdp, q).values is q
     assert evaluate(mdp, q).read_as == "q"
     assert evaluate(mdp, "random").read_as == "policy"
 
