@@ -7,9 +7,9 @@ A package's own names load when they are first asked for, too:
 
     __getattr__, __dir__ = names_later(__name__, {"exact_mdp.solvers.solve": ["solve"]})
 
-The core needs NumPy, SciPy, pandas, numba and click. `pip install exact-mdp` brings everything that
-the commands of the README use; an environment that leaves some of it out is told what is missing
-where it is needed.
+The core needs NumPy, SciPy, pandas, numba, python-flint, joblib, tqdm, click and rich.
+`pip install exact-mdp` brings everything that the commands of the README use; an environment that
+leaves some of the others out is told what is missing where it is needed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,6 @@ EXTRAS = {
     "jinja2": "report",
     "matplotlib": "plots",
     "networkx": "plots",
-    "rich": "report",
     "umbi": "umb",
     "xllamacpp": "agents-local",
 }
@@ -50,6 +49,7 @@ HEAVY = (
     "joblib",
     "numba",
     "pandas",
+    "rich",
     "scipy",
     "tqdm",
 )
