@@ -37,7 +37,7 @@ from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_action
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
 from exact_mdp.analysis.plots.sensitivity_global import plot_sobol
 from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
-from exact_mdp.analysis.sensitivity.draws.sobol import sobol
+from exact_mdp.analysis.sensitivity.draws.global_ import sobol
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.robust.robust import robust_curve
 from exact_mdp.mdp import Scenario, ScenarioWarning
@@ -130,7 +130,7 @@ with style():
 # %%
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", ScenarioWarning)
-    drawn = psa(scenario, 20_000, seed=0, effective_sample_size=20)
+    drawn = psa(scenario, 20_000, rng=0, effective_sample_size=20)
 with style():
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), dpi=80)
     plot_acceptability(drawn, ax=left)
@@ -150,7 +150,7 @@ print(f"EVPI, at least {worth.low}, at most {worth.high}")
 
 # %%
 probabilities = [name for name in scenario.names if not name.startswith("reward")]
-indices = sobol(scenario, names=probabilities, samples=512, seed=0)
+indices = sobol(scenario, names=probabilities, n=512, rng=0)
 with style():
     figure, ax = plt.subplots(figsize=(7, 4), dpi=80)
     plot_sobol(indices, ax=ax)

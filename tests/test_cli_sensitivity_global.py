@@ -15,8 +15,7 @@ from cli_runner import run
 from exact_mdp.analysis.plots.sensitivity_global import plot_morris, plot_morris_bars, plot_sobol
 from exact_mdp.analysis.plots.style import style
 from exact_mdp.analysis.sensitivity import tornado
-from exact_mdp.analysis.sensitivity.draws.morris import morris
-from exact_mdp.analysis.sensitivity.draws.sobol import sobol
+from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.mdp import ModelError, Scenario
 
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
@@ -49,8 +48,8 @@ def test_sobol_tells_of_value_and_regret() -> None:
     expected = sobol(
         Scenario.load("yuan2025").with_(tasks=[1], max_trial=2),
         policy="always:directive",
-        samples=16,
-        seed=0,
+        n=16,
+        rng=0,
     )
     assert found["total"] == dict(zip(expected.names, expected.optimal.total.tolist(), strict=True))
     assert found["regret"]["mean"] == expected.regret.mean > 0
@@ -230,8 +229,8 @@ def test_figures() -> None:
 
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     names = ["base.anger", "discount", "reward.anger"]
-    indices = sobol(scenario, policy="always:directive", names=names, samples=16, seed=0)
-    effects = morris(scenario, policy="always:directive", names=names, trajectories=4, seed=0)
+    indices = sobol(scenario, policy="always:directive", names=names, n=16, rng=0)
+    effects = morris(scenario, policy="always:directive", names=names, n=4, rng=0)
     with style():
         for output in ("optimal", "fixed", "regret"):
             for found, draw in (
@@ -252,7 +251,7 @@ def test_figures() -> None:
     assert widths[2:] == sorted(total.values(), reverse=True)[:2]
     assert ax.get_yticklabels()[0].get_text().startswith(max(total, key=total.__getitem__))
     plt.close(ax.figure)
-    nothing = sobol(scenario, names=["reward.subtask-complete"], samples=4, seed=0)
+    nothing = sobol(scenario, names=["reward.subtask-complete"], n=4, rng=0)
     with pytest.raises(ModelError, match="the same at every draw"):
         plot_sobol(nothing, output="regret")
     plt.close("all")

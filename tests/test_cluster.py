@@ -24,8 +24,8 @@ from click.testing import CliRunner
 from pieces_of_work import KEY, WANTED, draws, failing, same
 
 from exact_mdp.analysis.readings import ReadingSpace
+from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.psa.uncertainty import uncertainty
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import moving
 from exact_mdp.paper_repro.__main__ import main as reproduce
@@ -216,13 +216,13 @@ def test_a_psa_loses_nothing_with_a_worker(address: str, killer: Kill, tmp_path:
     rows = [(0, 0, [("3/10", 1, 1), ("7/10", 2, 0)]), (0, 1, [("2/5", 1, 1), ("3/5", 2, 0)])]
     wager = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])], 1)
     model = moving(wager, {"p": [(0, 1)], "q": [(1, 1)]})
-    how = {"uncertain": uncertainty(model, {}, default=8), "seed": 2}
+    how = {"uncertain": uncertainty(model, {}, default=8), "rng": 2}
     wanted = psa(model, 192, folder=tmp_path / "here", **how)
     killer(many_module)
     found = psa(model, 192, folder=tmp_path / "there", scheduler=address, **how)
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
     assert found.draws.tobytes() == wanted.draws.tobytes()
-    assert found.start.tobytes() == wanted.start.tobytes()
+    assert found.optimal.tobytes() == wanted.optimal.tobytes()
     assert found.evpi() == wanted.evpi()
 
 

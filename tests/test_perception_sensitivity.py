@@ -109,7 +109,7 @@ def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
     forms = [PLAN, solve(mdp).policy]  # by status, and by state
     policies = [perceived(mdp, form, ROUGH) for form in forms]
     found = sampled(parametric(SMALL), names, draws, policies)
-    drawn = psa(SMALL, 20, seed=1, policy=policies[1])
+    drawn = psa(SMALL, 20, rng=1, policy=policies[1])
     wanted = [
         [evaluate(there, policy).mean for policy in policies]
         for there in (at(**dict(zip(names, row, strict=True))) for row in draws.tolist())
@@ -120,20 +120,19 @@ def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
         there = model.at(dict(zip(drawn.names, drawn.draws[number].tolist(), strict=True)))
         value = evaluate(there, policies[1]).mean
         assert drawn.values[number, 0] == pytest.approx(value, rel=1e-12)
-        assert drawn.start[number] == pytest.approx(solve(there).start_value, rel=1e-12)
+        assert drawn.optimal[number] == pytest.approx(solve(there).start_value, rel=1e-12)
 
 
 @pytest.mark.parametrize("form", ["optimal", "plan"])
 def test_psa_sobol_and_morris_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
-    from exact_mdp.analysis.sensitivity.draws.morris import morris
-    from exact_mdp.analysis.sensitivity.draws.sobol import sobol
+    from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 
     told, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
     words = ("--policy", told, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")
     policy, names = perceived(mdp, source, ROUGH), ["base.anger", "base.confusion"]
-    wide = sobol(SMALL, names=names, samples=8, seed=0, policy=policy)
+    wide = sobol(SMALL, names=names, n=8, rng=0, policy=policy)
     assert ask("sobol", seen, *words, "--samples", 8)["regret"]["mean"] == wide.regret.mean > 0
-    screened = morris(SMALL, names=names, trajectories=4, seed=0, policy=policy)
+    screened = morris(SMALL, names=names, n=4, rng=0, policy=policy)
     found = ask("morris", seen, *words, "--samples", 4)["regret"]["mu_star"]
     assert list(found.values()) == screened.regret.mu_star.tolist()
     drawn = ask("psa", seen, *words, "--samples", 30)

@@ -12,13 +12,12 @@ from scipy.special import betainc
 from scipy.stats import binomtest
 
 from exact_mdp.analysis.sensitivity.draws.solver import CareSolver, solver_of
+from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss, mean_of, quantiles, wilson
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.psa.result import MISSING, PSA
-from exact_mdp.analysis.sensitivity.psa.uncertainty import uncertainty
+from exact_mdp.analysis.sensitivity.psa.psa import MISSING, PSA, psa
+from exact_mdp.analysis.sensitivity.psa.rows import row_family
 from exact_mdp.analysis.sensitivity.psa.value_of_information import evpi, evppi
-from exact_mdp.analysis.sensitivity.robust.row_family import row_family
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.io.npz import save
 from exact_mdp.mdp.parametric import moving, parametric
@@ -48,7 +47,7 @@ def wager(p: str, q: str) -> MDP:
 
 @pytest.fixture(scope="module")
 def care() -> PSA:
-    return psa(YUAN, 3000, seed=0, effective_sample_size=20)
+    return psa(YUAN, 3000, rng=0, effective_sample_size=20)
 
 
 def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: PSA) -> None:
@@ -56,14 +55,14 @@ def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: PSA) -> Non
         drawn = dict(zip(care.names, care.draws[d].tolist(), strict=True))
         mdp = YUAN.with_(parameters=drawn).compile()
         start = solve(mdp).start
-        assert abs(care.start[d] - start.value) <= care.error[d] + start.error
+        assert abs(care.optimal[d] - start.value) <= care.error[d] + start.error
         for n, candidate in enumerate(care.candidates):
             told = evaluate(mdp, candidate.weights)
             assert abs(care.values[d, n] - told.mean) <= care.value_error[d, n] + told.error_bound
 
 
 def test_moments_are_those_of_an_independent_loop() -> None:
-    found = psa(SMALL, 4000, seed=1, effective_sample_size=20)
+    found = psa(SMALL, 4000, rng=1, effective_sample_size=20)
     mean = np.array([float(SMALL[name]) for name in found.names])
     drawn = np.random.default_rng(99).beta(20 * mean, 20 * (1 - mean), size=(30, len(mean)))
     loop = np.empty(len(drawn))
@@ -72,19 +71,19 @@ def test_moments_are_those_of_an_independent_loop() -> None:
         mdp = SMALL.with_(parameters=dict(zip(found.names, row, strict=True))).compile()
         loop[d] = solve(mdp).start_value
         lost[d] = loop[d] - evaluate(mdp, found.candidates[0].weights).mean
-    for ours, theirs in ((found.start, loop), (found.regret(), lost)):
+    for ours, theirs in ((found.optimal, loop), (found.regret(), lost)):
         error = np.hypot(ours.std() / len(ours) ** 0.5, theirs.std() / len(theirs) ** 0.5)
         assert abs(ours.mean() - theirs.mean()) < 4 * error
-    assert found.start.std() == pytest.approx(loop.std(), rel=4 / (2 * len(loop)) ** 0.5)
+    assert found.optimal.std() == pytest.approx(loop.std(), rel=4 / (2 * len(loop)) ** 0.5)
 
 
 def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: PSA) -> None:
-    assert (care.values <= (care.start + care.error)[:, None] + care.value_error).all()
+    assert (care.values <= (care.optimal + care.error)[:, None] + care.value_error).all()
     worth = care.evpi()
     assert 0 <= worth.low.value <= worth.high.value
     assert care.evpi_of_candidates().value <= worth.high.value + 1e-9
     best = care.values.mean(axis=0).max()
-    assert worth.high.value == pytest.approx(care.start.mean() - best)
+    assert worth.high.value == pytest.approx(care.optimal.mean() - best)
 
 
 def test_shares_of_optimal_actions_are_those_of_the_draws(care: PSA) -> None:
@@ -109,7 +108,7 @@ def test_the_acceptability_curve_rises_to_one(care: PSA) -> None:
 def test_evpi_and_evppi_of_a_wager_are_the_closed_form() -> None:
     model = moving(wager("3/10", "2/5"), {"p": [(0, 1)], "q": [(1, 1)]})
     known = uncertainty(model, {"q": {"fixed": True}}, default=8)
-    found = psa(model, 80, seed=2, uncertain=known)
+    found = psa(model, 80, rng=2, uncertain=known)
     worth = found.evpi()
     exact = excess(0.3, 8, 0.4) - 0.4
     for each in (worth.low, worth.high, found.evpi_of_candidates()):
@@ -145,7 +144,7 @@ def test_what_is_not_known_to_matter_is_worth_nothing() -> None:
 
 
 def test_evppi_is_that_of_nested_monte_carlo() -> None:
-    found = psa(YUAN, 6000, seed=5, effective_sample_size=8)
+    found = psa(YUAN, 6000, rng=5, effective_sample_size=8)
     name = "base.disengagement"
     partial = found.evppi({name: [name]})[name]
     rng, outer, inner = np.random.default_rng(6), 150, 200
@@ -173,7 +172,7 @@ def test_where_weights_alone_are_uncertain_evpi_is_one_number() -> None:
     weights = uncertainty(
         parametric(YUAN), {"reward": {"relative_sd": 0.5}}, names=list_of("reward.")
     )
-    found = psa(YUAN, 3000, seed=7, uncertain=weights)
+    found = psa(YUAN, 3000, rng=7, uncertain=weights)
     worth = found.evpi()
     assert worth.low == worth.high
     today = solve(YUAN.compile()).start_value
@@ -181,7 +180,7 @@ def test_where_weights_alone_are_uncertain_evpi_is_one_number() -> None:
     kept = found.values[:, 0]
     assert abs(kept.mean() - today) < 4 * kept.std() / len(kept) ** 0.5
     # The difference of pairs has the same mean as E[V*] - V*(mean), and far less noise.
-    assert worth.high.value == pytest.approx((found.start - kept).mean())
+    assert worth.high.value == pytest.approx((found.optimal - kept).mean())
     assert worth.high.standard_error < kept.std() / len(kept) ** 0.5 / 2
 
 
@@ -190,19 +189,19 @@ def test_where_todays_optimum_stays_optimal_evpi_of_weights_is_nothing() -> None
         parametric(SMALL), {"reward": {"relative_sd": 1e-4}}, names=["reward.trial"]
     )
     for policy in ("optimal", "always:directive"):
-        worth = psa(SMALL, 400, seed=0, uncertain=weights, policy=policy).evpi()
+        worth = psa(SMALL, 400, rng=0, uncertain=weights, policy=policy).evpi()
         assert worth.low.value == worth.high.value == 0.0
         assert worth.high.interval == (0.0, 0.0)
 
 
 def test_candidates_are_sought_where_most_is_lost_and_evppi_is_at_most_their_evpi() -> None:
-    found = psa(YUAN, 3000, seed=3)
+    found = psa(YUAN, 3000, rng=3)
     among = found.evpi_of_candidates()
     for each in found.evppi().values():
         assert each.regression.value <= among.value + 1e-15
         assert each.reliable == (each.doubts == ())
     regret = found.regret()
-    left = (found.start - found.values.max(axis=1)).clip(0)
+    left = (found.optimal - found.values.max(axis=1)).clip(0)
     top = np.argsort(-regret)[:20]
     assert left[top].mean() < regret[top].mean() / 2  # the costly draws have their policies
     alone = replace(found, values=found.values[:, :1], candidates=found.candidates[:1])
@@ -252,22 +251,22 @@ def list_of(start: str) -> list[str]:
 
 
 def test_workers_and_sample_sizes_change_no_byte(tmp_path: Path) -> None:
-    one = psa(SMALL, 9000, seed=0, n_jobs=1)
-    two = psa(SMALL, 9000, seed=0, n_jobs=2, folder=tmp_path / "run")
-    again = psa(SMALL, 9000, seed=0, n_jobs=1, folder=tmp_path / "run")
+    one = psa(SMALL, 9000, rng=0, n_jobs=1)
+    two = psa(SMALL, 9000, rng=0, n_jobs=2, folder=tmp_path / "run")
+    again = psa(SMALL, 9000, rng=0, n_jobs=1, folder=tmp_path / "run")
     for other in (two, again):
-        for name in ("draws", "start", "values", "optimal", "lost"):
+        for name in ("draws", "optimal", "values", "counts", "lost"):
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
         assert [c.name for c in one.candidates] == [c.name for c in other.candidates]
-    short = psa(SMALL, 100, seed=0)
-    assert short.start.tobytes() == one.start[:100].tobytes()
-    assert psa(SMALL, 100, seed=1).start.tobytes() != short.start.tobytes()
+    short = psa(SMALL, 100, rng=0)
+    assert short.optimal.tobytes() == one.optimal[:100].tobytes()
+    assert psa(SMALL, 100, rng=1).optimal.tobytes() != short.optimal.tobytes()
 
 
 def test_a_larger_sample_uses_the_folder_of_a_smaller_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    psa(SMALL, 5000, seed=0, folder=tmp_path)
+    psa(SMALL, 5000, rng=0, folder=tmp_path)
     done: list[int] = []
     solved = CareSolver.solved
 
@@ -276,39 +275,39 @@ def test_a_larger_sample_uses_the_folder_of_a_smaller_one(
         return solved(self, names, draws)
 
     monkeypatch.setattr(CareSolver, "solved", counting)
-    more = psa(SMALL, 6000, seed=0, folder=tmp_path)
+    more = psa(SMALL, 6000, rng=0, folder=tmp_path)
     assert done == [6000 - CareSolver.block]
-    assert more.values.tobytes() == psa(SMALL, 6000, seed=0).values.tobytes()
+    assert more.values.tobytes() == psa(SMALL, 6000, rng=0).values.tobytes()
 
 
 def test_a_model_of_its_rows_is_drawn_by_rows() -> None:
     third = [[[0.34, 0.33, 0.33], [0, 1, 0], [0, 0, 1]], [[0.2, 0.4, 0.4], [0, 1, 0], [0, 0, 1]]]
-    family, rows = row_family(MDP.from_arrays(third, [1, 0, 0], discount=0.9))
-    found = psa(family, 30, seed=0, effective_sample_size=1)
-    assert {part.label for part in found.uncertainty.parts} == set(rows)
+    family = row_family(MDP.from_arrays(third, [1, 0, 0], discount=0.9))
+    found = psa(family, 30, rng=0, effective_sample_size=1)
+    assert {part.label for part in found.uncertainty.parts} == set(family.rows)
     assert {part.kind for part in found.uncertainty.parts} == {"dirichlet"}
     assert found.clipped is None  # not worked out
 
 
 def test_a_folder_of_other_draws_is_refused(tmp_path: Path) -> None:
-    psa(SMALL, 50, seed=0, folder=tmp_path)
+    psa(SMALL, 50, rng=0, folder=tmp_path)
     with pytest.raises(ModelError, match="seed"):
-        psa(SMALL, 50, seed=1, folder=tmp_path)
+        psa(SMALL, 50, rng=1, folder=tmp_path)
 
 
 @pytest.mark.slow
 def test_processes_and_a_local_cluster_change_no_byte() -> None:
     model = moving(wager("3/10", "2/5"), {"p": [(0, 1)], "q": [(1, 1)]})
-    one = psa(model, 200, seed=0)
+    one = psa(model, 200, rng=0)
     for how in ({"n_jobs": 2}, {"n_jobs": 2, "scheduler": "local"}):
-        two = psa(model, 200, seed=0, **how)
-        assert one.start.tobytes() == two.start.tobytes()
+        two = psa(model, 200, rng=0, **how)
+        assert one.optimal.tobytes() == two.optimal.tobytes()
         assert one.values.tobytes() == two.values.tobytes()
 
 
 def test_cut_off_chances_are_counted() -> None:
     sure = YUAN.with_(parameters={"base.anger": "0.9", "influence.disengagement.anger": "0.09"})
-    found = psa(sure, 2000, seed=8, effective_sample_size=10)
+    found = psa(sure, 2000, rng=8, effective_sample_size=10)
     place = {name: column for column, name in enumerate(found.names)}
     numbers = {name: found.draws[:, column] for name, column in place.items()}
     over = np.zeros(len(found), dtype=bool)
@@ -328,7 +327,7 @@ def test_a_published_model_with_an_uncertain_row() -> None:
     pairs = [forest.pair(state, 0) for state in range(3)]
     model = moving(forest, {"fire": [(pair, 0) for pair in pairs]})
     known = uncertainty(model, names=["fire"], default=10)
-    found = psa(model, 24, seed=9, uncertain=known)
+    found = psa(model, 24, rng=9, uncertain=known)
     assert found.labels == tuple(forest.space.labels(range(3)))
     g = 0.96
     for d in range(0, 24, 5):
@@ -336,18 +335,18 @@ def test_a_published_model_with_an_uncertain_row() -> None:
         for _ in range(3000):  # the published model, by value iteration
             waiting = np.array([0, 0, 4]) + g * (p * v[0] + (1 - p) * v[[1, 2, 2]])
             v = np.maximum(waiting, np.array([0, 1, 2]) + g * v[0])
-        assert found.start[d] == pytest.approx(v[0], rel=1e-9)
+        assert found.optimal[d] == pytest.approx(v[0], rel=1e-9)
     assert found.evpi().low.value <= found.evpi().high.value
 
 
 def test_the_expected_loss_falls_as_more_is_known_and_bounds_evpi() -> None:
     found = expected_loss(
-        YUAN, {"today": "optimal", "random": "random"}, [10, 100, 1000], seed=0, samples=200
+        YUAN, {"today": "optimal", "random": "random"}, [10, 100, 1000], rng=0, n=200
     )
     assert found.loss.shape == (3, 2)
     assert found.loss[0, 0] > found.loss[1, 0] > found.loss[2, 0] >= 0
     assert (found.loss[:, 1] > 10).all()
-    alone = psa(YUAN, 200, seed=0, effective_sample_size=100)
+    alone = psa(YUAN, 200, rng=0, effective_sample_size=100)
     error = 4 * found.standard_error[1, 0] + 4 * alone.evpi().high.standard_error
     assert abs(found.loss[1, 0] - alone.regret().mean()) < error
     along = expected_loss(
@@ -355,8 +354,8 @@ def test_the_expected_loss_falls_as_more_is_known_and_bounds_evpi() -> None:
         {"today": "optimal"},
         [-12, -3, 0],
         along="reward.assist.non-directive",
-        seed=0,
-        samples=300,
+        rng=0,
+        n=300,
     )
     assert along.unit == "reward"
     assert along.optimal[0, 0] < along.optimal[2, 0]
@@ -382,14 +381,14 @@ def test_intervals_of_quantiles_cover_as_often_as_they_say() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({"samples": 0}, "0 draws"),
-        ({"samples": -1}, "-1 draws"),
-        ({"samples": 5.0}, "5.0 draws"),
-        ({"samples": True}, "True draws"),
-        ({"seed": None}, "seed is None"),
-        ({"seed": True}, "seed is True"),
-        ({"seed": -1}, "seed is -1"),
-        ({"seed": 1.5}, "seed is 1.5"),
+        ({"n": 0}, "0 draws"),
+        ({"n": -1}, "-1 draws"),
+        ({"n": 5.0}, "5.0 draws"),
+        ({"n": True}, "True draws"),
+        ({"rng": None}, "None is not a source"),
+        ({"rng": True}, "True is not a source"),
+        ({"rng": -1}, "-1 is not a source"),
+        ({"rng": 1.5}, "1.5 is not a source"),
         ({"effective_sample_size": 0}, "sample size 0"),
         ({"effective_sample_size": float("nan")}, "sample size nan"),
         ({"uncertain": uncertainty(parametric(YUAN), names=["persistence.anger"])}, "uncertain"),
@@ -397,11 +396,11 @@ def test_intervals_of_quantiles_cover_as_often_as_they_say() -> None:
 )
 def test_what_cannot_be_drawn_is_refused(words: dict[str, object], message: str) -> None:
     with pytest.raises(ModelError, match=message):
-        psa(YUAN, **({"samples": 5, "seed": 0} | words))
+        psa(YUAN, **({"n": 5, "rng": 0} | words))
 
 
 def test_a_count_of_numpy_is_a_count() -> None:
-    found = psa(SMALL, np.int64(7), seed=np.uint8(0))
+    found = psa(SMALL, np.int64(7), rng=np.uint8(0))
     assert len(found) == 7
     assert type(found.seed) is int
 
@@ -417,8 +416,8 @@ def test_the_command_prints_what_scripts_read() -> None:
     assert found["seed"] == 3
     assert found["claim"] == "estimated"
     assert found["start_value"] == pytest.approx(solve(YUAN.compile()).start_value)
-    direct = psa(YUAN, 400, seed=3)
-    assert found["value"]["mean"] == pytest.approx(direct.start.mean())
+    direct = psa(YUAN, 400, rng=3)
+    assert found["value"]["mean"] == pytest.approx(direct.optimal.mean())
     assert found["evpi"] == pytest.approx(direct.evpi().high.value)
     low, high = (found["evpi_bounds"][end]["value"] for end in ("low", "high"))
     assert 0 <= low <= high == found["evpi"]
@@ -431,7 +430,7 @@ def test_the_command_prints_what_scripts_read() -> None:
     assert list(curve["policies"]) == [each["name"] for each in found["candidates"]]
     told = curve["policies"]["optimum today"]
     points = curve["points"]
-    alone = expected_loss(YUAN, {"today": "optimal"}, points, seed=3, samples=curve["draws"])
+    alone = expected_loss(YUAN, {"today": "optimal"}, points, rng=3, n=curve["draws"])
     assert told["loss"] == pytest.approx(alone.loss[:, 0].tolist())
     assert told["low"][0] < told["loss"][0] < told["high"][0]
     assert found["regret"]["few_draws"] == (found["regret"]["draws_that_carry_it"] < 50)

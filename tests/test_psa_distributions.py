@@ -1,5 +1,6 @@
 """Distributions of uncertain parameters: moments, streams, files, and what is refused."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from pathlib import Path
 
@@ -7,9 +8,13 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
-from exact_mdp.analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
-from exact_mdp.analysis.sensitivity.robust.row_family import row_family
+from exact_mdp.analysis.sensitivity.psa.distributions import (
+    Uncertain,
+    Uncertainty,
+    load_uncertainty,
+    uncertainty,
+)
+from exact_mdp.analysis.sensitivity.psa.rows import row_family
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import parametric
 
@@ -171,7 +176,7 @@ def test_a_parameter_is_drawn_once() -> None:
 
 ROW = "(state 0, 0)"
 ONE, TWO = f"{ROW}: to state 1", f"{ROW}: to state 2"
-FAMILY, _ = row_family(
+FAMILY = row_family(
     MDP.from_arrays([[["1/2", "1/4", "1/4"], ["2/3", "1/3", 0], [0, 0, 1]]], [1, 0, 0])
 )
 
@@ -220,10 +225,10 @@ def test_a_row_is_drawn_whole_or_not_at_all() -> None:
         with pytest.raises(ModelError, match="without the others"):
             uncertainty(FAMILY, names=[name])
     with pytest.raises(ModelError, match="in two rows"):
-        uncertainty(FAMILY, rows={"a": [ONE], "b": [ONE, TWO]})
-    with pytest.raises(ModelError, match="no probability of a row"):
-        uncertainty(FAMILY, rows={"a": ["discount"]})
-    assert {part.kind for part in uncertainty(FAMILY, rows={}).parts} == {"beta"}
+        uncertainty(replace(FAMILY, rows={"a": (ONE,), "b": (ONE, TWO)}))
+    with pytest.raises(ModelError, match="not a probability of a row"):
+        uncertainty(replace(FAMILY, rows={"a": ("discount",)}))
+    assert {part.kind for part in uncertainty(replace(FAMILY, rows={})).parts} == {"beta"}
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -237,9 +242,9 @@ def test_rows_of_any_model_are_dirichlet_and_stay_distributions() -> None:
         (1, 0, [(F(1), 2, F(0))]),
         (2, 0, [(F(1), 2, F(0))]),
     ]
-    family, named = row_family(MDP.from_outcomes(rows, F(9, 10)))
-    (names,) = named.values()
-    found = uncertainty(family, rows=named)
+    family = row_family(MDP.from_outcomes(rows, F(9, 10)))
+    (names,) = family.rows.values()
+    found = uncertainty(family)
     assert [part.kind for part in found.parts] == ["dirichlet"]
     drawn = found.draw(SeedSequence(3), 5)
     for row in drawn.tolist():
@@ -259,9 +264,9 @@ def test_rows_of_floats_that_sum_to_one_but_for_rounding_can_be_drawn() -> None:
     outcomes = [(third, 0, 0.0), (0.1, 1, 1.0), (1 - third - 0.1 + 1e-16, 2, 0.0)]
     ends = [(state, 0, [(1.0, state, 0.0)]) for state in (1, 2)]
     mdp = MDP.from_outcomes([(0, 0, outcomes), *ends], 0.9)
-    family, named = row_family(mdp)
-    (names,) = named.values()
-    drawn = uncertainty(family, rows=named).draw(SeedSequence(4), 3)
+    family = row_family(mdp)
+    (names,) = family.rows.values()
+    drawn = uncertainty(family).draw(SeedSequence(4), 3)
     for row in drawn.tolist():
         chances = [p for p, _, _ in family.at(dict(zip(names, row, strict=True))).table.row(0)]
         assert sum(chances) == 1

@@ -11,10 +11,9 @@ from exact_mdp.analysis.plots.psa import (
     plot_optimal_actions,
     plot_start_values,
 )
+from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.psa.result import PSA
-from exact_mdp.analysis.sensitivity.psa.uncertainty import uncertainty
+from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.parametric import parametric
 
@@ -24,7 +23,7 @@ SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 
 @pytest.fixture(scope="module")
 def found() -> PSA:
-    return psa(SMALL, 800, seed=0, effective_sample_size=10)
+    return psa(SMALL, 800, rng=0, effective_sample_size=10)
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +51,7 @@ def test_a_policy_that_never_loses_has_a_curve_too() -> None:
     weights = uncertainty(
         parametric(SMALL), {"reward": {"relative_sd": 1e-6}}, names=["reward.timestep"]
     )
-    sure = psa(SMALL, 50, seed=0, uncertain=weights)
+    sure = psa(SMALL, 50, rng=0, uncertain=weights)
     ax = plot_acceptability(sure)
     assert list(ax.lines[0].get_ydata()) == [1.0]
     assert plot_start_values(sure).get_xlabel()
@@ -78,7 +77,7 @@ def test_the_bars_of_evppi_are_in_order(found: PSA) -> None:
 
 
 def test_expected_losses_are_drawn_at_their_points() -> None:
-    curve = expected_loss(SMALL, {"a": "optimal", "b": "random"}, [10, 100], seed=0, samples=50)
+    curve = expected_loss(SMALL, {"a": "optimal", "b": "random"}, [10, 100], rng=0, n=50)
     ax = plot_expected_loss(curve)
     assert ax.get_xscale() == ax.get_yscale() == "log"
     assert {line.get_label() for line in ax.lines} >= {"best of these"}
@@ -94,7 +93,7 @@ def test_expected_losses_are_drawn_at_their_points() -> None:
     ("words", "message"),
     [
         ({"points": []}, "0 points"),
-        ({"samples": 1}, "1 draws"),
+        ({"n": 1}, "1 draws"),
         ({"policies": {}}, "0 policies"),
         ({"points": [0]}, "sample size 0"),
         ({"points": [2], "along": "base.anger"}, "outside"),
@@ -102,6 +101,6 @@ def test_expected_losses_are_drawn_at_their_points() -> None:
     ],
 )
 def test_curves_that_cannot_be_are_refused(words: dict[str, object], message: str) -> None:
-    given = {"policies": {"a": "optimal"}, "points": [10], "seed": 0, "samples": 5} | words
+    given = {"policies": {"a": "optimal"}, "points": [10], "rng": 0, "n": 5} | words
     with pytest.raises(ModelError, match=message):
         expected_loss(SMALL, **given)

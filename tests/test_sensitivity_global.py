@@ -12,17 +12,24 @@ import numpy as np
 import pytest
 from cases import BY_NAME
 
-from exact_mdp.analysis.sensitivity.draws.design import inside, problem_of
-from exact_mdp.analysis.sensitivity.draws.morris import Morris, morris
-from exact_mdp.analysis.sensitivity.draws.sampled import sampled, values
-from exact_mdp.analysis.sensitivity.draws.sobol import Sobol, sobol
+from exact_mdp.analysis.sensitivity.draws.global_ import (
+    Morris,
+    Sobol,
+    inside,
+    morris,
+    problem_of,
+    sobol,
+)
+from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
 from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
 from exact_mdp.solvers import evaluate, solve
 
-sampled_module = import_module("exact_mdp.analysis.sensitivity.draws.sampled")
+global_module = import_module("exact_mdp.analysis.sensitivity.draws.global_")
+solver_module = import_module("exact_mdp.analysis.sensitivity.draws.solver")
 F = Fraction
 HALF = F(1, 2)
 
@@ -93,7 +100,7 @@ def closed_form() -> tuple[F, dict[str, F], dict[str, F]]:
 
 @pytest.fixture(scope="module")
 def of_chain() -> Sobol:
-    return sobol(chain(), ranges=CHAIN_RANGES, samples=128, seed=0)
+    return sobol(chain(), ranges=CHAIN_RANGES, n=128, rng=0)
 
 
 def test_indices_are_those_of_the_closed_form(of_chain: Sobol) -> None:
@@ -115,9 +122,7 @@ def test_indices_are_those_of_the_closed_form(of_chain: Sobol) -> None:
 
 def test_the_maximum_of_two_and_the_regret_of_one_have_known_indices() -> None:
     """Var max(p, q) = 1/18, of which 1/45 is each one's own; so is the regret's, max(0, q - p)."""
-    found = sobol(
-        choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, samples=128, seed=1
-    )
+    found = sobol(choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, n=128, rng=1)
     for output in (found.optimal, found.regret):
         np.testing.assert_allclose(output.first, [0.4, 0.4], atol=0.06)
         np.testing.assert_allclose(output.total, [0.6, 0.6], atol=0.06)
@@ -137,20 +142,20 @@ def same(a: Sobol | Morris, b: Sobol | Morris) -> bool:
 
 @pytest.mark.parametrize(
     "method, size",
-    [(sobol, {"samples": 16}), (morris, {"trajectories": 8})],
+    [(sobol, {"n": 16}), (morris, {"n": 8})],
     ids=["sobol", "morris"],
 )
 def test_seed_zero_is_a_seed_and_workers_change_nothing(
     method: Any, size: dict[str, int], tmp_path: Path
 ) -> None:
     how: dict[str, Any] = {"policy": "always:0", "ranges": {"p": (0, 1), "q": (0, 1)}, **size}
-    first = method(choice(), seed=0, **how)
+    first = method(choice(), rng=0, **how)
     np.random.seed(1)  # noqa: NPY002 - what others do with the global generator plays no part
-    assert same(method(choice(), seed=0, n_jobs=2, folder=tmp_path, **how), first)
-    assert same(method(choice(), seed=0, folder=tmp_path, **how), first)
-    assert not same(method(choice(), seed=1, **how), first)
+    assert same(method(choice(), rng=0, n_jobs=2, folder=tmp_path, **how), first)
+    assert same(method(choice(), rng=0, folder=tmp_path, **how), first)
+    assert not same(method(choice(), rng=1, **how), first)
     with pytest.raises(ModelError, match="differs in"):
-        method(choice(), seed=1, folder=tmp_path, **how)
+        method(choice(), rng=1, folder=tmp_path, **how)
 
 
 # ---- Morris --------------------------------------------------------------------------------------
@@ -158,7 +163,7 @@ def test_seed_zero_is_a_seed_and_workers_change_nothing(
 
 def test_effects_are_those_of_the_closed_form() -> None:
     """On a grid of 4 levels, Δ = 2/3, each parameter is at 0, 1/3, 2/3, 1 with equal chances."""
-    found = morris(chain(), ranges=CHAIN_RANGES, trajectories=100, seed=0)
+    found = morris(chain(), ranges=CHAIN_RANGES, n=100, rng=0)
     grid = np.arange(4) / 3
     (p, q, r) = (float(low) + grid * float(high - low) for low, high in CHAIN_RANGES.values())
     wide = [float(high - low) for low, high in CHAIN_RANGES.values()]
@@ -181,9 +186,7 @@ def test_effects_are_those_of_the_closed_form() -> None:
 
 
 def test_effects_of_a_policy_held_fixed() -> None:
-    found = morris(
-        choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, trajectories=60, seed=3
-    )
+    found = morris(choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, n=60, rng=3)
     np.testing.assert_allclose(found.fixed.mu_star, [1, 0], atol=1e-9)
     np.testing.assert_allclose(found.fixed.sigma, [0, 0], atol=1e-9)
     assert found.regret.mu[0] < 0 < found.regret.mu[1]
@@ -214,8 +217,7 @@ def test_draws_of_a_published_model_are_solved_one_by_one() -> None:
     assert (found.regret >= 0).all()
     assert found.regret[1].tolist() == [0, pytest.approx(found.optimal[1] - found.fixed[1, 1])]
     assert found.regret[1, 1] > 1
-    assert values(model, ["fire"], draws[:, :1], "always:1").shape == (3,)
-    indices = sobol(model, names=["fire", "discount"], samples=32, seed=0)
+    indices = sobol(model, names=["fire", "discount"], n=32, rng=0)
     assert indices.frame()["parameter"][0] == "discount"
 
 
@@ -238,7 +240,7 @@ def test_compiled_draws_of_a_scenario_are_those_of_models_built_one_by_one(
     draws = np.column_stack([*rng.random((2, 6)), rng.normal(size=6), 0.5 + rng.random(6) / 2])
     policies = ["optimal", "random", "always:supportive"]
     found = sampled(model, names, draws, policies, n_jobs=2)
-    monkeypatch.setattr(sampled_module, "MOST_STATUSES", 0)
+    monkeypatch.setattr(solver_module, "MOST_STATUSES", 0)
     slow = sampled(model, names, draws, policies)
     np.testing.assert_allclose(found.optimal, slow.optimal, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.fixed, slow.fixed, rtol=0, atol=1e-9)
@@ -282,10 +284,10 @@ def test_an_index_that_is_not_there_is_not_a_number(of_chain: Sobol) -> None:
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"samples": 0}, "0 samples"),
-        ({"samples": 100}, "not a power of 2"),
-        ({"samples": True}, "True samples"),
-        ({"seed": -1}, "seed is -1"),
+        ({"n": 0}, "0 samples"),
+        ({"n": 100}, "not a power of 2"),
+        ({"n": True}, "True samples"),
+        ({"rng": -1}, "-1 is not a source"),
         ({"names": ["x"]}, "unknown parameter 'x'"),
         ({"ranges": {"p": (HALF, HALF)}}, "empty"),
         ({"ranges": {"p": (0, 2)}}, "outside"),
@@ -297,10 +299,10 @@ def test_an_index_that_is_not_there_is_not_a_number(of_chain: Sobol) -> None:
 )
 def test_bad_requests_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
-        sobol(choice(), **({"samples": 4, "seed": 0} | change))
-    if "samples" not in change:
+        sobol(choice(), **({"n": 4, "rng": 0} | change))
+    if "n" not in change:
         with pytest.raises(ModelError, match=message):
-            morris(choice(), **({"trajectories": 4, "seed": 0} | change))
+            morris(choice(), **({"n": 4, "rng": 0} | change))
 
 
 @pytest.mark.parametrize("method", [sobol, morris])
@@ -308,17 +310,19 @@ def test_a_missing_package_is_named(method: Any, monkeypatch: pytest.MonkeyPatch
     for module in [name for name in sys.modules if name.split(".")[0] == "SALib"]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "SALib", None)
+    name = f"{method.__name__}_sample"
+    monkeypatch.setattr(global_module, name, later(f"SALib.sample.{method.__name__}"))
     with pytest.raises(ModelError, match="not installed") as caught:
-        method(choice(), seed=0)
+        method(choice(), rng=0)
     assert "exact-mdp[sensitivity]" in caught.value.fix
 
 
 @pytest.mark.parametrize(
-    "change, message", [({"trajectories": 0}, "0 trajectories"), ({"levels": 5}, "5 levels")]
+    "change, message", [({"n": 0}, "0 trajectories"), ({"levels": 5}, "5 levels")]
 )
 def test_bad_screenings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
-        morris(choice(), **({"trajectories": 4, "seed": 0} | change))
+        morris(choice(), **({"n": 4, "rng": 0} | change))
 
 
 def test_probabilities_that_sum_to_more_than_one_name_the_draw() -> None:

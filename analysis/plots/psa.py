@@ -135,11 +135,16 @@ def plot_optimal_actions(found: PSA, *, ax: Axes | None = None) -> Axes:
 def plot_start_values(found: PSA, *, bins: int = 60, ax: Axes | None = None) -> Axes:
     """Draw the distribution of V* over the draws, its mean, and V* at today's values."""
     ax = axes_or_new(ax)
-    ax.hist(found.start, bins=bins, color=BAR, edgecolor="white", linewidth=0.3)
-    mean = float(found.start.mean())
-    ax.axvline(found.today, color=INK, linewidth=1.2, label=f"today's values: {found.today:.4g}")
+    ax.hist(found.optimal, bins=bins, color=BAR, edgecolor="white", linewidth=0.3)
+    mean = float(found.optimal.mean())
+    ax.axvline(
+        found.start.value,
+        color=INK,
+        linewidth=1.2,
+        label=f"today's values: {found.start.value:.4g}",
+    )
     ax.axvline(mean, color=INK, linewidth=1.2, linestyle="--", label=f"mean of draws: {mean:.4g}")
-    low, high = np.quantile(found.start, [0.025, 0.975])
+    low, high = np.quantile(found.optimal, [0.025, 0.975])
     ax.axvspan(low, high, color="0.85", zorder=0, label=f"95 % of draws: {low:.4g} to {high:.4g}")
     ax.set_xlabel("V* of the start, policy re-optimised (reward)")
     ax.set_ylabel(f"draws of {len(found):,}")

@@ -8,13 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.plots.style import axes_or_new, plain_text
-from exact_mdp.analysis.sensitivity.draws.morris import effects_of
-from exact_mdp.analysis.sensitivity.draws.sobol import indices_of
 from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.sensitivity.draws.morris import Morris
-    from exact_mdp.analysis.sensitivity.draws.sobol import Sobol
+    from exact_mdp.analysis.sensitivity.draws.global_ import Morris, Sobol
     from exact_mdp.mdp.table import Floats, Integers
 
 FIRST, TOTAL, LINE = "#56B4E9", "#FFFFFF", "#000000"
@@ -41,7 +38,7 @@ def plot_sobol(
     ModelError
         Where the output does not vary, and has no indices.
     """
-    ax, each = axes_or_new(ax), indices_of(found, output)
+    ax, each = axes_or_new(ax), found.of(output)
     if each.constant:
         raise ModelError(
             f"the {OUTPUT[output]} is the same at every draw",
@@ -87,7 +84,7 @@ def plot_morris(
     ----------
     output : as for `plot_sobol`
     """
-    ax, each = axes_or_new(ax), effects_of(found, output)
+    ax, each = axes_or_new(ax), found.of(output)
     ax.errorbar(
         each.mu_star,
         each.sigma,
@@ -136,7 +133,7 @@ def plot_morris_bars(
     ----------
     output : as for `plot_sobol`
     """
-    ax, each = axes_or_new(ax), effects_of(found, output)
+    ax, each = axes_or_new(ax), found.of(output)
     order = np.argsort(-each.mu_star, kind="stable")[:most]
     places = np.arange(len(order))
     signs: Floats = each.mu[order] >= 0

@@ -7,18 +7,27 @@
 1 (certified)
 """
 
-from exact_mdp.analysis.sensitivity.draws.morris import Effects, Morris, morris
+from exact_mdp.analysis.sensitivity.draws.global_ import (
+    Effects,
+    Indices,
+    Morris,
+    Sobol,
+    morris,
+    sobol,
+)
 from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
-from exact_mdp.analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
 from exact_mdp.analysis.sensitivity.gradient import Derivative, Gradient, gradient
 from exact_mdp.analysis.sensitivity.moments import Movement, moments_gradient, movement_frame
 from exact_mdp.analysis.sensitivity.multi_model import MultiModel, multi_model
 from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Point, Tornado, one_way, tornado
-from exact_mdp.analysis.sensitivity.psa.distributions import Uncertain, Uncertainty
+from exact_mdp.analysis.sensitivity.psa.distributions import (
+    Uncertain,
+    Uncertainty,
+    load_uncertainty,
+    uncertainty,
+)
 from exact_mdp.analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.psa.result import PSA
-from exact_mdp.analysis.sensitivity.psa.uncertainty import load_uncertainty, uncertainty
+from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
 from exact_mdp.analysis.sensitivity.ranges import Range, around, load_ranges, whole
 from exact_mdp.analysis.sensitivity.robust.box import (
     BoxExtreme,

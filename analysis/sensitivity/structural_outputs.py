@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.sensitivity.base import digest
-from exact_mdp.analysis.sensitivity.draws.sampled import values
+from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.gradient import gradient
 from exact_mdp.analysis.sensitivity.thresholds.joint import joint_radius
 from exact_mdp.mdp.care.perception import perceived
@@ -237,7 +237,7 @@ def _slopes(scenario: Scenario) -> dict[str, float]:
     draws = np.tile(today, (2 * len(names), 1))
     rows = np.arange(len(names))
     draws[2 * rows, rows], draws[2 * rows + 1, rows] = ends.T
-    value = values(model, names, draws)
+    value = sampled(model, names, draws).optimal
     steps = (ends[:, 1] - ends[:, 0]) / today
     return dict(zip(names, ((value[1::2] - value[::2]) / steps).tolist(), strict=True))
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from umb_files import archive_of
 
-from exact_mdp.analysis.sensitivity.psa.uncertainty import load_uncertainty
+from exact_mdp.analysis.sensitivity.psa.distributions import load_uncertainty
 from exact_mdp.analysis.sensitivity.ranges import load_ranges
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.care.counts import read_counts

@@ -406,8 +406,8 @@ def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on()
 @pytest.mark.parametrize("discount", ["1/2", "99/100", "999999/1000000"])
 def test_samples_of_a_discount_stay_below_1(discount: str) -> None:
     mdp = CONTINUING.with_(discount=discount)
-    assert sobol(mdp, samples=8, seed=0).parameters
-    assert morris(mdp, trajectories=4, seed=0).parameters
+    assert sobol(mdp, n=8, rng=0).parameters
+    assert morris(mdp, n=4, rng=0).parameters
 
 
 def test_default_ranges_stay_where_there_is_a_model() -> None:

@@ -120,11 +120,11 @@ def test_a_batch_says_in_how_many_draws() -> None:
         lambda own: tornado(own, ranges=HIGH),
         lambda own: one_way(own, "base.anger", HIGH["base.anger"], points=5),
         lambda own: thresholds(own, "base.anger", (Fraction(1, 2), Fraction(4, 5))),
-        lambda own: sobol(own, ranges=HIGH, samples=16, seed=0),
-        lambda own: morris(own, ranges=HIGH, trajectories=4, seed=0),
+        lambda own: sobol(own, ranges=HIGH, n=16, rng=0),
+        lambda own: morris(own, ranges=HIGH, n=4, rng=0),
         lambda own: box_extreme(own, "always:none", HIGH, parts=3),
         lambda own: psa(
-            own.with_(parameters={"base.anger": "7/10"}), 50, seed=0, effective_sample_size=5
+            own.with_(parameters={"base.anger": "7/10"}), 50, rng=0, effective_sample_size=5
         ),
         lambda own: gradient(own.with_(parameters={"base.anger": "9/10"}), names=["base.anger"]),
         lambda own: structural(own, {"additive": ADDITIVE, "both": ADDITIVE}, policies={}),

@@ -40,7 +40,7 @@ def test_a_state_that_cannot_be_reached_makes_no_action_optimal() -> None:
     rows = [(0, 0, [(half, 1, 5), (half, 2, 5)]), (0, 1, [(half, 1, 0), (half, 2, 0)])]
     rows += [(1, 0, [(1, 3, 0)]), (2, 0, [(1, 3, 0)]), (3, 0, [(1, 3, 0)])]
     mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 3, 10**13)])])
-    share, _, _ = psa(moving(mdp, {"p": [(0, 1)]}), 20, seed=1).probability_optimal()
+    share, _, _ = psa(moving(mdp, {"p": [(0, 1)]}), 20, rng=1).probability_optimal()
     assert np.array(share).tolist() == [[1.0, 0.0]]
 
 
@@ -63,7 +63,7 @@ def test_the_spread_of_small_rewards_is_a_spread() -> None:
         rows = [(0, 0, [(half, 1, 5 * unit), (half, 2, 0)]), (1, 0, [(1, 3, unit)])]
         rows += [(2, 0, [(F(1, 3), 3, 0), (F(2, 3), 1, 2 * unit)]), (3, 0, [(1, 3, 0)])]
         model = moving(MDP.from_outcomes(rows), {"p": [(0, 1)], "q": [(2, 1)]})
-        found.append(sobol(model, samples=32, seed=1).optimal)
+        found.append(sobol(model, n=32, rng=1).optimal)
     assert found[1].sd == pytest.approx(found[0].sd / 2**40, rel=1e-9, abs=0)
     assert found[1].total == pytest.approx(found[0].total)
 

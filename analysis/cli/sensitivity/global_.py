@@ -24,8 +24,14 @@ from exact_mdp.analysis.cli.sensitivity.options import (
     work_from,
     written,
 )
-from exact_mdp.analysis.sensitivity.draws.morris import Effects, Morris, morris
-from exact_mdp.analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
+from exact_mdp.analysis.sensitivity.draws.global_ import (
+    Effects,
+    Indices,
+    Morris,
+    Sobol,
+    morris,
+    sobol,
+)
 from exact_mdp.analysis.sensitivity.ranges import usual
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.parametric import DISCOUNT
@@ -64,7 +70,7 @@ def how_from(loaded: Loaded, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return where the work is done, the policy held fixed and the seed, from the options."""
     return work_from(options) | {
         "policy": policy_from(loaded, options),
-        "seed": whole_of(options["seed"], "--seed", most=2**128),
+        "rng": whole_of(options["seed"], "--seed", most=2**128),
     }
 
 
@@ -114,10 +120,10 @@ def sobol_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     samples = whole_of(options["samples"] or "1024", "--samples", 2, 2**24)
     names, ranges, without = drawn_from(loaded, options)
     found = sobol(
-        model_of(loaded), names=names, ranges=ranges, samples=samples, **how_from(loaded, options)
+        model_of(loaded), names=names, ranges=ranges, n=samples, **how_from(loaded, options)
     )
     result = head_of(loaded, options, found) | {
-        "samples": found.samples,
+        "samples": found.n,
         **_indices(found, found.optimal),
         "regret": _indices(found, found.regret),
         "without_range": without,
@@ -189,11 +195,11 @@ def morris_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
         model_of(loaded),
         names=names,
         ranges=ranges,
-        trajectories=trajectories,
+        n=trajectories,
         **how_from(loaded, options),
     )
     result = head_of(loaded, options, found) | {
-        "trajectories": found.trajectories,
+        "trajectories": found.n,
         "levels": found.levels,
         **_effects(found, found.optimal),
         "regret": _effects(found, found.regret),

@@ -26,7 +26,12 @@ from exact_mdp.analysis.cli.sensitivity.options import (
 )
 from exact_mdp.analysis.sensitivity.base import digest
 from exact_mdp.analysis.sensitivity.draws.solver import solver_of
-from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
+from exact_mdp.analysis.sensitivity.psa.distributions import (
+    EFFECTIVE_SAMPLE_SIZE,
+    Uncertainty,
+    load_uncertainty,
+    uncertainty,
+)
 from exact_mdp.analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
 from exact_mdp.analysis.sensitivity.psa.intervals import (
     FEW,
@@ -36,15 +41,9 @@ from exact_mdp.analysis.sensitivity.psa.intervals import (
     quantiles,
     tolerances_of,
 )
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.psa.result import PSA
-from exact_mdp.analysis.sensitivity.psa.uncertainty import (
-    EFFECTIVE_SAMPLE_SIZE,
-    load_uncertainty,
-    uncertainty,
-)
+from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
+from exact_mdp.analysis.sensitivity.psa.rows import row_family
 from exact_mdp.analysis.sensitivity.psa.value_of_information import FEWEST, PartialInformation
-from exact_mdp.analysis.sensitivity.robust.row_family import row_family
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.table import Floats, exact
@@ -84,7 +83,7 @@ def result_of(
         },
         "fixed": dict(found.uncertainty.fixed),
         "clipped": None if found.clipped is None else _estimate(found.clipped),
-        "value": _spread(found.start),
+        "value": _spread(found.optimal),
         "regret": _spread(regret, mean_loss(regret)),
         "acceptability": {
             "policy": form,
@@ -352,7 +351,7 @@ def psa_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
     found = psa(
         model,
         whole_of(str(samples), "--samples", 1, 10**8),
-        seed=whole_of(str(options.get("seed") or 0), "--seed", most=2**128),
+        rng=whole_of(str(options.get("seed") or 0), "--seed", most=2**128),
         uncertain=chosen,
         policy=policy_from(loaded, {**options, "policy": form}),
         **how,
@@ -388,7 +387,7 @@ def _stated(
                 fix="give a number above 0, or a .toml file",
             ) from error
     size = EFFECTIVE_SAMPLE_SIZE if default is None else default
-    model = model_of(loaded) if loaded.scenario is not None else row_family(loaded.mdp)[0]
+    model = model_of(loaded) if loaded.scenario is not None else row_family(loaded.mdp)
     return model, stated, size
 
 
@@ -431,8 +430,8 @@ def _curve(
         model,
         {candidate.name: candidate.weights for candidate in found.candidates},
         SIZES,
-        seed=found.seed,
-        samples=draws,
+        rng=found.seed,
+        n=draws,
         stated=stated,
         names=names,
         **{**how, "folder": folder},

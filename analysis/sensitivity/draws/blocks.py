@@ -7,23 +7,38 @@ bytes however many workers there are, and a larger sample begins with the blocks
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.solvers.parallel.many import many
 from exact_mdp.solvers.parallel.pieces import Arrays
 
+joblib = later("joblib")
 
-def whole_number(value: object, name: str, least: int) -> int:
+
+class How(TypedDict, total=False):
+    """Where the work is done, as `solvers.parallel.many.many` takes it; results do not change.
+
+    The workers of a care scenario are threads, those of other models processes.
+    """
+
+    n_jobs: int | None
+    scheduler: str | None
+    folder: str | Path | None
+    progress: bool
+
+
+def whole_number(value: object, what: str, least: int) -> int:
     """Return a whole number; raises ModelError for anything else, and where it is too small."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        what = f"{value} draws" if name == "samples" else f"{name} is {value!r}"
-        raise ModelError(what, where=name, fix=f"give a whole number, at least {least}")
+        raise ModelError(f"{value!r} {what}", where="n", fix=f"give a whole number from {least}")
     return int(value)
 
 
@@ -33,30 +48,18 @@ def run(
     work: Callable[[Any], Arrays],
     pieces: Sequence[Any],
     key: Mapping[str, object],
-    *,
-    n_jobs: int | None = 1,
-    scheduler: str | None = None,
-    folder: str | Path | None = None,
-    progress: bool = False,
+    **how: Unpack[How],
 ) -> list[Arrays]:
     """Do pieces of work: compiled loops in threads, other models in processes."""
-    settings = {
-        "key": dict(key),
-        "n_jobs": n_jobs,
-        "scheduler": scheduler,
-        "folder": None if folder is None else Path(folder) / what,
-        "progress": progress,
-        "what": what,
-    }
-    if solver.compiled and scheduler is None and n_jobs != 1:
-        from joblib import parallel_config
-
-        with parallel_config(backend="threading"):
-            return many(work, pieces, **settings)
-    return many(work, pieces, **settings)
+    folder = how.get("folder")
+    if folder is not None:
+        how["folder"] = Path(folder) / what
+    threads = solver.compiled and how.get("scheduler") is None and how.get("n_jobs", 1) != 1
+    with joblib.parallel_config(backend="threading") if threads else nullcontext():
+        return many(work, pieces, key=key, what=what, **how)
 
 
-def seeded(seed: int, samples: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:
+def seeded(seed: int, n: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:
     """Return blocks, each a stream and how many draws to take from it, and the size of a last one.
 
     Examples
@@ -65,8 +68,8 @@ def seeded(seed: int, samples: int, block: int) -> tuple[list[tuple[SeedSequence
     >>> [count for _, count in pieces], rest
     ([2, 2, 1], 1)
     """
-    rest = samples % block
-    sizes = [block] * (samples // block) + [rest] * (rest > 0)
+    rest = n % block
+    sizes = [block] * (n // block) + [rest] * (rest > 0)
     return list(zip(SeedSequence(seed).spawn(len(sizes)), sizes, strict=True)), rest
 
 
@@ -77,11 +80,11 @@ def in_blocks(
     pieces: Sequence[Any],
     key: Mapping[str, object],
     rest: int,
-    how: Mapping[str, Any],
+    **how: Unpack[How],
 ) -> list[Arrays]:
     """Do blocks of draws: whole ones in a folder for samples of any size, one of `rest` apart."""
     full = len(pieces) - (rest > 0)
-    if how["folder"] is None or not rest:
+    if how.get("folder") is None or not rest:
         return run(solver, what, work, pieces, key, **how)
     done = run(solver, what, work, pieces[:full], key, **how) if full else []
     last = {"last block": full, "draws": rest}
@@ -91,7 +94,5 @@ def in_blocks(
 
 def joined(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:
     """Return arrays of all draws, by name: all of them unless names are given."""
-    return {
-        name: np.concatenate([block[name] for block in blocks])
-        for name in (blocks[0] if names is None else names)
-    }
+    chosen = blocks[0] if names is None else names
+    return {name: np.concatenate([block[name] for block in blocks]) for name in chosen}

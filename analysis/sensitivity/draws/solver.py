@@ -1,41 +1,34 @@
-"""The different policies among those of many draws, each a row of small integers.
+"""Optima and policies' values at many draws of a model's parameters.
 
-Optima and policies' values at many draws of any parametric model, one draw after the other.
-
-Optima and policies' values at many draws of a care scenario, by batched loops.
-
-The loops never form the model (`solvers.care`), and take thousands of draws at once.
-
-What a probabilistic analysis asks of a model: optima and policies' values at many draws.
-
-A care scenario goes through the batched loops (`analysis.sensitivity.draws.solver`); any other
-parametric model is built, solved and evaluated draw by draw (`analysis.sensitivity.draws.solver`).
-Both answer with the same arrays.
+A care scenario goes through batched loops that never form the model (`solvers.care`). Any other
+parametric model is built, solved and evaluated draw by draw. Both answer with the same arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.base import BaseCase
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
 from exact_mdp.solvers.parallel.pieces import Arrays
 
 
-def distinct(rows: Integers) -> tuple[Integers, Integers]:
+def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
     """Return the (U, G) different rows of (D, G) small integers, and (D,) which of them each is.
 
-    Rows are told apart by two 64-bit sums of random odd multiples; that two rows which differ have
-    both sums in common is about as likely as guessing a number of 128 bits.
+    They come in order of appearance. Rows are told apart by two 64-bit sums of random odd
+    multiples; that two rows which differ have both sums in common is about as likely as guessing a
+    number of 128 bits.
     """
     width = rows.shape[1] * rows.dtype.itemsize
     padded = np.zeros((len(rows), -(-width // 8) * 8), dtype=np.uint8)
@@ -46,27 +39,46 @@ def distinct(rows: Integers) -> tuple[Integers, Integers]:
     both = np.ascontiguousarray(sums).view([("a", np.uint64), ("b", np.uint64)]).reshape(-1)
     _, where, inverse = np.unique(both, return_index=True, return_inverse=True)
     order = np.argsort(where)
-    place = np.empty(len(order), dtype=np.int32)
-    place[order] = np.arange(len(order))
-    return rows[where[order]], place[inverse.reshape(-1)]
+    return rows[where[order]], np.argsort(order)[inverse.reshape(-1)]
 
 
-def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Integers, Integers]:
+def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Numbers, Integers]:
     """Return the different rows of several blocks, in order of appearance, and each draw's."""
-    found: dict[bytes, int] = {}
-    rows, which = [], []
-    for block in blocks:
-        places = []
-        for row in np.ascontiguousarray(block["rows"]):
-            places.append(found.setdefault(row.tobytes(), len(found)))
-            if places[-1] == len(rows):
-                rows.append(row)
-        which.append(np.array(places, dtype=np.int64)[block["which"]])
-    return np.stack(rows), np.concatenate(which)
+    rows, place = distinct(np.concatenate([block["rows"] for block in blocks]))
+    ends = np.cumsum([len(block["rows"]) for block in blocks])[:-1]
+    places = np.split(place, ends)
+    return rows, np.concatenate([p[b["which"]] for p, b in zip(places, blocks, strict=True)])
+
+
+def models(
+    model: Parametric, names: Sequence[str], draws: Floats, first: int | None = None
+) -> Iterator[tuple[int, MDP]]:
+    """Yield each draw's number and model; an error names the draw, counted from `first`."""
+    for d, row in enumerate(draws.tolist()):
+        try:
+            yield d, model.at(dict(zip(names, row, strict=True)))
+        except ModelError as error:
+            if first is None:
+                raise
+            where = f"draw {first + d}, {error.where}"
+            raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
 class ModelSolver:
-    """One draw after the other; labels are the states in which there is a choice."""
+    """One draw after the other; labels are the states in which there is a choice.
+
+    Attributes
+    ----------
+    base : BaseCase
+        The model at today's values, to whose pairs policies refer.
+    block, pool : int
+        Draws in one piece of work, and draws of largest regret in which policies are compared to
+        choose candidates.
+    compiled : bool
+        Whether compiled loops do the work, which threads can share.
+    labels, actions : tuples of X and A words
+        Where choices are reported, and between what.
+    """
 
     block, pool = 64, 32
     compiled = False
@@ -80,17 +92,22 @@ class ModelSolver:
         self.labels = tuple(mdp.space.labels(self.choosing))
 
     def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.solved`."""
+        """Return the optima of (D, Q) draws.
+
+        start, error (D,); best (X, A), draws in which an action is optimal up to rounding; lost
+        (D, A), what each first action costs, NaN where it is not offered, (D, 0) where there is
+        more than one first state; rows (U, G), the policies found, and which (D,) of them is a
+        draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
+        """
         mdp, count = self.base.mdp, len(draws)
         start, error = np.empty(count), np.empty(count)
         best = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
         first = [state for state, _ in mdp.start]
         lost = np.full((count, mdp.n_actions if len(first) == 1 else 0), np.nan)
         policies = np.empty((count, mdp.n_states), dtype=np.int16)
-        for d, row in enumerate(draws.tolist()):
-            drawn = self.model.at(dict(zip(names, row, strict=True)))
+        for d, drawn in models(self.model, names, draws):
             solution = solve(drawn)
-            start[d], error[d] = solution.start_value, solution.start_error_bound
+            start[d], error[d] = solution.start.value, solution.start.error
             gap = solution.value[mdp.pair_state] - solution.q
             error_there = solution.state_error
             doubt = error_there[mdp.pair_state] + drawn.discount * (drawn.transition @ error_there)
@@ -112,22 +129,34 @@ class ModelSolver:
         }
 
     def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.values`."""
+        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
         value = np.empty((len(draws), len(policies)))
         error = np.empty_like(value)
-        for d, row in enumerate(draws.tolist()):
-            drawn = self.model.at(dict(zip(names, row, strict=True)))
-            for n, weights in enumerate(policies):
-                found = evaluate(drawn, weights)
-                value[d, n], error[d, n] = found.mean, found.error_bound
+        for d, drawn in models(self.model, names, draws):
+            found = [evaluate(drawn, weights) for weights in policies]
+            value[d] = [each.mean for each in found]
+            error[d] = [each.error_bound for each in found]
+        return {"value": value, "error": error}
+
+    def both(
+        self, names: Sequence[str], draws: Floats, policies: Sequence[Floats], first: int
+    ) -> Arrays:
+        """Return value and error (D, 1 + N) of the optimum and of N policies."""
+        value = np.empty((len(draws), 1 + len(policies)))
+        error = np.empty_like(value)
+        for d, drawn in models(self.model, names, draws, first):
+            best = solve(drawn).start
+            found = [evaluate(drawn, weights) for weights in policies]
+            value[d] = [best.value, *(each.mean for each in found)]
+            error[d] = [best.error, *(each.error_bound for each in found)]
         return {"value": value, "error": error}
 
     def weights(self, row: Integers) -> Floats:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.weights`."""
+        """Return (L,) probabilities of pairs from a row of `solved`."""
         return self.base.taken(row)
 
     def shown(self, weights: Floats) -> dict[str, str] | None:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.shown`."""
+        """Return the action at each label, where the policy says one and the same there."""
         mdp, found = self.base.mdp, {}
         for state, label in zip(self.choosing.tolist(), self.labels, strict=True):
             pairs = mdp.pairs_of(state)
@@ -139,7 +168,10 @@ class ModelSolver:
 
 
 class CareSolver:
-    """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0."""
+    """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0.
+
+    Attributes and methods are those of `ModelSolver`.
+    """
 
     block, pool = 4096, 1000
     compiled = True
@@ -150,22 +182,20 @@ class CareSolver:
         count = len(self.scenario.statuses)
         self.actions = self.scenario.actions
         self.labels = tuple(f"{number:0{count}b}" for number in range(2**count))
-        space = self.base.mdp.space
-        self.sizes = tuple(column.size for column in space.columns)
+        self.sizes = tuple(column.size for column in self.base.mdp.space.columns)
         flags = self.sizes[2] if len(self.sizes) == 4 else 1
         self.shape = (self.sizes[0], self.scenario.trials, flags, 2**count)
 
     def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.solved`."""
+        """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
         found = optimal(self.scenario, names, draws, gaps=True, actions=True, threads=1, warn=False)
         assert found.gaps is not None
         assert found.actions is not None
-        best = (found.gaps <= 2 * found.error[:, None, None]).sum(axis=0)
         rows, which = distinct(found.actions.reshape(len(draws), -1))
         return {
             "start": found.start,
             "error": found.error,
-            "best": best,
+            "best": (found.gaps <= 2 * found.error[:, None, None]).sum(axis=0),
             "lost": found.gaps[:, 0],
             "rows": rows,
             "which": which,
@@ -173,10 +203,11 @@ class CareSolver:
         }
 
     def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.values`."""
-        tables = [by_state(self.base.mdp, self.scenario, weights) for weights in policies]
+        """Return value (D, N) and error (D, N) of N policies; see `ModelSolver.values`."""
+        tables = [self.by_state(weights) for weights in policies]
         value = np.empty((len(draws), len(tables)))
         error = np.zeros((len(draws), len(tables)))
+        # Policies of one kind are evaluated together: pure or mixed, by status or by state.
         kinds: dict[tuple[bool, bool], list[int]] = {}
         for number, table in enumerate(tables):
             pure = bool((table.max(axis=-1) == 1).all())
@@ -190,8 +221,19 @@ class CareSolver:
             value[:, numbers], error[:, numbers] = found.mean, found.error[:, None]
         return {"value": value, "error": error}
 
+    def both(
+        self, names: Sequence[str], draws: Floats, policies: Sequence[Floats], first: int
+    ) -> Arrays:
+        """Return value and error (D, 1 + N) of the optimum and of N policies."""
+        best = optimal(self.scenario, names, draws, threads=1, warn=False)
+        fixed = self.values(names, draws, policies)
+        return {
+            "value": np.column_stack([best.start, fixed["value"]]),
+            "error": np.column_stack([best.error, fixed["error"]]),
+        }
+
     def weights(self, row: Integers) -> Floats:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.weights`."""
+        """Return (L,) probabilities of pairs from a row of `solved`."""
         mdp = self.base.mdp
         whole = np.zeros((self.shape[0], self.sizes[1], *self.shape[2:]), dtype=np.int64)
         whole[:, : self.shape[1]] = np.reshape(row, self.shape)
@@ -199,70 +241,29 @@ class CareSolver:
         return self.base.taken(choice)
 
     def shown(self, weights: Floats) -> dict[str, str] | None:
-        """See `analysis.sensitivity.draws.solver.DrawSolver.shown`."""
-        table = by_state(self.base.mdp, self.scenario, weights)
+        """Return the action at each label, where the policy says one and the same there."""
+        table = self.by_state(weights)
         if not ((table == table[:1, :1, :1]).all() and (table.max(axis=-1) == 1).all()):
             return None
         chosen = table[0, 0, 0].argmax(axis=-1)
-        return {
-            label: self.actions[number] for label, number in zip(self.labels, chosen, strict=True)
-        }
+        return {label: self.actions[a] for label, a in zip(self.labels, chosen, strict=True)}
 
+    def by_state(self, weights: Floats) -> Floats:
+        """Return (K, trials, flags, V, A) probabilities of actions from (L,) ones of pairs.
 
-def by_state(mdp: MDP, scenario: Scenario, weights: Floats) -> Floats:
-    """Return (K, trials, flags, V, A) probabilities of actions from (L,) probabilities of pairs.
-
-    K subtasks, V status vectors; flags are two where a reading remembers skips, else one.
-    """
-    sizes = {column.name: column.size for column in mdp.space.columns}
-    shape = (sizes["subtask"], sizes["trial"], sizes.get("skipped", 1), sizes["status"])
-    table = np.zeros((mdp.n_states, mdp.n_actions))
-    table[mdp.pair_state, mdp.pair_action] = weights
-    table = table[: mdp.space.regular].reshape(*shape, mdp.n_actions)
-    numbers = [mdp.action(name) for name in scenario.actions]
-    # A last trial in which a skip is the only action is no trial of the loops.
-    return table[:, : scenario.trials][..., numbers]
-
-
-class DrawSolver(Protocol):
-    """What a probabilistic analysis asks of a model.
-
-    Attributes
-    ----------
-    base : BaseCase
-        The model at today's values, whose pairs policies are told of.
-    block, pool : int
-        Draws in one piece of work, and draws of largest regret in which policies are compared to
-        choose candidates.
-    compiled : bool
-    labels, actions : tuples of X and A words
-        Where choices are told of, and between what.
-    """
-
-    base: BaseCase
-    block: int
-    pool: int
-    compiled: bool
-    labels: tuple[str, ...]
-    actions: tuple[str, ...]
-
-    def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
-        """Return the optima of (D, Q) draws.
-
-        start, error (D,); best (X, A), draws in which an action is optimal up to rounding; lost
-        (D, A), what each first action costs, NaN where it is not offered, (D, 0) where there is
-        more than one first state; rows (U, G), the policies found, and which (D,) of them is a
-        draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
+        K subtasks, V status vectors; flags are two where a reading remembers skips, else one.
         """
+        mdp = self.base.mdp
+        table = np.zeros((mdp.n_states, mdp.n_actions))
+        table[mdp.pair_state, mdp.pair_action] = weights
+        shape = (self.shape[0], self.sizes[1], *self.shape[2:])
+        table = table[: mdp.space.regular].reshape(*shape, mdp.n_actions)
+        numbers = [mdp.action(name) for name in self.scenario.actions]
+        # A last trial in which a skip is the only action is no trial of the loops.
+        return table[:, : self.shape[1]][..., numbers]
 
-    def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
-        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
 
-    def weights(self, row: Integers) -> Floats:
-        """Return (L,) probabilities of pairs from a row of `solved`."""
-
-    def shown(self, weights: Floats) -> dict[str, str] | None:
-        """Return the action at each label, where the policy says one and the same there."""
+DrawSolver: TypeAlias = ModelSolver | CareSolver
 
 
 def solver_of(model: Parametric) -> DrawSolver:
@@ -272,3 +273,23 @@ def solver_of(model: Parametric) -> DrawSolver:
         if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:
             return CareSolver(model)
     return ModelSolver(model)
+
+
+def tell_cut(
+    model: Parametric, names: Sequence[str], draws: Floats, cut: np.ndarray | None = None
+) -> None:
+    """Warn once where a chance of a scenario is cut off at 1 in some draw; workers keep silent.
+
+    Parameters
+    ----------
+    cut : (D,) bool, optional
+        In which draws; where that is not known, the largest numbers of all draws are looked at.
+    """
+    if not isinstance(model, ScenarioFamily):
+        return
+    if cut is None:
+        model.tell(dict(zip(names, draws.max(axis=0).tolist(), strict=True)), where=", in draws")
+    elif cut.any():
+        first = int(cut.argmax())
+        where = f", {int(cut.sum())} of {len(draws)} draws, the first of them draw {first}"
+        model.tell(dict(zip(names, draws[first].tolist(), strict=True)), where=where)

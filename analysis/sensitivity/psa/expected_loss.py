@@ -12,35 +12,44 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.analysis.sensitivity.base import digest, unit_of
-from exact_mdp.analysis.sensitivity.draws.blocks import run, whole_number
+from exact_mdp.analysis.sensitivity.draws.blocks import How, run, whole_number
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, solver_of
-from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
+from exact_mdp.analysis.sensitivity.psa.distributions import (
+    EFFECTIVE_SAMPLE_SIZE,
+    Settings,
+    Uncertainty,
+    uncertainty,
+)
 from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss
-from exact_mdp.analysis.sensitivity.psa.uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric, placed
+from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.parallel.pieces import Arrays
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+pandas = later("pandas")
+
 SAMPLE_SIZE = "effective_sample_size"
+SPREAD = ("standard_error", "low", "high", "carried")
 SIZES = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LossCurve:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LossCurve(Result):
     """Expected losses of N policies at X points.
 
     Attributes
@@ -72,10 +81,8 @@ class LossCurve:
 
     def frame(self) -> DataFrame:
         """Return a table with a row for each point and policy; losses in units of reward."""
-        from pandas import DataFrame
-
         count, many = self.loss.shape
-        return DataFrame(
+        return pandas.DataFrame(
             {
                 f"{self.along} ({self.unit})": np.repeat(self.points, many),
                 "policy": list(self.policies) * count,
@@ -90,36 +97,42 @@ class LossCurve:
 
 
 def expected_loss(
-    source: Scenario | MDP | Parametric,
+    model: Scenario | MDP | Parametric,
     policies: Mapping[str, object],
     points: Sequence[float] = SIZES,
     *,
-    seed: int,
+    rng: RNG,
     along: str = SAMPLE_SIZE,
-    samples: int = 2000,
+    n: int = 2000,
     effective_sample_size: float = EFFECTIVE_SAMPLE_SIZE,
-    stated: Mapping[str, Mapping[str, object]] | None = None,
+    stated: Mapping[str, Settings] | None = None,
     names: Sequence[str] | None = None,
-    rows: Mapping[str, Sequence[str]] | None = None,
-    n_jobs: int | None = 1,
-    scheduler: str | None = None,
-    folder: str | Path | None = None,
-    progress: bool = False,
+    **how: Unpack[How],
 ) -> LossCurve:
     """Return what each policy loses on average, at each point.
 
     Parameters
     ----------
-    policies : {name: policy}
+    model : Scenario, MDP or Parametric
+    policies : {name: PolicyLike}
         "optimal" is the optimum at today's values; all are held fixed.
-    points : sequence
+    points : sequence of X float
         Effective sample sizes, or values of the parameter `along`.
+    rng : int or numpy.random.Generator
     along : str
         "effective_sample_size", or a parameter's name, which is then not drawn.
-    stated, names, rows
+    n : int
+        Draws at each point.
+    effective_sample_size : float
+        Of every probability of which nothing is stated, where that is not what varies.
+    stated, names
         As in `uncertainty`.
-    folder : path, optional
-        Where finished points are kept; the same call uses them again.
+    **how
+        n_jobs, scheduler, folder and progress; see `solvers.parallel.many.many`.
+
+    Returns
+    -------
+    LossCurve
 
     Raises
     ------
@@ -129,90 +142,68 @@ def expected_loss(
     Examples
     --------
     >>> found = expected_loss(
-    ...     Scenario.load("yuan2025"), {"today": "optimal"}, [20, 500], seed=0, samples=200
+    ...     Scenario.load("yuan2025"), {"today": "optimal"}, [20, 500], rng=0, n=200
     ... )
     >>> bool(found.loss[0, 0] > found.loss[1, 0] >= 0)
     True
     """
-    model = parametric(source)
-    samples, seed = whole_number(samples, "samples", 0), whole_number(seed, "seed", 0)
-    if len(points) == 0 or not policies or samples < 2:
+    family = parametric(model)
+    n, seed = whole_number(n, "draws", 0), seed_of(rng)
+    if len(points) == 0 or not policies or n < 2:
         raise ModelError(
-            f"{len(points)} points, {len(policies)} policies, {samples} draws",
+            f"{len(points)} points, {len(policies)} policies, {n} draws",
             where="expected loss",
             fix="give at least one point, one policy and two draws",
         )
-    solver = solver_of(model)
+    solver = solver_of(family)
     weights = [solver.base.held(policy) for policy in policies.values()]
-    pieces: list[Any] = []
-    for point in points:
+    pieces: list[_Piece] = []
+    for point in map(float, points):
+        size, held = effective_sample_size, {along: point}
+        asked = names
         if along == SAMPLE_SIZE:
-            chosen = uncertainty(model, stated, default=float(point), names=names, rows=rows)
-            held: dict[str, float] = {}
+            size, held = point, {}
         else:
-            placed(model, {along: float(point)})
-            asked = [p.name for p in model.parameters] if names is None else names
-            others = [name for name in asked if name != along]
-            chosen = uncertainty(
-                model, stated, default=effective_sample_size, names=others, rows=rows
-            )
-            held = {along: float(point)}
-        if not chosen.parts:
-            raise ModelError(
-                "no parameter is uncertain", where=f"model {model.name}", fix="state what is drawn"
-            )
-        pieces.append((chosen, held, seed, samples))
-    blocks = run(
-        solver,
-        "points",
-        partial(_point, solver, weights),
-        pieces,
-        {
-            "model": fingerprint(solver.base.mdp),
-            "along": along,
-            "seed": seed,
-            "samples": samples,
-            "policies": [digest(each) for each in weights],
-            "points": [
-                [float(point), *([*p.names, p.kind, p.size, *p.mean] for p in piece[0].parts)]
-                for point, piece in zip(points, pieces, strict=True)
-            ],
-        },
-        n_jobs=n_jobs,
-        scheduler=scheduler,
-        folder=folder,
-        progress=progress,
-    )
-    unit = "observations" if along == SAMPLE_SIZE else unit_of(parameter_of(model, along))
+            placed(family, held)
+            asked = [p.name for p in family.parameters] if names is None else names
+            asked = [name for name in asked if name != along]
+        chosen = uncertainty(family, stated, default=size, names=asked).checked(family)
+        pieces.append((chosen, held, seed, n))
+    drawn = [[[*p.names, p.kind, p.size, *p.mean] for p in piece[0].parts] for piece in pieces]
+    key = {
+        "model": fingerprint(solver.base.mdp),
+        "along": along,
+        "seed": seed,
+        "samples": n,
+        "policies": [digest(each) for each in weights],
+        "points": [[float(point), *parts] for point, parts in zip(points, drawn, strict=True)],
+    }
+    blocks = run(solver, "points", partial(_point, solver, weights), pieces, key, **how)
+    unit = "observations" if along == SAMPLE_SIZE else unit_of(parameter_of(family, along))
     return LossCurve(
         along=along,
         unit=unit,
         points=np.asarray(points, dtype=float),
         policies=tuple(policies),
-        draws=samples,
+        draws=n,
         **{name: np.stack([block[name] for block in blocks]) for name in blocks[0]},
     )
 
 
-def _point(
-    solver: DrawSolver,
-    weights: Sequence[Floats],
-    piece: tuple[Uncertainty, Mapping[str, float], int, int],
-) -> Arrays:
-    chosen, held, seed, samples = piece
+_Piece = tuple[Uncertainty, Mapping[str, float], int, int]
+
+
+def _point(solver: DrawSolver, weights: Sequence[Floats], piece: _Piece) -> Arrays:
+    chosen, held, seed, n = piece
     names = (*chosen.names, *held)
-    drawn = chosen.draw(SeedSequence(seed), samples)
-    draws = np.hstack([drawn, np.tile(list(held.values()), (samples, 1))])
+    drawn = chosen.draw(SeedSequence(seed), n)
+    draws = np.hstack([drawn, np.tile(list(held.values()), (n, 1))])
     found, valued = solver.solved(names, draws), solver.values(names, draws, weights)
     gap = found["start"][:, None] - valued["value"]
     real = gap > found["error"][:, None] + valued["error"]
-    gap = np.where(real, gap, 0.0)
-    told = [mean_loss(column) for column in gap.T]
+    told = [mean_loss(column) for column in np.where(real, gap, 0.0).T]
     return {
         "loss": np.array([each.value for each in told]),
-        "standard_error": np.array([each.standard_error for each in told]),
-        "low": np.array([each.low for each in told]),
-        "high": np.array([each.high for each in told]),
-        "carried": np.array([each.carried for each in told]),
+        **{part: np.array([getattr(each, part) for each in told]) for part in SPREAD},
         "optimal": 1 - real.mean(axis=0),
     }

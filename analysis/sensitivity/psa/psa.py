@@ -1,72 +1,322 @@
 """Probabilistic sensitivity analysis: the parameters drawn, each draw re-solved to optimality.
 
 Every draw is a model of its own. It is solved (the policy re-optimised), and policies are evaluated
-in it (held fixed): the one asked about, today's optimum, and the candidates that are sought among
-the optima of the draws (`analysis.sensitivity.psa.candidates`). What is said of the draws, and of
-which policy, is told in `analysis.sensitivity.psa.result`.
+in it (held fixed): the one asked about, today's optimum, and *candidates*, those among the optima
+of the draws that win most in the draws where the others lose most. The draws say
+
+- the distribution of V*, the policy re-optimised in every draw;
+- the distribution of the regret V* - V^π of a policy π held fixed, and its *acceptability curve*,
+  the probability that its regret is at most Δ, by Δ: how much willingness to accept a loss it takes
+  for the policy to be accepted (after Chen, Ayer and Chhatwal, Medical Decision Making 37, 2017,
+  whose curve tells the confidence in the base-case policy by that willingness; Δ = 0 is the
+  probability that the policy is optimal);
+- the probability that each action is optimal, by status, with Wilson's interval;
+- what knowing all parameters before choosing would be worth,
+
+      EVPI = E[max_π V^π] - max_π E[V^π] = E[V*] - max_π E[V^π].
+
+The best of all policies for uncertain parameters is hard to find (Steimle, Kaufman and Denton, IISE
+Transactions 53, 2021), so EVPI is given by two ends. Its upper end takes the best policy found.
+Its lower end lets everything but the first action be chosen in full knowledge: no policy is worth
+more than max_a E[Q*(start, a)], hence EVPI ≥ min_a E[V* - Q*(start, a)]. Where reward weights alone
+are uncertain, values are linear in them, the best policy is the optimum at their means, and EVPI is
+E[V*] - V*(mean), one number. Every difference is that of pairs in the same draw.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.random import SeedSequence
+from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.sensitivity.base import digest
-from exact_mdp.analysis.sensitivity.draws.blocks import in_blocks, joined, seeded, whole_number
-from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, solver_of
-from exact_mdp.analysis.sensitivity.psa.candidates import Candidate, identity, named, selected
-from exact_mdp.analysis.sensitivity.psa.distributions import Uncertainty
-from exact_mdp.analysis.sensitivity.psa.result import PSA
-from exact_mdp.analysis.sensitivity.psa.uncertainty import EFFECTIVE_SAMPLE_SIZE, uncertainty
-from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
+from exact_mdp.analysis.sensitivity.base import BaseCase, digest
+from exact_mdp.analysis.sensitivity.draws.blocks import How, in_blocks, joined, seeded, whole_number
+from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, merged, solver_of, tell_cut
+from exact_mdp.analysis.sensitivity.psa.distributions import (
+    EFFECTIVE_SAMPLE_SIZE,
+    Uncertainty,
+    uncertainty,
+)
+from exact_mdp.analysis.sensitivity.psa.intervals import (
+    MeanLoss,
+    mean_loss,
+    mean_of,
+    share_of,
+    wilson,
+)
+from exact_mdp.analysis.sensitivity.psa.value_of_information import PartialInformation, evpi, evppi
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.solution import Bounded, Estimated
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+POOL = 24  # policies that are considered as candidates
+CANDIDATES = 6  # of them kept, beside the policy held and today's optimum
+LEAST_GAIN = 1e-2  # of what today's optimum loses, for a policy to be added
+HELD, TODAY = "policy", "optimum today"
+REGRESSED = 20_000  # draws of a regression: its error is far below that of so many draws
+MISSING = "EVPI among the candidates is below the lower end of EVPI"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A policy whose value is worked out in every draw.
+
+    Attributes
+    ----------
+    name : str
+    weights : (L,)
+        Probabilities of the model's pairs.
+    frequency : int
+        Draws whose optimum was found to be this policy.
+    actions : {label: action} or None
+        Where it says the same in all states of a label, and does not mix.
+    """
+
+    name: str
+    weights: Floats
+    frequency: int
+    actions: Mapping[str, str] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Information:
+    """EVPI over all policies, between two estimates; they are one where it is known which is best.
+
+    Attributes
+    ----------
+    low, high : MeanLoss
+    best : str
+        Name of the best candidate, from which `high` is computed.
+    """
+
+    low: MeanLoss
+    high: MeanLoss
+    best: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PSA(Result):
+    """The draws of a probabilistic sensitivity analysis and what was found in each.
+
+    Attributes
+    ----------
+    model : str
+    start : Bounded
+        V* of the start at today's values.
+    uncertainty : Uncertainty
+    seed : int
+    draws : (D, Q)
+        Drawn parameters, in the order of `uncertainty.names`.
+    optimal, error : (D,)
+        V* of the start in each draw, and how far it may be off; units of reward.
+    candidates : tuple of N Candidate
+        The policy that is held comes first.
+    values, value_error : (D, N)
+        Their values.
+    labels, actions : tuples of X and A words
+        Statuses at subtask 0, trial 0 of a care scenario; of other models the states with a choice.
+    compiled : bool
+        Whether the batched loops of the care model did the work.
+    counts : (X, A) ints
+        Draws in which an action is optimal, up to rounding.
+    lost : (D, A)
+        What each action costs in the first state; (D, 0) where there is more than one.
+    cut : (D,) bool
+        Whether some chance was cut off at 1, where `compiled`.
+    """
+
+    model: str
+    start: Bounded
+    uncertainty: Uncertainty
+    seed: int
+    draws: Floats
+    optimal: Floats
+    error: Floats
+    candidates: tuple[Candidate, ...]
+    values: Floats
+    value_error: Floats
+    labels: tuple[str, ...]
+    actions: tuple[str, ...]
+    compiled: bool
+    counts: Integers
+    lost: Floats
+    cut: np.ndarray
+
+    def __post_init__(self) -> None:
+        for array in (self.draws, self.optimal, self.error, self.values, self.counts, self.lost):
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.optimal)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that were drawn."""
+        return self.uncertainty.names
+
+    @property
+    def value(self) -> Estimated:
+        """Mean of V* over the draws (reward)."""
+        return mean_of(self.optimal)
+
+    def regret(self, candidate: int = 0) -> Floats:
+        """Return (D,) V* less a candidate's value; 0 where rounding may be all there is."""
+        gap = self.optimal - self.values[:, candidate]
+        return np.where(gap > self.error + self.value_error[:, candidate], gap, 0.0)
+
+    @property
+    def clipped(self) -> Estimated | None:
+        """Share of draws in which some chance was cut off at 1; None where that is not known."""
+        return share_of(int(self.cut.sum()), len(self)) if self.compiled else None
+
+    def acceptability(self, tolerances: ArrayLike, candidate: int = 0) -> list[Estimated]:
+        """Return the probability that the candidate loses at most Δ, for each Δ."""
+        regret = np.sort(self.regret(candidate))
+        inside = np.searchsorted(regret, np.asarray(tolerances, dtype=float), side="right")
+        return [share_of(int(n), len(self)) for n in inside]
+
+    def accepted(self, tolerances: ArrayLike, candidate: int = 0) -> tuple[Floats, Floats, Floats]:
+        """Return the same probabilities with the ends of Wilson's 95 % intervals."""
+        share = np.array([each.value for each in self.acceptability(tolerances, candidate)])
+        return share, *wilson(np.rint(share * len(self)), len(self))
+
+    def probability_optimal(self) -> tuple[Floats, Floats, Floats]:
+        """Return (X, A) shares of draws in which each action is optimal, and Wilson's intervals."""
+        return self.counts / len(self), *wilson(self.counts, len(self))
+
+    def evpi(self) -> Information:
+        """Return what knowing every drawn parameter would be worth, over all policies."""
+        if self.compiled and all(name.startswith("reward.") for name in self.names):
+            today = [candidate.name for candidate in self.candidates].index(TODAY)
+            found = mean_loss(self.regret(today))
+            return Information(low=found, high=found, best=TODAY)
+        best = int(self.values.mean(axis=0).argmax())
+        high, low = mean_loss(self.regret(best)), mean_loss(np.zeros(len(self)))
+        if self.lost.shape[1]:
+            lost = self.lost[:, int(np.nanargmin(self.lost.mean(axis=0)))]
+            noise = 3 * self.error + self.value_error[:, best] + 1e-12 * np.abs(self.optimal)
+            low = mean_loss(np.where(lost > noise, lost, 0.0))
+        return Information(low=low, high=high, best=self.candidates[best].name)
+
+    def evpi_of_candidates(self) -> MeanLoss:
+        """Return what it would be worth to know before choosing among the candidates."""
+        return evpi(self.values)
+
+    def evppi(
+        self, groups: Mapping[str, Sequence[str]] | None = None
+    ) -> dict[str, PartialInformation]:
+        """Return what knowing some parameters would be worth, choosing among the candidates.
+
+        Parameters
+        ----------
+        groups : {name: parameter names}, optional
+            Each parameter, or row of parameters, alone, and those whose names begin with the same
+            word together, unless given.
+
+        Returns
+        -------
+        {name: PartialInformation}
+
+        Notes
+        -----
+        No estimate is above EVPI of the same candidates in the same draws. Where that is below the
+        lower end of EVPI over all policies, by more than twice the standard error, the candidates
+        miss policies that matter, which every estimate's `doubts` then say.
+        """
+        if groups is None:
+            alone = {part.label: part.names for part in self.uncertainty.parts}
+            groups = alone | _together(self.uncertainty)
+        place = {name: column for column, name in enumerate(self.names)}
+        among, least = self.evpi_of_candidates(), self.evpi().low
+        apart = 2 * np.hypot(among.standard_error, least.standard_error)
+        doubt = (MISSING,) if among.value + apart < least.value else ()
+        found = {}
+        for label, members in groups.items():
+            unknown = [name for name in members if name not in place]
+            if unknown:
+                raise ModelError(
+                    f"{unknown[0]!r} is not drawn",
+                    where=f"EVPPI of {label}",
+                    fix="name parameters that are drawn",
+                )
+            columns = self.draws[:REGRESSED, [place[name] for name in members]]
+            each = evppi(self.values[:REGRESSED], columns, tuple(members))
+            found[label] = replace(each, doubts=(*each.doubts, *doubt))
+        return found
+
+    def frame(self) -> DataFrame:
+        """Return a table: the drawn parameters, V*, each candidate's value (units of reward)."""
+        table = pandas.DataFrame(self.draws, columns=list(self.names))
+        table["V* (reward)"] = self.optimal
+        for number, candidate in enumerate(self.candidates):
+            table[f"{candidate.name} (reward)"] = self.values[:, number]
+        return table
+
+
+def _together(chosen: Uncertainty) -> dict[str, tuple[str, ...]]:
+    """Return the drawn parameters by the beginning of their names, where several share one."""
+    found: dict[str, list[str]] = {}
+    for part in chosen.parts:
+        start, dot, _ = part.names[0].partition(".")
+        if dot and part.kind != "dirichlet":
+            found.setdefault(f"{start}.*", []).extend(part.names)
+    return {name: tuple(members) for name, members in found.items() if len(members) > 1}
 
 
 def psa(
-    source: Scenario | MDP | Parametric,
-    samples: int,
+    model: Scenario | MDP | Parametric,
+    n: int,
     *,
-    seed: int,
+    rng: RNG,
     uncertain: Uncertainty | None = None,
     effective_sample_size: float = EFFECTIVE_SAMPLE_SIZE,
     policy: object = "optimal",
     candidates: Sequence[object] = (),
-    n_jobs: int | None = 1,
-    scheduler: str | None = None,
-    folder: str | Path | None = None,
-    progress: bool = False,
+    **how: Unpack[How],
 ) -> PSA:
     """Draw the parameters, solve every draw, and evaluate policies in every draw.
 
     Parameters
     ----------
-    samples : int
+    model : Scenario, MDP or Parametric
+    n : int
         D, the number of draws.
-    seed : int
-        0 is a seed. The same seed gives the same bytes for any number of workers, and the draws
-        of a larger sample begin with those of a smaller one.
+    rng : int or numpy.random.Generator
+        The same seed gives the same bytes for any number of workers, and the draws of a larger
+        sample begin with those of a smaller one.
     uncertain : Uncertainty, optional
         Which parameters are drawn, and from what; `uncertainty(model)` unless given, with
         `effective_sample_size`.
-    policy : the policy that is held fixed
-        The optimum at today's values unless given.
-    candidates : more policies to evaluate
-        Beside those found to be optimal where the others lose most, which are added.
-    n_jobs, scheduler, progress
-        As in `solvers.parallel.many`; the workers of a care scenario are threads, of other models
-        processes.
-    folder : path, optional
-        Where finished pieces are kept. A larger sample with the same seed uses the whole pieces of
-        an earlier one again.
+    policy : PolicyLike
+        The policy that is held fixed; "optimal" is the optimum at today's values.
+    candidates : sequence of PolicyLike
+        More policies to evaluate, beside those that are found.
+    **how
+        n_jobs, scheduler, folder and progress; see `solvers.parallel.many.many`. The workers of a
+        care scenario are threads, of other models processes. A larger sample with the same seed
+        uses the whole pieces of an earlier one in the folder again.
+
+    Returns
+    -------
+    PSA
 
     Raises
     ------
@@ -75,63 +325,57 @@ def psa(
 
     Examples
     --------
-    >>> found = psa(Scenario.load("yuan2025"), 200, seed=0, effective_sample_size=50)
+    >>> found = psa(Scenario.load("yuan2025"), 200, rng=0, effective_sample_size=50)
     >>> len(found), found.candidates[0].actions["0000"]
     (200, 'non-directive')
     """
-    model = parametric(source)
-    samples, seed = whole_number(samples, "samples", 1), whole_number(seed, "seed", 0)
-    chosen = uncertain
-    if chosen is None:
-        chosen = uncertainty(model, default=effective_sample_size)
-    for name in chosen.names:
-        parameter_of(model, name)
-    if not chosen.parts:
-        raise ModelError(
-            "no parameter is uncertain", where=f"model {model.name}", fix="state what is drawn"
-        )
-    solver = solver_of(model)
-    given = named(solver.base, policy, candidates)
+    family = parametric(model)
+    n, seed = whole_number(n, "draws", 1), seed_of(rng)
+    if uncertain is None:
+        uncertain = uncertainty(family, default=effective_sample_size)
+    chosen, solver = uncertain.checked(family), solver_of(family)
+    given = _given(solver.base, policy, candidates)
     key = {
-        "model": model.name,
+        "model": family.name,
         "fingerprint": fingerprint(solver.base.mdp),
         "seed": seed,
         "drawn": [[*part.names, part.kind, part.size, *part.mean] for part in chosen.parts],
         "block": solver.block,
     }
-    how = {"n_jobs": n_jobs, "scheduler": scheduler, "folder": folder, "progress": progress}
-    pieces, rest = seeded(seed, samples, solver.block)
+    pieces, rest = seeded(seed, n, solver.block)
     work = partial(_solve_block, solver, chosen)
-    blocks = in_blocks(solver, "solved", work, pieces, key, rest, how)
+    blocks = in_blocks(solver, "solved", work, pieces, key, rest, **how)
     drawn = [block["draws"] for block in blocks]
     solved = joined(blocks, ("draws", "start", "error", "lost", "cut"))
-    if solver.compiled and isinstance(model, ScenarioFamily) and solved["cut"].any():
-        first = solved["draws"][int(solved["cut"].argmax())].tolist()
-        where = f", {int(solved['cut'].sum())} of {samples} draws, in the first of them"
-        model.tell(dict(zip(chosen.names, first, strict=True)), where=where)
+    tell_cut(family, chosen.names, solved["draws"], solved["cut"])
 
     def valued(policies: Sequence[Floats]) -> Arrays:
         """Return value and error (D, N) of policies in every draw."""
         told = digest(*policies)
         work, name = partial(_value_block, solver, chosen.names, policies), f"values-{told[:12]}"
-        more = {"policies": told}
-        return joined(in_blocks(solver, name, work, drawn, key | more, rest, how))
+        more = key | {"policies": told}
+        return joined(in_blocks(solver, name, work, drawn, more, rest, **how))
 
     found = valued([weights for _, weights in given])
-    picked, frequency = selected(solver, chosen.names, solved, blocks, given, found)
+    picked, frequency = _selected(solver, chosen.names, solved, blocks, given, found)
     if len(picked) > len(given):
-        more = valued([weights for _, weights in picked[len(given) :]])
-        found = {name: np.hstack([found[name], more[name]]) for name in found}
+        others = valued([weights for _, weights in picked[len(given) :]])
+        found = {name: np.hstack([found[name], others[name]]) for name in found}
     return PSA(
-        model=model.name,
+        model=family.name,
+        start=solver.base.solution.start,
         uncertainty=chosen,
         seed=seed,
-        **solved,
+        draws=solved["draws"],
+        optimal=solved["start"],
+        error=solved["error"],
+        lost=solved["lost"],
+        cut=solved["cut"],
         candidates=tuple(
             Candidate(
                 name=name,
                 weights=weights,
-                frequency=frequency.get(identity(weights), 0),
+                frequency=frequency.get(digest(weights), 0),
                 actions=solver.shown(weights),
             )
             for name, weights in picked
@@ -141,8 +385,7 @@ def psa(
         labels=solver.labels,
         actions=solver.actions,
         compiled=solver.compiled,
-        optimal=np.sum([block["best"] for block in blocks], axis=0),
-        today=solver.base.solution.start_value,
+        counts=np.sum([block["best"] for block in blocks], axis=0),
     )
 
 
@@ -157,3 +400,60 @@ def _value_block(
     solver: DrawSolver, names: tuple[str, ...], policies: Sequence[Floats], draws: Floats
 ) -> Arrays:
     return solver.values(names, draws, policies)
+
+
+def _given(
+    base: BaseCase, policy: object, candidates: Sequence[object]
+) -> list[tuple[str, Floats]]:
+    """Return the policies that are given, the one held first, today's optimum among them."""
+    today, held = base.held("optimal"), base.held(policy)
+    found = [(TODAY if np.array_equal(held, today) else HELD, held)]
+    found += [(f"given {n}", base.held(each)) for n, each in enumerate(candidates, 1)]
+    if not any(name == TODAY for name, _ in found):
+        found.append((TODAY, today))
+    return found
+
+
+def _selected(
+    solver: DrawSolver,
+    names: tuple[str, ...],
+    found: Mapping[str, np.ndarray],
+    blocks: Sequence[Arrays],
+    given: Sequence[tuple[str, Floats]],
+    valued: Arrays,
+) -> tuple[list[tuple[str, Floats]], dict[str, int]]:
+    """Return the policies to evaluate, those given and those that add most; and frequencies.
+
+    What the given policies leave to be won is V* - max_c V^c, draw by draw. Policies are considered
+    by how much of it lies in the draws whose optimum they are, and compared in the draws in which
+    most of it lies. The one that adds most is taken, until none adds a hundredth of the whole.
+    """
+    rows, which = merged(blocks)
+    best, error = valued["value"].max(axis=1), valued["error"].max(axis=1)
+    left = found["start"] - best
+    left = np.where(left > found["error"] + error, left, 0.0)
+    counts = np.bincount(which, minlength=len(rows))
+    by_loss = np.bincount(which, weights=left, minlength=len(rows))
+    order = np.argsort(-by_loss, kind="stable")[:POOL].tolist()
+    frequent = np.argsort(-counts, kind="stable")[:POOL].tolist()
+    weights = {number: solver.weights(rows[number]) for number in {*order, *frequent}}
+    frequency: dict[str, int] = {}
+    for number, each in weights.items():
+        told = digest(each)
+        frequency[told] = frequency.get(told, 0) + int(counts[number])
+    known = {digest(each) for _, each in given}
+    pool = {digest(weights[number]): weights[number] for number in order if by_loss[number] > 0}
+    others = [each for told, each in pool.items() if told not in known]
+    picked, total = list(given), float(left.sum())
+    if not others:
+        return picked, frequency
+    some = np.sort(np.argsort(-left, kind="stable")[: solver.pool])
+    values, best = solver.values(names, found["draws"][some], others)["value"], best[some]
+    for count in range(1, CANDIDATES + 1):
+        gains = np.maximum(values - best[:, None], 0.0).sum(axis=0)
+        number = int(gains.argmax())
+        if gains[number] <= LEAST_GAIN * total:
+            break
+        picked.append((f"alternative {count}", others[number]))
+        best = np.maximum(best, values[:, number])
+    return picked, frequency

@@ -1,13 +1,14 @@
 """Any model as a parametric one: the probabilities of its random rows are its parameters.
 
 Each row with more than one outcome is a distribution: all of its probabilities but the largest are
-parameters, and what they leave is the largest one's. Drawn together, they are Dirichlet, which the
-family's `rows` tell. Rows made of floats, whose sum may be off by a rounding error, are first
+parameters, and what they leave is the largest one's. Drawn together, they are Dirichlet, as the
+family's `rows` say. Rows made of floats, whose sum may be off by a rounding error, are first
 scaled to sum to 1 exactly.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
 from fractions import Fraction
 
@@ -18,8 +19,8 @@ from exact_mdp.mdp.parametric import Family, moving
 MOST_ROWS = 2000
 
 
-def row_family(mdp: MDP) -> tuple[Family, dict[str, tuple[str, ...]]]:
-    """Return the family, and the parameters of each row by the row's label.
+def row_family(model: MDP) -> Family:
+    """Return the family; its `rows` are the parameters of each row by the row's label.
 
     Raises
     ------
@@ -29,18 +30,17 @@ def row_family(mdp: MDP) -> tuple[Family, dict[str, tuple[str, ...]]]:
     Examples
     --------
     >>> mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
-    >>> family, rows = row_family(mdp)
-    >>> rows
+    >>> row_family(mdp).rows
     {'(state 0, 0)': ('(state 0, 0): to state 1', '(state 0, 0): to state 2')}
     """
-    mdp = _summing_to_one(mdp)
+    mdp = _summing_to_one(model)
     entries: dict[str, list[tuple[int, int]]] = {}
     rows: dict[str, tuple[str, ...]] = {}
     labels = mdp.space.labels(range(mdp.n_states))
     for pair in range(mdp.n_pairs):
-        chance: dict[int, Fraction] = {}
+        chance: dict[int, Fraction] = defaultdict(Fraction)
         for probability, following, _ in mdp.table.row(pair):
-            chance[following] = chance.get(following, Fraction(0)) + probability
+            chance[following] += probability
         if len(chance) < 2:
             continue
         largest = max(chance, key=lambda state: (chance[state], -state))
@@ -56,7 +56,7 @@ def row_family(mdp: MDP) -> tuple[Family, dict[str, tuple[str, ...]]]:
             fix=f"name the parameters that matter (mdp.parametric.moving), or take a model with 1 "
             f"to {MOST_ROWS:,} of them",
         )
-    return replace(moving(mdp, entries), rows=rows), rows
+    return replace(moving(mdp, entries), rows=rows)
 
 
 def _summing_to_one(mdp: MDP) -> MDP:
@@ -70,11 +70,7 @@ def _summing_to_one(mdp: MDP) -> MDP:
         rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), scaled))
     if not changed:
         return mdp
+    start, space = dict(mdp.start), mdp.space
     return MDP.from_outcomes(
-        rows,
-        mdp.discount_exact,
-        start=dict(mdp.start),
-        space=mdp.space,
-        actions=mdp.actions,
-        name=mdp.name,
+        rows, mdp.discount_exact, start=start, space=space, actions=mdp.actions, name=mdp.name
     )
