@@ -111,7 +111,7 @@ with style():
 
 # %%
 bounds = {"base.anger": ("1/100", "1/4"), "base.disengagement": ("1/100", "2/5")}
-plane = two_way(scenario, *bounds, bounds=bounds, points=15)
+plane = two_way(scenario, *bounds, ranges=bounds, points=15)
 with style():
     figure, ax = plt.subplots(figsize=(5, 4), dpi=80)
     plot_two_way(plane, ax=ax)

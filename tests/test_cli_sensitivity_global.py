@@ -14,7 +14,6 @@ from cli_runner import run
 
 from exact_mdp.analysis.plots.sensitivity_global import plot_morris, plot_morris_bars, plot_sobol
 from exact_mdp.analysis.plots.style import style
-from exact_mdp.analysis.sensitivity import tornado
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.mdp import ModelError, Scenario
 
@@ -139,8 +138,6 @@ def test_the_regret_of_a_policy_has_a_tornado() -> None:
             lost = bar[f"value_{end}"] - bar[f"fixed_value_{end}"]
             assert bar[f"regret_{end}"] == pytest.approx(lost, abs=1e-9)
     assert "regret of the policy held fixed at both ends" in run(*words).out
-    small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    assert tornado(small, names=["base.anger"]).today.at is None
 
 
 def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:

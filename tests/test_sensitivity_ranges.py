@@ -161,7 +161,7 @@ def test_ranges_from_a_file(tmp_path: Path) -> None:
 
 def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
     own, x = scenario(), "assistance.directive.confusion.persistence"
-    found = two_way(own, x, "base.confusion", bounds={x: (0, 1)}, points=5)
+    found = two_way(own, x, "base.confusion", ranges={x: (0, 1)}, points=5)
     assert found.policy.shape == (5, 5)
     today = thresholds(own, x, (0, 1))
     middle = found.choices[2]  # base.confusion as it is today
@@ -177,7 +177,7 @@ def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
     with pytest.raises(ModelError, match="twice"):
         two_way(own, x, x)
     with pytest.raises(ModelError, match=r"a range of base\.anger"):
-        two_way(own, x, "base.confusion", bounds={"base.anger": (0, 1)})
+        two_way(own, x, "base.confusion", ranges={"base.anger": (0, 1)})
 
 
 def test_figures() -> None:
@@ -189,7 +189,7 @@ def test_figures() -> None:
     own, x = scenario(), "assistance.directive.confusion.persistence"
     found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
     bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
-    surface = two_way(own, x, "base.anger", bounds={x: (0, 1)}, points=3)
+    surface = two_way(own, x, "base.anger", ranges={x: (0, 1)}, points=3)
     with plots.style():
         figure, axes = plt.subplots(2, 3, figsize=(15, 8))
         assert plots.plot_tornado(bars, ax=axes[0, 0]) is axes[0, 0]

@@ -15,12 +15,12 @@ from exact_mdp.analysis.sensitivity import gradient, joint_radius
 from exact_mdp.analysis.sensitivity.structural import (
     CARRIED,
     OPTIONS,
+    PRESENT,
     Structural,
     combinations,
     one_at_a_time,
     structural,
 )
-from exact_mdp.analysis.sensitivity.structural_outputs import PRESENT
 from exact_mdp.mdp import ModelError, Scenario
 
 SMALL = {"tasks": [2], "max_trial": 2}

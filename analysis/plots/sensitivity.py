@@ -14,13 +14,13 @@ from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.patches import Patch
 
 from exact_mdp.analysis.plots.style import LINES, action_styles, axes_or_new, plain_text
-from exact_mdp.analysis.sensitivity.base import unit_of
+from exact_mdp.analysis.sensitivity.ranges import unit_of
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.sensitivity.one_way import Curve, Tornado
     from exact_mdp.analysis.sensitivity.robust.robust import RobustCurve
-    from exact_mdp.analysis.sensitivity.thresholds.thresholds import Thresholds
-    from exact_mdp.analysis.sensitivity.thresholds.two_way import TwoWay
+    from exact_mdp.analysis.sensitivity.thresholds import Thresholds
+    from exact_mdp.analysis.sensitivity.two_way import TwoWay
 
 
 BELOW, ABOVE, LINE = "#FFFFFF", "#56B4E9", "#000000"

@@ -16,10 +16,10 @@ from exact_mdp.analysis.sensitivity.draws.global_ import (
     sobol,
 )
 from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
-from exact_mdp.analysis.sensitivity.gradient import Derivative, Gradient, gradient
-from exact_mdp.analysis.sensitivity.moments import Movement, moments_gradient, movement_frame
+from exact_mdp.analysis.sensitivity.gradient import Gradient, gradient
+from exact_mdp.analysis.sensitivity.joint_radius import JointRadius, joint_radius
 from exact_mdp.analysis.sensitivity.multi_model import MultiModel, multi_model
-from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Point, Tornado, one_way, tornado
+from exact_mdp.analysis.sensitivity.one_way import Curve, Tornado, one_way, tornado
 from exact_mdp.analysis.sensitivity.psa.distributions import (
     Uncertain,
     Uncertainty,
@@ -37,48 +37,32 @@ from exact_mdp.analysis.sensitivity.robust.box import (
 )
 from exact_mdp.analysis.sensitivity.robust.robust import Robust, RobustCurve, robust_curve
 from exact_mdp.analysis.sensitivity.structural import (
-    Reading,
     Structural,
     combinations,
     one_at_a_time,
     structural,
 )
-from exact_mdp.analysis.sensitivity.thresholds.joint import JointRadius, joint_radius
-from exact_mdp.analysis.sensitivity.thresholds.thresholds import (
-    Switch,
-    Threshold,
-    Thresholds,
-    stability_frame,
-    threshold_frame,
-    thresholds,
-)
-from exact_mdp.analysis.sensitivity.thresholds.two_way import TwoWay, two_way
+from exact_mdp.analysis.sensitivity.thresholds import Thresholds, thresholds
+from exact_mdp.analysis.sensitivity.two_way import TwoWay, two_way
 
 __all__ = [
     "PSA",
-    "Bar",
     "BoxExtreme",
     "BoxOptimum",
     "Curve",
-    "Derivative",
     "Effects",
     "Gradient",
     "Indices",
     "JointRadius",
     "LossCurve",
     "Morris",
-    "Movement",
     "MultiModel",
-    "Point",
     "Range",
-    "Reading",
     "Robust",
     "RobustCurve",
     "Sampled",
     "Sobol",
     "Structural",
-    "Switch",
-    "Threshold",
     "Thresholds",
     "Tornado",
     "TwoWay",
@@ -93,9 +77,7 @@ __all__ = [
     "joint_radius",
     "load_ranges",
     "load_uncertainty",
-    "moments_gradient",
     "morris",
-    "movement_frame",
     "multi_model",
     "one_at_a_time",
     "one_way",
@@ -103,9 +85,7 @@ __all__ = [
     "robust_curve",
     "sampled",
     "sobol",
-    "stability_frame",
     "structural",
-    "threshold_frame",
     "thresholds",
     "tornado",
     "two_way",

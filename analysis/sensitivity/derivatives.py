@@ -1,4 +1,4 @@
-"""Derivatives of the start value in rationals, on either side of a tie.
+"""Derivatives of the start value on either side of a tie: in rationals, and in floats with bounds.
 
 With V a policy's value and d its discounted occupancy, each pair l earns
 
@@ -8,15 +8,12 @@ Where several policies are optimal, the derivatives of V* on both sides are the 
 least, of the model that is left with optimal actions and earns c (see
 `analysis.sensitivity.gradient`).
 
-The same derivatives in floating point, with error bounds, for models too large for rationals.
+In floating point, with V and d each within e_V and e_d of the exact ones,
 
-With V and d each within e_V and e_d of the exact ones,
+    |error| ≤ Σ_l [e_d |c| + (d + e_d) (γ Σ |∂P| e_V + |∂γ| Σ P e_V)] + rounding.
 
-    |error| ≤ Σ_l [e_d |c| + (d + e_d) (γ Σ |∂P| e_V + |∂γ| Σ P e_V)] + rounding,
-
-c being what a pair earns in `analysis.sensitivity.derivatives`. The derivative is that of the
-optimum only where the policy is the only optimal one; gaps within the error bound count as ties,
-and are refused.
+The derivative is that of the optimum only where the policy is the only optimal one; gaps within the
+error bound count as ties, and are refused.
 """
 
 from __future__ import annotations
@@ -27,26 +24,24 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction, rational
-from exact_mdp.analysis.sensitivity.rational_rows import worth
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.row_change import RowChange
-from exact_mdp.mdp.table import Floats, Numbers, common, integers
+from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.bounds import gains
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits
 
 if TYPE_CHECKING:
     from flint import fmpq
-
-    from exact_mdp.solvers.proof.certificate import Certificate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,22 +65,12 @@ class Checked:
 
     @property
     def claim(self) -> Claim:
+        """Estimated."""
         return Claim.ESTIMATED
 
     def __str__(self) -> str:
         text = str(Certified(value=self.value)).partition(" (")[0]
         return f"{text} ({self.claim}: the degree was checked at {self.points} points, not proven)"
-
-
-def claimed(value: Fraction, checked: int | None) -> Certified | Checked:
-    """Return a number as certified, unless its degree was only `checked` at some points.
-
-    Examples
-    --------
-    >>> claimed(Fraction(1, 2), None).claim, claimed(Fraction(1, 2), 6).claim
-    (<Claim.CERTIFIED: 'certified'>, <Claim.ESTIMATED: 'estimated'>)
-    """
-    return Certified(value=value) if checked is None else Checked(value=value, points=checked)
 
 
 class ExactPass:
@@ -99,73 +84,70 @@ class ExactPass:
             policy = self.certificate.policy
         self.chain = ExactChain(mdp, policy)
         self.value = self.chain.values(self.chain.reward)
-        self.uses = self.chain.uses(self.chain.visits)
-        self.used = [bool(use) for use in self.uses]
+        self.uses = self.chain.uses()
 
     @property
-    def start_value(self) -> Certified:
+    def start(self) -> Certified:
         """The policy's value at the start."""
-        pairs = zip(self.chain.start, self.value, strict=True)
-        return Certified(value=fraction(sum((m * v for m, v in pairs), rational(0))))
+        return Certified(
+            value=sum((w * fraction(self.value[state]) for state, w in self.mdp.start), Fraction(0))
+        )
 
     def side(self, change: RowChange, sign: int) -> Certified | Checked:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
-        return claimed(self._slope(change, sign), change.checked)
+        value = self._slope(change, sign)
+        if change.checked is None:
+            return Certified(value=value)
+        return Checked(value=value, points=change.checked)
 
     def _slope(self, change: RowChange, sign: int) -> Fraction:
         if self.certificate is None or self.certificate.unique:
-            earned = earnings(self.chain, change, self.value, self.used)
-            return fraction(worth(self.uses, earned))
-        mdp, optimal = self.mdp, self.certificate.optimal_pairs
-        everything = earnings(self.chain, change, self.value)
-        gains = [sign * fraction(everything.get(pair, rational(0))) for pair in range(mdp.n_pairs)]
-        tied = rewarded(mdp, np.flatnonzero(optimal), gains)
+            earned = self._earnings(change, [bool(use) for use in self.uses])
+            total = sum((self.uses[pair] * gain for pair, gain in earned.items()), rational(0))
+            return fraction(total)
+        everything = self._earnings(change, [True] * self.mdp.n_pairs)
+        gains = [Fraction(0)] * self.mdp.n_pairs
+        for pair, gain in everything.items():
+            gains[pair] = sign * fraction(gain)
+        tied = _rewarded(self.mdp, np.flatnonzero(self.certificate.optimal_pairs), gains)
         return sign * proven(tied).start_value
 
-
-def earnings(
-    chain: ExactChain,
-    change: RowChange,
-    value: Sequence[fmpq],
-    wanted: Sequence[bool] | None = None,
-) -> dict[int, fmpq]:
-    """Return ∂r + γ ∂P V + ∂γ P V of the wanted pairs (L,), where it is not zero by rule."""
-    mdp = chain.mdp
-    wanted = [True] * mdp.n_pairs if wanted is None else wanted
-    found: dict[int, fmpq] = {}
-    zero = rational(0)
-    pair, state = np.divmod(change.transition.key, mdp.n_states)
-    for row, following, slope in zip(
-        pair.tolist(), state.tolist(), change.transition.slope, strict=True
-    ):
-        if wanted[row]:
-            found[row] = found.get(row, zero) + rational(slope) * value[following]
-    found = {row: chain.rate * gain for row, gain in found.items()}
-    for row, slope in zip(change.reward.key.tolist(), change.reward.slope, strict=True):
-        if wanted[row] or mdp.terminal[mdp.pair_state[row]]:
-            found[row] = found.get(row, zero) + rational(slope)
-    if change.discount:
-        rate = rational(change.discount)
-        for row in range(mdp.n_pairs):
-            if wanted[row]:
-                found[row] = found.get(row, zero) + rate * chain.ahead(row, value)
-    if chain.whole:
-        refuse_endless(mdp, [row for row, gain in found.items() if gain], change.name)
-    return found
+    def _earnings(self, change: RowChange, wanted: Sequence[bool]) -> dict[int, fmpq]:
+        """Return ∂r + γ ∂P V + ∂γ P V of the wanted pairs (L,), where it is not zero by rule."""
+        mdp, chain, zero = self.mdp, self.chain, rational(0)
+        found: dict[int, fmpq] = {}
+        moved = zip(change.transition.key.tolist(), change.transition.slope, strict=True)
+        for key, slope in moved:
+            pair, following = divmod(key, mdp.n_states)
+            if wanted[pair]:
+                ahead = chain.rate * rational(slope) * self.value[following]
+                found[pair] = found.get(pair, zero) + ahead
+        for pair, slope in zip(change.reward.key.tolist(), change.reward.slope, strict=True):
+            if wanted[pair] or mdp.terminal[mdp.pair_state[pair]]:
+                found[pair] = found.get(pair, zero) + rational(slope)
+        if change.discount:
+            rate = rational(change.discount)
+            for pair in range(mdp.n_pairs):
+                if wanted[pair]:
+                    ahead = rate * chain.ahead(pair, self.value)
+                    found[pair] = found.get(pair, zero) + ahead
+        if chain.whole:
+            refuse_endless(mdp, [pair for pair, gain in found.items() if gain], change.name)
+        return found
 
 
-def refuse_endless(mdp: MDP, rows: Sequence[int], name: str) -> None:
+def refuse_endless(mdp: MDP, pairs: Sequence[int], name: str) -> None:
     """Raise ModelError where a parameter makes a terminal state earn, without end at discount 1."""
-    for row in rows:
-        if mdp.terminal[mdp.pair_state[row]]:
+    for pair in pairs:
+        if mdp.terminal[mdp.pair_state[pair]]:
             raise ModelError(
                 "a terminal state would earn for ever",
-                where=f"parameter {name}, {mdp.where(row)}",
+                where=f"parameter {name}, {mdp.where(pair)}",
                 fix="choose a discount below 1",
             )
 
 
-def rewarded(mdp: MDP, pairs: np.ndarray, gains: Sequence[Fraction]) -> MDP:
+def _rewarded(mdp: MDP, pairs: Integers, gains: Sequence[Fraction]) -> MDP:
     """Return the model that offers some of the pairs (K,) only and earns `gains` (L,) on them."""
     top, bottom = common([gains[pair] for pair in pairs.tolist()])
     return mdp.with_(
@@ -185,8 +167,6 @@ def rewarded(mdp: MDP, pairs: np.ndarray, gains: Sequence[Fraction]) -> MDP:
 class BoundedPass:
     """Value and occupancy of a policy in floats, and the derivatives that they give."""
 
-    certificate = None
-
     def __init__(self, mdp: MDP, policy: object) -> None:
         self.mdp = mdp
         if isinstance(policy, str) and policy == "optimal":
@@ -196,20 +176,20 @@ class BoundedPass:
             _refuse_ties(mdp, tied)
             policy = solution
         self.found = evaluate(mdp, policy)
-        self.chain: PolicyChain = self.found.chain
+        chain = self.found.chain
         live = ~np.isnan(self.found.value)
         self.value = np.where(live, self.found.value, 0.0)
         self.value_error = np.where(live, self.found.value_error, 0.0)
-        seen = visits(mdp, self.chain.discounted)
+        seen = visits(mdp, chain.discounted)
         stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
-        factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * self.chain.weights
+        factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
         self.uses = seen.value[mdp.pair_state] * factor
-        rounding = float(gamma(8 + self.chain.roundings)) / max(1 - mdp.discount, UNIT)
-        rounding = rounding if stay else float(gamma(4 + self.chain.roundings))
+        rounding = float(gamma(8 + chain.roundings)) / max(1 - mdp.discount, UNIT)
+        rounding = rounding if stay else float(gamma(4 + chain.roundings))
         self.doubt = seen.error[mdp.pair_state] * factor * SLACK + rounding * self.uses
 
     @property
-    def start_value(self) -> Bounded:
+    def start(self) -> Bounded:
         """The policy's value at the start."""
         return self.found.numbers["mean"]
 
@@ -248,7 +228,7 @@ def _floats(numbers: Numbers) -> Floats:
     return np.array([float(number) for number in numbers], dtype=np.float64)
 
 
-def _refuse_ties(mdp: MDP, tied: np.ndarray) -> None:
+def _refuse_ties(mdp: MDP, tied: NDArray[np.bool_]) -> None:
     """Raise ModelError unless every state that optimal pairs reach has one of them."""
     several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
     seen = reachable(mdp, pairs=tied) & ~mdp.terminal

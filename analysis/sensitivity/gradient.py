@@ -1,6 +1,4 @@
-"""Derivatives of the start value by the parameters, as they are told.
-
-The derivative of the start value by every parameter, in one backward and one forward pass.
+"""The derivative of the start value by every parameter, in one backward and one forward pass.
 
     dV/dθ = Σ_l d(l) [∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')]
 
@@ -14,8 +12,8 @@ a parameter sits on a breakpoint of the rows, each side has its own ∂P. The el
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import inf
 from typing import TYPE_CHECKING
@@ -23,19 +21,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.base import unit_of
 from exact_mdp.analysis.sensitivity.derivatives import BoundedPass, Checked, ExactPass
+from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import is_acyclic
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.row_change import Piece, RowChange, pieces, row_change
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.row_change import pieces, row_change
+from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+pandas = later("pandas")
+
+EXACT_TRANSITIONS = 100_000
+EXACT_CYCLIC_STATES = 64
 
 Number = Certified | Bounded
 Slope = Certified | Bounded | Checked
@@ -75,13 +80,14 @@ class Derivative:
         return next((claim for claim in order if claim in claims), Claim.CERTIFIED)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Gradient:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Gradient(Result):
     """Derivatives of the start value by every parameter.
 
     Attributes
     ----------
-    start_value : Certified or Bounded
+    start : Certified or Bounded
+        The start value; `value` is the same, and `start_value` is its number alone.
     derivatives : {parameter name: Derivative}
     steps : {setting: (backward, forward)}
         Differences of the start value for whole-number settings such as max_trial: what the last
@@ -90,7 +96,7 @@ class Gradient:
         Whether the policy follows the parameter, or is held fixed.
     """
 
-    start_value: Number
+    start: Number
     derivatives: dict[str, Derivative]
     steps: dict[str, tuple[Number | None, Number]]
     reoptimised: bool
@@ -98,10 +104,23 @@ class Gradient:
     def __getitem__(self, name: str) -> Derivative:
         return self.derivatives[name]
 
+    @property
+    def value(self) -> Number:
+        """The start value."""
+        return self.start
+
+    @property
+    def start_value(self) -> Fraction | float:
+        """The start value without its claim."""
+        return self.start.value
+
+    @property
+    def error(self) -> float:
+        """Bound on the error of the start value; 0 where it is exact."""
+        return self.start.error if isinstance(self.start, Bounded) else 0.0
+
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
-        from pandas import DataFrame
-
         rows = [
             {
                 "parameter": name,
@@ -117,7 +136,7 @@ class Gradient:
             for name, each in self.derivatives.items()
         ]
         rows.sort(key=lambda row: -np.nan_to_num(abs(row["elasticity (% per %)"])))
-        return DataFrame(rows)
+        return pandas.DataFrame(rows)
 
 
 def floating(number: Fraction | float) -> float:
@@ -138,14 +157,10 @@ def _float(number: Slope | None) -> float:
     return np.nan if number is None else floating(number.value)
 
 
-EXACT_TRANSITIONS = 100_000
-EXACT_CYCLIC_STATES = 64
-
-
 def gradient(
-    source: Scenario | MDP | Parametric,
-    policy: object = "optimal",
+    model: Scenario | MDP | Parametric,
     *,
+    policy: object = "optimal",
     names: Iterable[str] | None = None,
     exact: bool | None = None,
 ) -> Gradient:
@@ -153,9 +168,9 @@ def gradient(
 
     Parameters
     ----------
-    source : Scenario, MDP or Parametric
-    policy : "optimal", or anything that `solvers.evaluate` takes
-        The optimum is re-optimised; any other policy is held fixed.
+    model : Scenario, MDP or Parametric
+    policy : PolicyLike
+        "optimal" is re-optimised as a parameter moves; any other policy is held fixed.
     names : iterable of str, optional
         The parameters; all of them unless given.
     exact : bool, optional
@@ -183,72 +198,63 @@ def gradient(
     >>> print(found["stay"].value, found["stay"].elasticity)
     4 (certified) 1.0
     """
-    model = parametric(source)
-    chosen = [parameter.name for parameter in model.parameters] if names is None else list(names)
-    for name in chosen:
-        parameter_of(model, name)
-    mdp = model.at({})
-    exact = cheap(mdp) if exact is None else exact
-    best = isinstance(policy, str) and policy == "optimal"
-    if not exact:
-        return _gradient(model, mdp, BoundedPass(mdp, policy), chosen, best)
-    return _gradient(model, mdp, ExactPass(mdp, policy), chosen, best)
+    family = parametric(model)
+    names = [parameter.name for parameter in family.parameters] if names is None else names
+    parameters = [parameter_of(family, name) for name in names]
+    mdp = family.at({})
+    if exact is None:
+        exact = _cheap(mdp)
+    passed = ExactPass(mdp, policy) if exact else BoundedPass(mdp, policy)
+    reoptimised = isinstance(policy, str) and policy == "optimal"
+    return Gradient(
+        start=passed.start,
+        derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
+        steps=_steps(family, passed.start) if reoptimised else {},
+        reoptimised=reoptimised,
+    )
 
 
-def cheap(mdp: MDP) -> bool:
+def _cheap(mdp: MDP) -> bool:
     """Return whether rational arithmetic is no burden."""
     if mdp.n_transitions > EXACT_TRANSITIONS:
         return False
     return mdp.n_states <= EXACT_CYCLIC_STATES or is_acyclic(mdp)
 
 
-def _gradient(
-    model: Parametric,
-    mdp: MDP,
-    passed: ExactPass | BoundedPass,
-    names: Sequence[str],
-    reoptimised: bool,
-) -> Gradient:
-    start = passed.start_value
-    found = {}
-    for name in names:
-        parameter = parameter_of(model, name)
-        below, above = pieces(model, name, parameter.value)
-        known: dict[Piece, RowChange] = {}
-        for piece in (below, above):
-            if piece is not None and piece not in known:
-                known[piece] = row_change(model, name, piece, base=mdp)
-        left = None if below is None else passed.side(known[below], -1)
-        right = None if above is None else passed.side(known[above], 1)
-        each = Derivative(parameter=parameter, left=left, right=right, elasticity=None)
-        slope, worth = each.value, Fraction(start.value)
-        if slope is not None and worth:
-            ratio = floating(Fraction(slope.value) * parameter.value / worth)
-            each = Derivative(parameter=parameter, left=left, right=right, elasticity=ratio)
-        found[name] = each
-    return Gradient(
-        start_value=start,
-        derivatives=found,
-        steps=_steps(model, start) if reoptimised else {},
-        reoptimised=reoptimised,
-    )
+def _derivative(
+    family: Parametric, mdp: MDP, passed: ExactPass | BoundedPass, parameter: Parameter
+) -> Derivative:
+    name = parameter.name
+    below, above = pieces(family, name, parameter.value)
+    left = right = None
+    if below is not None:
+        change = row_change(family, name, below, base=mdp)
+        left = passed.side(change, -1)
+    if above is not None:
+        if above is not below:
+            change = row_change(family, name, above, base=mdp)
+        right = passed.side(change, 1)
+    each = Derivative(parameter=parameter, left=left, right=right, elasticity=None)
+    slope, start = each.value, Fraction(passed.start.value)
+    if slope is None or not start:
+        return each
+    return replace(each, elasticity=floating(Fraction(slope.value) * parameter.value / start))
 
 
-def _steps(model: Parametric, start: Number) -> dict[str, tuple[Number | None, Number]]:
+def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, Number]]:
     """Return differences of the optimal value for whole-number settings."""
-    found: dict[str, tuple[Number | None, Number]] = {}
-    for name, (below, above) in model.neighbours().items():
-        less = None if below is None else _less(start, _optimal(below.at({}), start))
-        found[name] = (less, _less(_optimal(above.at({}), start), start))
-    return found
 
+    def optimum(there: Parametric) -> Number:
+        mdp = there.at({})
+        return proven(mdp).start if isinstance(start, Certified) else solve(mdp).start
 
-def _optimal(mdp: MDP, like: Number) -> Number:
-    if isinstance(like, Certified):
-        return proven(mdp).start
-    from exact_mdp.solvers import solve
-
-    return solve(mdp).start
+    return {
+        name: (
+            None if below is None else _less(start, optimum(below)),
+            _less(optimum(above), start),
+        )
+        for name, (below, above) in family.neighbours().items()
+    }
 
 
 def _less(left: Number, right: Number) -> Number:

@@ -17,13 +17,15 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.sensitivity.base import BaseCase, unit_of
-from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked
+from exact_mdp.analysis.sensitivity.base_case import BaseCase
+from exact_mdp.analysis.sensitivity.ranges import Range, range_of, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.solution import Bounded
@@ -31,30 +33,33 @@ from exact_mdp.solvers.solution import Bounded
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-REGRET_ZERO = 0.0
+pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Point:
-    """What the optimum and a fixed policy are worth at one value of a parameter.
+class Values:
+    """The start values of the optimum and of a policy that is held fixed."""
 
-    `at` is None for today's values of all of them.
-    """
-
-    at: Fraction | None
     optimal: Bounded
     fixed: Bounded
 
     @property
     def regret(self) -> Bounded:
         """What holding the policy costs; not below 0, whatever rounding says."""
-        value = max(REGRET_ZERO, self.optimal.value - self.fixed.value)
+        value = max(0.0, self.optimal.value - self.fixed.value)
         return Bounded(value=value, error=(self.optimal.error + self.fixed.error) * (1 + 1e-9))
 
 
 @dataclass(frozen=True, kw_only=True)
+class Point(Values):
+    """These values at one value of a parameter, `at`."""
+
+    at: Fraction
+
+
+@dataclass(frozen=True, kw_only=True)
 class Bar:
-    """The bar of one parameter: the ends of its range and what is worth what there."""
+    """The bar of one parameter: the values at both ends of its range."""
 
     parameter: Parameter
     low: Point
@@ -76,18 +81,32 @@ class Bar:
         return max(self.low.regret.value, self.high.regret.value)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tornado:
-    """Bars of all parameters, the widest first, and today's values."""
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Tornado(Result):
+    """Bars of all parameters, the widest first, and the values at today's parameters.
 
-    today: Point
+    Attributes
+    ----------
+    today : Values
+    bars : tuple of Bar
+    """
+
+    today: Values
     bars: tuple[Bar, ...]
+
+    @property
+    def value(self) -> Bounded:
+        """The optimal start value today."""
+        return self.today.optimal
+
+    @property
+    def error(self) -> float:
+        """Bound on the error of `value`."""
+        return self.value.error
 
     def frame(self) -> DataFrame:
         """Return one row for each bar; values and regrets in units of reward."""
-        from pandas import DataFrame
-
-        return DataFrame(
+        return pandas.DataFrame(
             [
                 {
                     "parameter": bar.parameter.name,
@@ -110,8 +129,8 @@ class Tornado:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Curve:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Curve(Result):
     """Values along one parameter's range."""
 
     parameter: Parameter
@@ -119,9 +138,7 @@ class Curve:
 
     def frame(self) -> DataFrame:
         """Return one row for each value of the parameter."""
-        from pandas import DataFrame
-
-        return DataFrame(
+        return pandas.DataFrame(
             {
                 "parameter": self.parameter.name,
                 "unit": unit_of(self.parameter),
@@ -136,23 +153,33 @@ class Curve:
 
 
 def one_way(
-    source: Scenario | MDP | Parametric,
+    model: Scenario | MDP | Parametric,
     name: str,
-    bounds: Range | tuple[object, object] | None = None,
+    ranges: Mapping[str, object] | Range | tuple[object, object] | None = None,
     *,
     policy: object = "optimal",
+    relative: object | None = None,
     points: int = 21,
 ) -> Curve:
     """Return value curves along one parameter, the policy re-optimised and held fixed.
 
     Parameters
     ----------
-    bounds : (low, high), optional
-        Within today's value ± 20 % unless given, and within what the model admits
-        (`analysis.sensitivity.ranges.admitted`).
-    policy : "optimal" at today's values, or anything that `solvers.evaluate` takes
+    model : Scenario, MDP or Parametric
+    name : str
+        The parameter.
+    ranges : (low, high) or {name: (low, high)}, optional
+        Today's value ± 20 % unless given, within what the model admits.
+    policy : PolicyLike
+        The policy held fixed; "optimal" is the optimum at today's values.
+    relative : number, optional
+        Another share than 20 %.
     points : int
         Evenly spaced, the ends included.
+
+    Returns
+    -------
+    Curve
 
     Raises
     ------
@@ -166,41 +193,41 @@ def one_way(
     >>> [(float(p.at), p.optimal.value, p.fixed.value) for p in curve.points]
     [(0.5, 3.0, 2.0), (0.75, 3.0, 3.0), (1.0, 4.0, 4.0)]
     """
-    if points < 2:
-        raise ModelError(f"{points} points", where="one-way", fix="ask for at least 2")
-    model = parametric(source)
-    parameter = parameter_of(model, name)
-    if bounds is None:
-        span = admitted(model, parameter, around(parameter))
-    else:
-        span = checked(model, {name: bounds})[name]
-    weights = BaseCase(mdp=model.at({})).held(policy)
-    step = (span.high - span.low) / (points - 1)
-    values = [span.low + k * step for k in range(points)]
-    return Curve(parameter=parameter, points=tuple(_point(model, name, v, weights) for v in values))
+    family = parametric(model)
+    values = grid(range_of(family, name, ranges, relative), points, "one-way")
+    held = BaseCase(mdp=family.at({})).held(policy)
+    found = tuple(_point(family.at({name: value}), value, held) for value in values)
+    return Curve(parameter=parameter_of(family, name), points=found)
 
 
 def tornado(
-    source: Scenario | MDP | Parametric,
+    model: Scenario | MDP | Parametric,
     *,
     policy: object = "optimal",
     names: Iterable[str] | None = None,
     ranges: Mapping[str, object] | None = None,
-    relative: Fraction | None = None,
+    relative: object | None = None,
 ) -> Tornado:
     """Return the tornado of the start value over the ranges of parameters.
 
+    The model is compiled and solved once at today's values, and once at each end of a range.
+
     Parameters
     ----------
-    policy : "optimal" at today's values, or anything that `solvers.evaluate` takes
-        The policy held fixed, whose regret is told as well.
+    model : Scenario, MDP or Parametric
+    policy : PolicyLike
+        The policy held fixed, whose regret is given as well; "optimal" is today's optimum.
     names : iterable of str, optional
         The parameters; those of `ranges` where these are given, otherwise all.
     ranges : {name: (low, high)}, optional
         See `analysis.sensitivity.ranges.load_ranges` for a file of them.
-    relative : Fraction, optional
-        Half the width of the other ranges, as a share of today's value; 1/5 unless given.
-        Such a range ends where the model does (`analysis.sensitivity.ranges.admitted`).
+    relative : number or "whole", optional
+        Half the width of the other ranges, as a share of today's value (1/5 unless given), or all
+        that a parameter may be. Such a range ends where the model does.
+
+    Returns
+    -------
+    Tornado
 
     Raises
     ------
@@ -215,29 +242,30 @@ def tornado(
     >>> [round(end.optimal.value, 9) for end in (bar.low, bar.high)]
     [1.666666667, 2.5]
     """
-    model = parametric(source)
-    stated = checked(model, ranges or {})
-    chosen = list(stated) if names is None and stated else names
-    if chosen is None:
-        chosen = [parameter.name for parameter in model.parameters]
-    mdp = model.at({})
-    weights = BaseCase(mdp=mdp).held(policy)
-    share = {} if relative is None else {"relative": relative}
+    family = parametric(model)
+    spans = ranges_of(family, names, ranges, relative)
+    base = BaseCase(mdp=family.at({}))
+    held = base.held(policy)
     bars = []
-    for name in chosen:
-        parameter = parameter_of(model, name)
-        span = stated.get(name) or admitted(model, parameter, around(parameter, **share))
-        low = _point(model, name, span.low, weights)
-        high = low if span.high == span.low else _point(model, name, span.high, weights)
-        bars.append(Bar(parameter=parameter, low=low, high=high))
+    for name, span in spans.items():
+        low = _point(family.at({name: span.low}), span.low, held)
+        high = low
+        if span.high > span.low:
+            high = _point(family.at({name: span.high}), span.high, held)
+        bars.append(Bar(parameter=parameter_of(family, name), low=low, high=high))
     bars.sort(key=lambda bar: -bar.swing)
-    today = _values(mdp, None, weights)
+    fixed = evaluate(base.mdp, held).numbers["mean"]
+    today = Values(optimal=base.solution.start, fixed=fixed)
     return Tornado(today=today, bars=tuple(bars))
 
 
-def _point(model: Parametric, name: str, value: Fraction, weights: Floats) -> Point:
-    return _values(model.at({name: value}), value, weights)
+def _point(mdp: MDP, at: Fraction, held: Floats) -> Point:
+    return Point(at=at, optimal=solve(mdp).start, fixed=evaluate(mdp, held).numbers["mean"])
 
 
-def _values(mdp: MDP, at: Fraction | None, weights: Floats) -> Point:
-    return Point(at=at, optimal=solve(mdp).start, fixed=evaluate(mdp, weights).numbers["mean"])
+def grid(span: Range, points: int, where: str) -> list[Fraction]:
+    """Return evenly spaced values, the ends included; raises ModelError for fewer than 2."""
+    if points < 2:
+        raise ModelError(f"{points} points", where=where, fix="ask for at least 2")
+    step = (span.high - span.low) / (points - 1)
+    return [span.low + k * step for k in range(points)]

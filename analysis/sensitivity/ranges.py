@@ -5,7 +5,7 @@ A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the do
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -21,6 +21,19 @@ from exact_mdp.mdp.table import beside, exact, shown
 
 RELATIVE = Fraction(1, 5)
 HALVINGS = 40  # of the distance from today's value to an end without a model
+
+
+def unit_of(parameter: Parameter) -> str:
+    """Return what a parameter is measured in, for tables and axes.
+
+    Examples
+    --------
+    >>> unit_of(Parameter(name="reward.anger", value=Fraction(-5)))
+    'reward'
+    """
+    if parameter.name == DISCOUNT:
+        return "per step"
+    return "probability" if (parameter.low, parameter.high) == (0, 1) else "reward"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,19 +62,39 @@ class Range:
             )
 
 
-def around(parameter: Parameter, relative: Fraction = RELATIVE) -> Range:
+class Ranges(dict[str, Range]):
+    """Ranges by parameter name, which have been checked: whoever takes them checks them no more."""
+
+
+def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     """Return a parameter's value ± a share of it, within what it may be.
+
+    Parameters
+    ----------
+    parameter : Parameter
+    relative : number or "p/q"
+        The share, above 0.
+
+    Returns
+    -------
+    Range
+
+    Raises
+    ------
+    ModelError
+        Where the share is not above 0.
 
     Examples
     --------
     >>> around(Parameter(name="p", value=Fraction(9, 10), low=Fraction(0), high=Fraction(1)))
     Range(low=Fraction(18, 25), high=Fraction(1, 1))
     """
-    if relative <= 0:
+    share = exact(relative)
+    if share <= 0:
         raise ModelError(
-            f"a share of {shown(relative)}", where="relative range", fix="choose one above 0"
+            f"a share of {shown(share)}", where="relative range", fix="choose one above 0"
         )
-    reach = abs(parameter.value) * relative
+    reach = abs(parameter.value) * share
     low, high = parameter.value - reach, parameter.value + reach
     low = low if parameter.low is None else max(low, parameter.low)
     high = high if parameter.high is None else min(high, parameter.high)
@@ -69,8 +102,14 @@ def around(parameter: Parameter, relative: Fraction = RELATIVE) -> Range:
 
 
 def whole(parameter: Parameter) -> Range:
-    """Return everything that a parameter may be; where that is open, its value ± itself."""
-    near = around(parameter, Fraction(1))
+    """Return everything that a parameter may be; where that is open, its value ± itself.
+
+    Examples
+    --------
+    >>> whole(Parameter(name="p", value=Fraction(9, 10), low=Fraction(0)))
+    Range(low=Fraction(0, 1), high=Fraction(9, 5))
+    """
+    near = around(parameter, 1)
     return Range(
         low=near.low if parameter.low is None else parameter.low,
         high=near.high if parameter.high is None else parameter.high,
@@ -83,17 +122,7 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
     The range ends where named probabilities of a row sum to 1. Where the model at an end cannot be
     built or has no finite values, as at discount 1 where an episode may go on for ever, the end is
     moved half way to today's value until it has. A model that has none today keeps its range, and
-    whoever analyses it is told.
-
-    Parameters
-    ----------
-    model : Parametric
-    parameter : Parameter
-    span : Range
-
-    Returns
-    -------
-    Range
+    its analysis says so.
 
     Examples
     --------
@@ -132,7 +161,7 @@ def _has_values(model: Parametric, name: str, value: Fraction) -> bool:
     return mdp.discount_exact < 1 or termination(mdp).proven
 
 
-def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]:
+def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
     """Return stated ranges: {name: (low, high)}, each within what the parameter may be.
 
     Raises
@@ -140,8 +169,10 @@ def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]
     ModelError
         For unknown names (the nearest one is suggested), empty ranges, and ends out of range.
     """
-    found = {}
-    for name, given in ranges.items():
+    if isinstance(ranges, Ranges):
+        return ranges
+    found = Ranges()
+    for name, given in (ranges or {}).items():
         parameter = parameter_of(model, name)
         where = f"range of {name}"
         if isinstance(given, Range):
@@ -163,25 +194,91 @@ def checked(model: Parametric, ranges: Mapping[str, object]) -> dict[str, Range]
     return found
 
 
-def load_ranges(model: Parametric, path: str | Path) -> dict[str, Range]:
-    """Return the ranges that a TOML file states; raises ModelError for any mistake in it."""
-    content = toml_of(read_text(path, most=SMALL), str(path))
-    flat: dict[str, object] = {}
+def ranges_of(
+    model: Parametric,
+    names: Iterable[str] | None = None,
+    ranges: Mapping[str, object] | None = None,
+    relative: object | None = None,
+) -> Ranges:
+    """Return the range of each parameter: the stated one, or today's value ± a share of it.
 
-    def visit(prefix: str, value: object) -> None:
-        if isinstance(value, dict):
-            for key, below in value.items():
-                visit(f"{prefix}.{key}" if prefix else key, below)
-        else:
-            flat[prefix] = value
+    Parameters
+    ----------
+    names : iterable of str, optional
+        The parameters; those of `ranges` where these are given, otherwise all.
+    ranges : {name: (low, high)}, optional
+    relative : number or "whole", optional
+        The share, 1/5 unless given; or everything that a parameter may be.
 
-    visit("", content)
+    Raises
+    ------
+    ModelError
+        For unknown names, empty stated ranges, and a share that is not above 0.
+    """
+    stated = checked(model, ranges)
+    if names is None:
+        names = list(stated) or [parameter.name for parameter in model.parameters]
+    found = Ranges()
+    for name in names:
+        parameter = parameter_of(model, name)
+        if name in stated:
+            found[name] = stated[name]
+            continue
+        share = RELATIVE if relative is None else relative
+        span = whole(parameter) if share == "whole" else around(parameter, share)
+        found[name] = admitted(model, parameter, span)
+    return found
+
+
+def range_of(model: Parametric, name: str, ranges: object = None, relative: object = None) -> Range:
+    """Return the range of one parameter; `ranges` may be (low, high) of it, or name it."""
+    if ranges is not None and not isinstance(ranges, Mapping):
+        ranges = {name: ranges}
+    return ranges_of(model, [name], ranges, relative)[name]
+
+
+def load_ranges(model: Parametric, path: str | Path) -> Ranges:
+    """Return the ranges that a TOML file states.
+
+    Parameters
+    ----------
+    model : Parametric
+        Whose parameters the file names; see `mdp.parametric.parametric`.
+    path : str or path
+
+    Returns
+    -------
+    {name: Range}
+
+    Raises
+    ------
+    ModelError
+        For any mistake in the file; the error names the place.
+
+    Examples
+    --------
+    >>> from exact_mdp.mdp.care.scenario import Scenario
+    >>> load_ranges(Scenario.load("tea").parametric(), "no-such-file.toml")
+    Traceback (most recent call last):
+    ...
+    exact_mdp.mdp.errors.ModelError: ...
+    """
+    flat = dict(_flat("", toml_of(read_text(path, most=SMALL), str(path))))
     if not flat:
         raise ModelError("no range in the file", where=str(path), fix='write "NAME" = [low, high]')
     try:
         return checked(model, flat)
     except ModelError as error:
         raise ModelError(error.what, where=f"{path}, {error.where}", fix=error.fix) from error
+
+
+def _flat(prefix: str, value: object) -> Iterator[tuple[str, object]]:
+    """Yield the entries of nested tables by their dotted names."""
+    if not isinstance(value, dict):
+        yield prefix, value
+        return
+    for key, below in value.items():
+        yield from _flat(f"{prefix}.{key}" if prefix else key, below)
 
 
 def usual(model: Parametric) -> list[str]:
@@ -196,11 +293,11 @@ def usual(model: Parametric) -> list[str]:
 
 def spans_of(
     model: Parametric,
-    names: Sequence[str] | None = None,
+    names: Iterable[str] | None = None,
     ranges: Mapping[str, object] | None = None,
-    relative: Fraction | None = None,
+    relative: object | None = None,
 ) -> dict[Parameter, Range]:
-    """Return the parameters that have a range, with it: stated, or today's value ± a share of it.
+    """Return the parameters that have a range, with it, to vary them together; see `ranges_of`.
 
     Parameters that are 0 today, and so have no range around it, are left out unless one is stated;
     so is the discount, see `usual`.
@@ -210,17 +307,11 @@ def spans_of(
     ModelError
         For unknown names, empty stated ranges, and where no parameter has a range.
     """
-    stated = checked(model, ranges or {})
-    chosen = names or list(stated) or usual(model)
-    share = {} if relative is None else {"relative": relative}
-    found = {}
-    for name in dict.fromkeys(chosen):
-        parameter = parameter_of(model, name)
-        span = stated.get(name) or admitted(model, parameter, around(parameter, **share))
-        if span.low < span.high:
-            found[parameter] = span
-    if not found:
+    stated = checked(model, ranges)
+    found = ranges_of(model, names or list(stated) or usual(model), stated, relative)
+    spans = {parameter_of(model, n): span for n, span in found.items() if span.low < span.high}
+    if not spans:
         raise ModelError(
             "no parameter has a range", where=f"model {model.name}", fix="state a range"
         )
-    return found
+    return spans

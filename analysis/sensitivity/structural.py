@@ -1,26 +1,23 @@
-"""Readings of a scenario's text: the choices that it leaves open, one at a time or combined.
-
-Unless others are named, the readings compared are those that differ from the present one in a
-single choice (Bojke et al., Characterizing structural uncertainty in decision analytic models,
-Value in Health 12, 2009).
-
-What comes out under each reading of a scenario's text, side by side.
-
-Structural uncertainty: the same outputs under each way to read the model's text, side by side.
+"""Structural uncertainty: the same outputs under each reading of a scenario's text, side by side.
 
 A reading of the text is a model of its own. Each is solved anew (the policy re-optimised), and each
 given policy is evaluated in it (the policy held fixed); what holding it costs is its regret there.
 Whether the optimum changes is decided over all states that are reached, see
-`analysis.sensitivity.structural_outputs`. States of two readings need not correspond, so that
-optimal actions are told where all of them begin: subtask 0, trial 0, by status. One changes there
-where no action is optimal in both; the optimum may do so elsewhere alone. The term is that of Bojke
-et al. (Value in Health 12, 2009), see `analysis.sensitivity.structural`.
+`analysis.sensitivity.carried_optimum`. States of two readings need not correspond, so that optimal
+actions are compared where all of them begin: subtask 0, trial 0, by status. One changes there where
+no action is optimal in both; the optimum may do so elsewhere alone.
+
+Unless others are named, the readings compared are those that differ from the present one in a
+single choice (Bojke et al., Characterizing structural uncertainty in decision analytic models,
+Value in Health 12, 2009).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -30,21 +27,36 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.analysis.sensitivity.structural_outputs import PRESENT, Today, hashed, quiet_outputs
+from exact_mdp.analysis.sensitivity.base_case import digest
+from exact_mdp.analysis.sensitivity.carried_optimum import Today, best_pairs
+from exact_mdp.analysis.sensitivity.draws.sampled import sampled
+from exact_mdp.analysis.sensitivity.gradient import gradient
+from exact_mdp.analysis.sensitivity.joint_radius import joint_radius
 from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import excess, warn_of_excess
+from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.tables import READINGS
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, ScenarioWarning
 from exact_mdp.mdp.fingerprint import fingerprint
-from exact_mdp.mdp.table import exact
-from exact_mdp.solvers import solve
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import Floats, Integers, exact
+from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.parallel.many import many
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solution import Bounded, Solution
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+pandas = later("pandas")
+
+PRESENT = "as it is"
+CARRIED = "optimum as it is"
+STEP = Fraction(1, 10_000)  # of a difference, as a share of the parameter
+MOST_TRIED = 5
 
 OPTIONS: Mapping[str, tuple[object, ...]] = MappingProxyType(
     {
@@ -58,10 +70,22 @@ OPTIONS: Mapping[str, tuple[object, ...]] = MappingProxyType(
 """The choices that the text leaves open, with their options."""
 
 
+# ---- readings --------------------------------------------------------------------------------
+
+
 def one_at_a_time(
-    scenario: Scenario, options: Mapping[str, Sequence[object]] = OPTIONS
+    model: Scenario, options: Mapping[str, Sequence[object]] = OPTIONS
 ) -> dict[str, dict[str, object]]:
-    """Return every reading that differs from the scenario in one choice: {label: settings}.
+    """Return every reading that differs from the scenario in one choice.
+
+    Parameters
+    ----------
+    model : Scenario
+    options : {choice: options}, optional
+
+    Returns
+    -------
+    {label: settings}
 
     Examples
     --------
@@ -69,67 +93,72 @@ def one_at_a_time(
     >>> len(found), list(found)[0]
     (16, 'influence_orientation = column-to-row')
     """
-    return {
-        _label({name: option}): {name: option}
-        for name, several in options.items()
-        for option in several
-        if not _same(scenario, name, option)
-    }
+    each = ({name: option} for name, several in options.items() for option in several)
+    return _other(model, each)
 
 
 def combinations(
-    scenario: Scenario, options: Mapping[str, Sequence[object]] = READINGS
+    model: Scenario, options: Mapping[str, Sequence[object]] = READINGS
 ) -> dict[str, dict[str, object]]:
-    """Return every combination of options but the scenario's own: {label: settings}.
+    """Return every combination of options but the scenario's own.
+
+    Parameters
+    ----------
+    model : Scenario
+    options : {choice: options}, optional
+
+    Returns
+    -------
+    {label: settings}
 
     Examples
     --------
     >>> len(combinations(Scenario.load("yuan2025")))
     575
     """
+    chosen = product(*options.values())
+    return _other(model, (dict(zip(options, each, strict=True)) for each in chosen))
+
+
+def _other(model: Scenario, readings: Iterable[dict[str, object]]) -> dict[str, dict[str, object]]:
+    """Return what each reading changes in a scenario, where it changes anything, by its label."""
     found = {}
-    for chosen in product(*options.values()):
-        settings = {
-            name: option
-            for name, option in zip(options, chosen, strict=True)
-            if not _same(scenario, name, option)
-        }
+    for reading in readings:
+        settings = {n: option for n, option in reading.items() if not _same(model, n, option)}
         if settings:
-            found[_label(settings)] = settings
+            found[", ".join(f"{name} = {_text(o)}" for name, o in settings.items())] = settings
     return found
 
 
-def variant(scenario: Scenario, label: str, settings: Mapping[str, object]) -> Scenario:
-    """Return a scenario under a reading; an error names the reading."""
-    try:
-        return scenario.with_(parameters={_dotted(name): v for name, v in settings.items()})
-    except ModelError as error:
-        raise ModelError(
-            error.what, where=f"reading {label}: {error.where}", fix=error.fix
-        ) from error
+def _same(model: Scenario, name: str, option: object) -> bool:
+    """Whether a scenario has this option already."""
+    changed = model.with_(parameters={_dotted(name): option})
+    return all(
+        getattr(changed, part) == getattr(model, part)
+        for part in ("readings", "tasks", "max_trial", "discount", "parameters")
+    )
 
 
 def _dotted(name: str) -> str:
     return f"readings.{name}" if name in READINGS else name
 
 
-def _same(scenario: Scenario, name: str, option: object) -> bool:
-    """Whether a scenario has this option already."""
-    changed = scenario.with_(parameters={_dotted(name): option})
-    return all(
-        getattr(changed, part) == getattr(scenario, part)
-        for part in ("readings", "tasks", "max_trial", "discount", "parameters")
-    )
-
-
-def _label(settings: Mapping[str, object]) -> str:
-    return ", ".join(f"{name} = {_text(option)}" for name, option in settings.items())
-
-
 def _text(option: object) -> str:
     if isinstance(option, tuple):
         return str(list(option))
-    return option if isinstance(option, str) else f"{float(option):g}"
+    return option if isinstance(option, str) else f"{float(exact(option)):g}"
+
+
+def _variant(model: Scenario, label: str, settings: Mapping[str, object]) -> Scenario:
+    """Return a scenario under a reading; an error names the reading."""
+    try:
+        return model.with_(parameters={_dotted(name): v for name, v in settings.items()})
+    except ModelError as error:
+        where = f"reading {label}: {error.where}"
+        raise ModelError(error.what, where=where, fix=error.fix) from error
+
+
+# ---- results ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -187,8 +216,8 @@ class Reading:
         return Bounded(value=lost if lost > error else 0.0, error=error)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Structural:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Structural(Result):
     """Outputs under every reading; the first one is the present one.
 
     Attributes
@@ -206,10 +235,18 @@ class Structural:
         """The reading that the scenario has."""
         return self.readings[0]
 
+    @property
+    def value(self) -> Bounded:
+        """The optimal start value under the present reading."""
+        return self.present.optimal
+
+    @property
+    def error(self) -> float:
+        """Bound on the error of `value`."""
+        return self.value.error
+
     def frame(self) -> DataFrame:
         """Return one row for each reading; values, sd and regrets in units of reward."""
-        from pandas import DataFrame
-
         rows = []
         for each in self.readings:
             row: dict[str, Any] = {
@@ -229,19 +266,13 @@ class Structural:
             if not np.isnan(each.stability):
                 row["stability radius (share of ± 20 %)"] = each.stability
             rows.append(row | dict(zip(self.statuses, each.actions, strict=True)))
-        table = DataFrame(rows)
-        table["claim"] = "bounded"
-        table.attrs["present"] = {k: str(v) for k, v in self.present.settings.items()}
-        table.attrs["units"] = "rewards of the scenario; probabilities and shares without unit"
+        table = pandas.DataFrame(rows).assign(claim="bounded")
         table.attrs["policy"] = "re-optimised under each reading; named policies held fixed"
         return table
 
 
-CARRIED = "optimum as it is"
-
-
 def structural(
-    scenario: Scenario,
+    model: Scenario,
     readings: Mapping[str, Mapping[str, object]] | None = None,
     *,
     policies: Mapping[str, object] | None = None,
@@ -257,20 +288,25 @@ def structural(
 
     Parameters
     ----------
+    model : Scenario
     readings : {label: settings}, optional
         Settings as `Scenario.with_` takes them, besides the scenario's own; `one_at_a_time` unless
         given (see also `combinations`).
-    policies : {name: policy}, optional
-        Anything that `Policy.of` takes and that every reading has the states for, such as a
-        policy by status. Today's optimum is always among them, carried over state by state.
+    policies : {name: PolicyLike}, optional
+        Policies held fixed, for which every reading has the states, such as a policy by status.
+        Today's optimum is always among them, carried over state by state.
     perception : (Z, Z), optional
         Confusion of the perceived status (column) given the true one, on which all of these act
         (see `mdp.care.perception`). The optimum of each reading knows the status.
     elasticities, stability : bool
-        Whether to tell the parameter that weighs most, and the stability radius for joint changes
-        (see `analysis.sensitivity.thresholds.joint`).
+        Whether to find the parameter that weighs most, and the stability radius for joint changes
+        (see `analysis.sensitivity.joint_radius`).
     n_jobs, scheduler, folder, progress
         See `solvers.parallel.many.many`; the result does not depend on them.
+
+    Returns
+    -------
+    Structural
 
     Raises
     ------
@@ -285,46 +321,43 @@ def structural(
     >>> [round(each.optimal.value, 3) for each in found.readings]
     [50.87, 50.405]
     """
-    if not isinstance(scenario, Scenario):
+    if not isinstance(model, Scenario):
         raise ModelError(
             "readings belong to care scenarios, not to this model",
             where="structural",
             fix="name a scenario, or a scenario file",
         )
-    chosen = one_at_a_time(scenario) if readings is None else dict(readings)
-    if PRESENT in chosen:
-        raise ModelError(
-            f"a reading called {PRESENT!r}", where="structural", fix="call it something else"
-        )
-    mdp = compile_scenario(scenario)
-    status = mdp.space.column("status")
-    names = [*(policies or {})]
-    if CARRIED in names:
-        raise ModelError(
-            f"a policy called {CARRIED!r}", where="structural", fix="call it something else"
-        )
-    forms = [*(policies or {}).values()]
+    chosen = one_at_a_time(model) if readings is None else dict(readings)
+    held = dict(policies or {})
+    for what, name, given in (("reading", PRESENT, chosen), ("policy", CARRIED, held)):
+        if name in given:
+            raise ModelError(
+                f"a {what} called {name!r}", where="structural", fix="call it something else"
+            )
+    mdp = compile_scenario(model)
     optimum = solve(mdp)
-    today = Today.of(scenario, mdp, optimum)
-    variants = [scenario, *(variant(scenario, label, each) for label, each in chosen.items())]
-    _warn_of_excess([PRESENT, *chosen], variants)
-    pieces = list(zip([PRESENT, *chosen], variants, strict=True))
+    everything: dict[str, Mapping[str, object]] = {PRESENT: {}, **chosen}
+    variants = {PRESENT: model} | {n: _variant(model, n, each) for n, each in chosen.items()}
+    _warn_of_excess(variants)
     confusion = None if perception is None else np.asarray(perception, dtype=np.float64)
-    held = [(CARRIED, optimum.policy), *zip(names, forms, strict=True)]
-    hashes = [hashed(mdp, name, form, confusion) for name, form in held]
+    # Every policy is read, and refused where it does not fit, before anything is solved.
+    hashes = [
+        f"{name} {digest(_weights(mdp, PRESENT, name, form, confusion))}"
+        for name, form in {CARRIED: optimum.policy, **held}.items()
+    ]
     key: dict[str, object] = {}
     if folder is not None:
         key = {
-            "readings": [fingerprint(compile_scenario(each)) for each in variants],
-            "labels": [PRESENT, *chosen],
+            "readings": [fingerprint(compile_scenario(each)) for each in variants.values()],
+            "labels": list(variants),
             "policies": hashes,
             "elasticities": elasticities,
             "stability": stability,
         }
-    work = partial(quiet_outputs, today, names, forms, confusion, elasticities, stability)
+    today = Today.of(model, mdp, optimum)
     found = many(
-        work,
-        pieces,
+        partial(_outputs, today, held, confusion, elasticities, stability),
+        list(variants.items()),
         key=key,
         n_jobs=n_jobs,
         scheduler=scheduler,
@@ -332,24 +365,24 @@ def structural(
         progress=progress,
         what="readings",
     )
-    labels = tuple(status.label(value) for value in range(status.size))
+    status = mdp.space.column("status")
+    statuses = tuple(status.label(value) for value in range(status.size))
     present = found[0]["optimal_actions"]
-    everything = [{}, *chosen.values()]
     return Structural(
-        statuses=labels,
+        statuses=statuses,
         readings=tuple(
-            _reading(label, settings, [CARRIED, *names], labels, scenario.actions, present, each)
-            for (label, _), settings, each in zip(pieces, everything, found, strict=True)
+            _reading(label, settings, [CARRIED, *held], statuses, model.actions, present, each)
+            for (label, settings), each in zip(everything.items(), found, strict=True)
         ),
     )
 
 
-def _warn_of_excess(labels: Sequence[str], variants: Sequence[Scenario]) -> None:
+def _warn_of_excess(variants: Mapping[str, Scenario]) -> None:
     """Warn once of the readings under which a chance is cut off at 1."""
-    over = [place for place, each in enumerate(variants) if excess(each) is not None]
+    over = [label for label, each in variants.items() if excess(each) is not None]
     if over:
         more = f" and {len(over) - 1} other readings" if len(over) > 1 else ""
-        where = f", under the reading {labels[over[0]]!r}{more}"
+        where = f", under the reading {over[0]!r}{more}"
         warn_of_excess(variants[over[0]], where=where, stacklevel=3)
 
 
@@ -363,22 +396,117 @@ def _reading(
     found: Mapping[str, Any],
 ) -> Reading:
     changes = ~(present & found["optimal_actions"]).any(axis=1)
-    values = zip(found["value"][1:].tolist(), found["error"][1:].tolist(), strict=True)
+    numbers = zip(found["value"].tolist(), found["error"].tolist(), strict=True)
+    optimal, *fixed = (Bounded(value=value, error=error) for value, error in numbers)
     return Reading(
         label=label,
         settings=MappingProxyType(dict(settings)),
         states=int(found["states"]),
-        optimal=Bounded(value=float(found["value"][0]), error=float(found["error"][0])),
+        optimal=optimal,
         sd=float(found["sd"]),
         actions=tuple(actions[number] for number in found["actions"].tolist()),
         optimal_actions=found["optimal_actions"],
         optimum_changes=bool(found["changes"]),
         changed=tuple(name for name, each in zip(statuses, changes, strict=True) if each),
-        policies={
-            name: Bounded(value=value, error=error)
-            for name, (value, error) in zip(names, values, strict=True)
-        },
+        policies=dict(zip(names, fixed, strict=True)),
         top=str(found["top"]),
         elasticity=float(found["elasticity"]),
         stability=float(found["stability"]),
     )
+
+
+# ---- one reading -----------------------------------------------------------------------------
+
+
+def _outputs(
+    today: Today,
+    held: Mapping[str, object],
+    perception: Floats | None,
+    elasticities: bool,
+    stability: bool,
+    piece: tuple[str, Scenario],
+) -> dict[str, Any]:
+    """Return what comes out under one reading, (label, scenario), as arrays."""
+    label, scenario = piece
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)  # the caller has warned of all readings
+        mdp = scenario.compile()
+        solution = solve(mdp)
+        choices, changes = today.carried(scenario, mdp, solution)
+        weights = [
+            _weights(mdp, label, name, form, perception)
+            for name, form in {"optimum": choices, **held}.items()
+        ]
+        values = [solution.start, *(evaluate(mdp, each).numbers["mean"] for each in weights)]
+        optimal, actions = _first_actions(scenario, mdp, solution)
+        top, elasticity = _top(scenario) if elasticities else ("", np.nan)
+        return {
+            "states": np.int64(mdp.n_states),
+            "value": np.array([each.value for each in values]),
+            "error": np.array([each.error for each in values]),
+            "sd": np.float64(evaluate(mdp, solution.policy).sd),
+            "changes": np.bool_(changes),
+            "optimal_actions": optimal,
+            "actions": actions,
+            "top": np.array(top),
+            "elasticity": np.float64(elasticity),
+            "stability": np.float64(joint_radius(scenario).share if stability else np.nan),
+        }
+
+
+def _first_actions(
+    scenario: Scenario, mdp: MDP, solution: Solution
+) -> tuple[NDArray[np.bool_], Integers]:
+    """Return (V, A) whether an action is optimal, and (V,) one that is, at subtask 0, trial 0."""
+    size = mdp.space.column("status").size
+    good, number = best_pairs(mdp, solution), scenario.actions.index
+    optimal = np.zeros((size, len(scenario.actions)), dtype=bool)
+    actions = np.zeros(size, dtype=np.int64)
+    for value in range(size):
+        state = mdp.space.index(subtask=0, trial=0, status=value)
+        for pair in mdp.pairs_of(state):
+            optimal[value, number(mdp.actions[mdp.pair_action[pair]])] = good[pair]
+        actions[value] = number(mdp.actions[solution.policy[state]])
+    return optimal, actions
+
+
+def _top(scenario: Scenario) -> tuple[str, float]:
+    """Return the table's parameter of largest elasticity, and the elasticity.
+
+    Differences of the optimum's values put the parameters in order; the derivative of the first
+    one then comes from the envelope theorem. One without a single derivative is passed over.
+    """
+    slopes = _slopes(scenario)
+    for name in sorted(slopes, key=lambda each: -abs(slopes[each]))[:MOST_TRIED]:
+        elasticity = gradient(scenario, names=[name], exact=False)[name].elasticity
+        if elasticity is not None:
+            return name, elasticity
+    return "", np.nan
+
+
+def _slopes(scenario: Scenario) -> dict[str, float]:
+    """Return θ dV*/dθ of every parameter that is not 0, by differences within its range."""
+    moving = [parameter for parameter in scenario.parameters if parameter.value]
+    names = [parameter.name for parameter in moving]
+    today = np.array([float(parameter.value) for parameter in moving])
+    ends = np.array([[float(p.value * (1 - STEP)), float(p.value * (1 + STEP))] for p in moving])
+    for row, parameter in enumerate(moving):
+        low = -np.inf if parameter.low is None else float(parameter.low)
+        high = np.inf if parameter.high is None else float(parameter.high)
+        ends[row] = np.clip(ends[row], low, high)
+    draws = np.tile(today, (2 * len(names), 1))
+    rows = np.arange(len(names))
+    draws[2 * rows, rows], draws[2 * rows + 1, rows] = ends.T
+    value = sampled(scenario.parametric(), names, draws).optimal
+    steps = (ends[:, 1] - ends[:, 0]) / today
+    return dict(zip(names, ((value[1::2] - value[::2]) / steps).tolist(), strict=True))
+
+
+def _weights(mdp: MDP, label: str, name: str, form: object, perception: Floats | None) -> Floats:
+    """Return (L,) probabilities of pairs of a policy; an error names policy and reading."""
+    try:
+        policy = Policy.of(mdp, form)
+        return (policy if perception is None else perceived(mdp, policy, perception)).weights(mdp)
+    except ModelError as error:
+        where = f"policy {name}, reading {label}: {error.where}"
+        raise ModelError(error.what, where=where, fix=error.fix) from error

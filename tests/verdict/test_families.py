@@ -10,13 +10,9 @@ from hypothesis import strategies as st
 
 from exact_mdp.analysis.sensitivity import (
     gradient,
-    moments_gradient,
     morris,
-    movement_frame,
     one_way,
     sobol,
-    stability_frame,
-    threshold_frame,
     thresholds,
     tornado,
     two_way,
@@ -52,10 +48,10 @@ def start_value(mdp: MDP) -> F:
 # ---- the degree ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("analysis", [gradient, thresholds, moments_gradient])
+@pytest.mark.parametrize("analysis", [gradient, thresholds])
 def test_a_wrong_degree_is_refused(analysis) -> None:
     """A gradient or threshold is not certified on a degree that nobody checked."""
-    rest = {gradient: (), thresholds: ("p",), moments_gradient: ([0, 0],)}[analysis]
+    rest = {gradient: (), thresholds: ("p",)}[analysis]
     with pytest.raises(ModelError, match="no polynomials of degree 1 in p") as error:
         analysis(waiting(2), *rest)
     assert "degrees=" in error.value.fix
@@ -88,8 +84,6 @@ def test_what_is_checked_at_points_alone_is_not_certified() -> None:
     assert found.frame()["claim"].tolist() == ["estimated"]
     told = thresholds(family, "p", (F(1, 4), F(3, 4)))
     assert told.claim == Claim.ESTIMATED
-    assert stability_frame({"p": told})["claim"].tolist() == ["estimated"]
-    assert movement_frame(moments_gradient(family, [0, 0]))["claim"].tolist() == ["estimated"]
     assert gradient(family, exact=False)["p"].claim == Claim.ESTIMATED
 
 
@@ -339,7 +333,7 @@ def test_a_tie_at_a_kink_is_a_touch() -> None:
     assert (one.low, one.high, one.touch) == (F(1, 2), F(1, 2), True)
     assert (one.switches[0].before, one.switches[0].after) == (("0",), ("0", "1"))
     assert found.claim == Claim.CERTIFIED
-    assert threshold_frame({"x": found})["touch"].tolist() == [True]
+    assert found.frame()["touch"].tolist() == [True]
     assert found.stable() == (0, 1)
 
 
@@ -431,36 +425,12 @@ def test_default_ranges_stay_where_there_is_a_model() -> None:
 # ---- degenerate models ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gain", [0, F(1, 10**200), F(-1, 10**200), 1])
-@pytest.mark.parametrize("discount", [0, "1/2", 1])
-def test_moments_of_degenerate_models(gain, discount) -> None:
-    """A return that does not vary has no spread to move; one that varies by 1e-200 has."""
-    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [gain, 0], discount)
-    family = moving(mdp, {"a": [(0, 0)]})
-    found = moments_gradient(family, [0, 0])
-    step = F(1, 10**6)
-    for name, each in found.items():
-        assert (each.sd is None) == (gain == 0 or mdp.discount_exact == 0)
-        if name == "a" and each.sd is not None:
-            # Var = v(p) gain²: the spread is |gain| √v.
-            near = [spread(F(1, 2) + sign * step, mdp.discount_exact) for sign in (1, -1)]
-            slope = abs(float(gain)) * (near[0] - near[1]) / float(2 * step)
-            assert each.sd.value == pytest.approx(slope, rel=1e-4)
-    assert len(movement_frame(found)) == 2
-
-
-def spread(p: F, g: F) -> float:
-    """Sd of Σ g^t over a geometric number of steps: E = 1/(1 - gp), E² = (1 + 2gpE)/(1 - g²p)."""
-    mean = 1 / (1 - g * p)
-    return float((1 + 2 * g * p * mean) / (1 - g * g * p) - mean**2) ** 0.5
-
-
-def test_models_without_a_step_have_moments_and_gradients() -> None:
+def test_models_without_a_step_have_gradients() -> None:
     for gain, discount in ((0, 1), (0, "1/2"), (1, "1/2")):
         family = moving(MDP.from_arrays([[[1]]], [gain], discount), {})
-        found = moments_gradient(family, [0])["discount"]
-        assert found.mean.value == (4 if gain else 0)
-        assert (found.variance.value, found.sd) == (0, None)
+        found = gradient(family, policy=[0])["discount"].value
+        assert found is not None
+        assert found.value == (4 if gain else 0)
         assert gradient(family)["discount"].elasticity == (1.0 if gain else None)
 
 

@@ -31,11 +31,11 @@ def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
             "a gradient has no ranges", where="sensitivity gradient", fix="leave them out"
         )
     names = options["parameters"] or None
-    found = gradient(model, policy_from(loaded, options), names=names)
+    found = gradient(model, policy=policy_from(loaded, options), names=names)
     ends = {True: "re-optimised", False: "fixed"}
     result = {
-        "start_value": float(found.start_value.value),
-        "claim": found.start_value.claim,
+        "start_value": float(found.start_value),
+        "claim": found.start.claim,
         "policy": ends[found.reoptimised],
         "derivatives": {n: _value(d.value) for n, d in found.derivatives.items()},
         "left": {n: _value(d.left) for n, d in found.derivatives.items()},
@@ -67,7 +67,7 @@ def gradient_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
         rows=rows,
         numeric=frozenset({1, 2, 3}),
     )
-    claim = str(found.start_value.claim)
+    claim = str(found.start.claim)
     if options.get("perception") is not None:
         result["claim_of"] = ROUNDED
         claim += f", {ROUNDED}"

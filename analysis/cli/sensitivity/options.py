@@ -17,17 +17,15 @@ from typing import TYPE_CHECKING, Any
 from exact_mdp.analysis.cli.options import policy_of, whole_of
 from exact_mdp.analysis.cli.render import Grid, to_json
 from exact_mdp.analysis.sensitivity.ranges import (
-    RELATIVE,
     Range,
-    admitted,
-    around,
+    Ranges,
     checked,
     load_ranges,
-    whole,
+    ranges_of,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.table import FLOAT_RANGE, exact, shown
 
 if TYPE_CHECKING:
@@ -47,31 +45,22 @@ def policy_from(loaded: Loaded, options: Mapping[str, Any]) -> object:
     return policy_of(loaded.mdp, form, perception)
 
 
-def ranges_from(model: Parametric, options: Mapping[str, Any]) -> dict[str, Range]:
+def ranges_from(model: Parametric, options: Mapping[str, Any]) -> Ranges:
     """Return the range of each parameter that is asked for."""
-    stated: dict[str, Range] = {}
+    stated = Ranges()
     if options["range_file"] is not None:
-        stated |= load_ranges(model, options["range_file"])
+        stated.update(load_ranges(model, options["range_file"]))
     for text in options["ranges"]:
         name, equals, ends = text.partition("=")
         low, colon, high = ends.partition(":")
         if not equals or not colon:
             raise ModelError(f"{text!r} is not a range", where="--range", fix="write NAME=LOW:HIGH")
-        stated |= checked(model, {name.strip(): (low.strip(), high.strip())})
+        stated.update(checked(model, {name.strip(): (low.strip(), high.strip())}))
     if options["relative"] is not None and options["whole"]:
         raise ModelError("both --relative and --whole", where="options", fix="give one of them")
-    names = options["parameters"] or list(stated) or [p.name for p in model.parameters]
-    found = {}
-    for name in names:
-        parameter = parameter_of(model, name)
-        if name in stated:
-            found[name] = stated[name]
-        elif options["whole"]:
-            found[name] = admitted(model, parameter, whole(parameter))
-        else:
-            share = RELATIVE if options["relative"] is None else share_of(options["relative"])
-            found[name] = admitted(model, parameter, around(parameter, share))
-    return found
+    share = None if options["relative"] is None else share_of(options["relative"])
+    relative = "whole" if options["whole"] else share
+    return ranges_of(model, options["parameters"] or None, stated, relative)
 
 
 def share_of(relative: object) -> Fraction:
@@ -88,12 +77,12 @@ def share_of(relative: object) -> Fraction:
     return share
 
 
-def not_empty(spans: Mapping[str, Range]) -> tuple[dict[str, Range], list[str]]:
+def not_empty(spans: Mapping[str, Range]) -> tuple[Ranges, list[str]]:
     """Return the ranges that are more than a point, and the names of the others.
 
     A parameter that is 0 today has no range around it.
     """
-    ranges = {name: span for name, span in spans.items() if span.low < span.high}
+    ranges = Ranges({name: span for name, span in spans.items() if span.low < span.high})
     return ranges, sorted(set(spans) - set(ranges))
 
 

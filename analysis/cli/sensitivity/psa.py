@@ -24,7 +24,7 @@ from exact_mdp.analysis.cli.sensitivity.options import (
     work_from,
     written,
 )
-from exact_mdp.analysis.sensitivity.base import digest
+from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.solver import solver_of
 from exact_mdp.analysis.sensitivity.psa.distributions import (
     EFFECTIVE_SAMPLE_SIZE,

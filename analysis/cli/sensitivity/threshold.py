@@ -14,9 +14,9 @@ from exact_mdp.analysis.cli.sensitivity.options import (
     only_first,
     ranges_from,
 )
-from exact_mdp.analysis.sensitivity.base import unit_of
-from exact_mdp.analysis.sensitivity.thresholds.joint import joint_radius
-from exact_mdp.analysis.sensitivity.thresholds.thresholds import Threshold, Thresholds, thresholds
+from exact_mdp.analysis.sensitivity.joint_radius import joint_radius
+from exact_mdp.analysis.sensitivity.ranges import unit_of
+from exact_mdp.analysis.sensitivity.thresholds import Threshold, Thresholds, thresholds
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.solvers import solve
 
@@ -34,8 +34,8 @@ def threshold_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
             "thresholds are those of the optimal policy", where="--policy", fix="leave it out"
         )
     ranges, without = not_empty(ranges_from(model, options))
-    steps = tqdm(ranges.items(), desc="thresholds", disable=None, leave=False)
-    found = {name: thresholds(model, name, span) for name, span in steps}
+    steps = tqdm(ranges, desc="thresholds", disable=None, leave=False)
+    found = {name: thresholds(model, name, ranges) for name in steps}
     switches = [
         switch
         for name, each in found.items()

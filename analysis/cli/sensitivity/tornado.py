@@ -14,8 +14,8 @@ from exact_mdp.analysis.cli.sensitivity.options import (
     policy_from,
     ranges_from,
 )
-from exact_mdp.analysis.sensitivity.base import unit_of
 from exact_mdp.analysis.sensitivity.one_way import Bar, tornado
+from exact_mdp.analysis.sensitivity.ranges import unit_of
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.io.load import Loaded

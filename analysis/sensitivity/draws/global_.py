@@ -38,10 +38,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, Unpack
 import numpy as np
 from numpy.random import default_rng
 
-from exact_mdp.analysis.sensitivity.base import unit_of
 from exact_mdp.analysis.sensitivity.draws.blocks import How
 from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
-from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
+from exact_mdp.analysis.sensitivity.ranges import Range, spans_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base import digest
+from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import How, joined, run
 from exact_mdp.analysis.sensitivity.draws.solver import (
     CareSolver,

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base import BaseCase
+from exact_mdp.analysis.sensitivity.base_case import BaseCase
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.sensitivity.base import digest, unit_of
+from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import How, run, whole_number
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, solver_of
 from exact_mdp.analysis.sensitivity.psa.distributions import (
@@ -27,6 +27,7 @@ from exact_mdp.analysis.sensitivity.psa.distributions import (
     uncertainty,
 )
 from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss
+from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.fingerprint import fingerprint

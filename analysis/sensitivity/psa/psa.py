@@ -34,7 +34,7 @@ import numpy as np
 from numpy.random import SeedSequence
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.sensitivity.base import BaseCase, digest
+from exact_mdp.analysis.sensitivity.base_case import BaseCase, digest
 from exact_mdp.analysis.sensitivity.draws.blocks import How, in_blocks, joined, seeded, whole_number
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, merged, solver_of, tell_cut
 from exact_mdp.analysis.sensitivity.psa.distributions import (

@@ -18,15 +18,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.derivatives import refuse_endless
-from exact_mdp.analysis.sensitivity.exact_chain import LARGEST, rational
+from exact_mdp.analysis.sensitivity.exact_chain import LARGEST, rational, ratios
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.row_change import RowChange, reward_entries, transition_entries
+from exact_mdp.mdp.row_change import Change, RowChange, reward_entries, transition_entries
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import levels
 
 if TYPE_CHECKING:
-    from flint import fmpq_poly
+    from flint import fmpq, fmpq_poly
+
+flint = later("flint")
 
 CYCLIC_DEGREE = 200
 
@@ -35,46 +38,51 @@ class Rows:
     """The rows of a model as polynomials of y = θ - θ0, already discounted."""
 
     def __init__(self, mdp: MDP, change: RowChange) -> None:
-        from flint import fmpq_poly
-
+        poly = flint.fmpq_poly
         self.mdp, self.change = mdp, change
         self.state: list[int] = mdp.pair_state.tolist()
-        rate = fmpq_poly([rational(mdp.discount_exact), *map(rational, change.rate)])
-        _, top, bottom = reward_entries(mdp)
-        if rate == fmpq_poly([1]):
+        rate = poly([rational(mdp.discount_exact), *map(rational, change.rate)])
+        if rate == poly([1]):
             refuse_endless(mdp, change.reward.key.tolist(), change.name)
         # A state that is left, or earns, next to θ0 is terminal at that very value alone.
         terminal = mdp.terminal.copy()
         terminal[mdp.pair_state[change.reward.key]] = False
         terminal[mdp.pair_state[change.transition.key // mdp.n_states]] = False
         self.terminal: list[bool] = terminal.tolist()
-        self.reward = [fmpq_poly([_ratio(a, b)]) for a, b in zip(top, bottom, strict=True)]
-        for pair, poly in zip(change.reward.key.tolist(), _polys(change.reward), strict=True):
-            self.reward[pair] += poly
-        key, top, bottom = transition_entries(mdp)
-        entries = {
-            number: fmpq_poly([_ratio(a, b)])
-            for number, a, b in zip(key.tolist(), top, bottom, strict=True)
+        self.reward: list[fmpq_poly] = [poly([r]) for r in ratios(reward_entries(mdp))]
+        for pair, moved in _polynomials(change.reward):
+            self.reward[pair] += moved
+        entries = transition_entries(mdp)
+        weight: dict[int, fmpq_poly] = {
+            key: poly([p]) for key, p in zip(entries[0].tolist(), ratios(entries), strict=True)
         }
-        moved = zip(change.transition.key.tolist(), _polys(change.transition), strict=True)
-        for number, poly in moved:
-            entries[number] = entries.get(number, fmpq_poly()) + poly
+        for key, moved in _polynomials(change.transition):
+            weight[key] = weight.get(key, poly()) + moved
         self.following: list[list[tuple[int, fmpq_poly]]] = [[] for _ in self.reward]
-        for number, poly in sorted(entries.items()):
-            pair, state = divmod(number, mdp.n_states)
+        for key, p in sorted(weight.items()):
+            pair, state = divmod(key, mdp.n_states)
             if not self.terminal[self.state[pair]] and not self.terminal[state]:
-                self.following[pair].append((state, poly * rate))
-        self.order: list[int] | None = None
-        order = levels(mdp)
+                self.following[pair].append((state, p * rate))
+        self.order = self._order()
+        live = self.terminal.count(False)
+        if self.order is None and (live > LARGEST or self.degree > CYCLIC_DEGREE):
+            raise ModelError(
+                f"{live} states on cycles give rational functions of degree {self.degree}",
+                where=f"parameter {change.name}",
+                fix=f"thresholds are exact up to degree {CYCLIC_DEGREE}; use a smaller model",
+            )
+
+    def _order(self) -> list[int] | None:
+        """Return the states from the end on; None where transitions close a cycle."""
+        order = levels(self.mdp)
         # What moves in from nothing may close a cycle that the model at θ0 does not have.
-        if order is not None and all(
-            order[self.state[pair]] > order[state]
+        if order is None or any(
+            order[self.state[pair]] <= order[state]
             for pair, row in enumerate(self.following)
             for state, _ in row
         ):
-            self.order = np.argsort(order, kind="stable").tolist()
-        if self.order is None:
-            self._check_size()
+            return None
+        return [int(state) for state in np.argsort(order, kind="stable")]
 
     @property
     def degree(self) -> int:
@@ -82,15 +90,6 @@ class Rows:
         rows = max((p.degree() for row in self.following for _, p in row), default=0)
         rewards = max((p.degree() for p in self.reward), default=0)
         return self.terminal.count(False) * max(rows, 0) + max(rewards, 0)
-
-    def _check_size(self) -> None:
-        live = self.terminal.count(False)
-        if live > LARGEST or self.degree > CYCLIC_DEGREE:
-            raise ModelError(
-                f"{live} states on cycles give rational functions of degree {self.degree}",
-                where=f"parameter {self.change.name}",
-                fix=f"thresholds are exact up to degree {CYCLIC_DEGREE}; use a smaller model",
-            )
 
 
 class Gaps:
@@ -104,15 +103,12 @@ class Gaps:
     """
 
     def __init__(self, rows: Rows, inside: tuple[Fraction, Fraction]) -> None:
-        from flint import fmpq_poly
-
         self.rows, self.inside = rows, inside
         mdp = rows.mdp
         self.offsets: list[int] = mdp.pair_offsets.tolist()
-        self.chosen = [-1] * mdp.n_states
-        self.value = [fmpq_poly()] * mdp.n_states
-        self.q = [fmpq_poly()] * mdp.n_pairs
-        self.gap = [fmpq_poly()] * mdp.n_pairs
+        self.value = [flint.fmpq_poly()] * mdp.n_states
+        self.q = [flint.fmpq_poly()] * mdp.n_pairs
+        self.gap = [flint.fmpq_poly()] * mdp.n_pairs
         self.renewed: set[int] = set()
         self._fresh = True
 
@@ -120,15 +116,14 @@ class Gaps:
         """Work out the gaps of the policy that takes these pairs (S,)."""
         self.renewed = set()
         if self.rows.order is None:
-            self._interpolate(pairs)
+            self._interpolate(pairs.tolist())
         else:
-            self._substitute(pairs.tolist())
-        self.chosen, self._fresh = pairs.tolist(), False
+            self._substitute(self.rows.order, pairs.tolist())
+        self._fresh = False
 
-    def _substitute(self, pairs: list[int]) -> None:
+    def _substitute(self, order: list[int], pairs: list[int]) -> None:
         rows, moved = self.rows, [False] * len(self.value)
-        assert rows.order is not None
-        for state in rows.order:
+        for state in order:
             if rows.terminal[state]:
                 continue
             span = range(self.offsets[state], self.offsets[state + 1])
@@ -149,35 +144,30 @@ class Gaps:
                 self.gap[pair] = value - self.q[pair]
                 self.renewed.add(pair)
 
-    def _interpolate(self, pairs: Integers) -> None:
+    def _interpolate(self, pairs: list[int]) -> None:
         count, (low, high) = self.rows.degree + 1, self.inside
-        points = [low + (high - low) * (k + 1) / (count + 1) for k in range(count)]
-        samples = [self._sample(point, pairs.tolist()) for point in points]
+        points = [rational(low + (high - low) * (k + 1) / (count + 1)) for k in range(count)]
+        samples = [self._sample(point, pairs) for point in points]
         for pair, column in enumerate(zip(*samples, strict=True)):
             self.gap[pair] = _through(points, column)
             self.renewed.add(pair)
 
-    def _sample(self, point: Fraction, pairs: list[int]) -> list[object]:
+    def _sample(self, y: fmpq, pairs: list[int]) -> list[fmpq]:
         """Return (L,) D h at one point."""
-        from flint import fmpq_mat
-
-        rows, y = self.rows, rational(point)
+        rows, zero = self.rows, rational(0)
         live = [state for state, end in enumerate(rows.terminal) if not end]
-        place = {state: k for k, state in enumerate(live)}
+        place, count = {state: k for k, state in enumerate(live)}, len(live)
         at = [[(s, p(y)) for s, p in row] for row in rows.following]
         earned = [p(y) for p in rows.reward]
-        zero = rational(0)
-        entries = [zero] * len(live) ** 2
+        entries = [zero] * count**2
         for k, state in enumerate(live):
-            entries[k * len(live) + k] += 1
+            entries[k * count + k] += 1
             for following, p in at[pairs[state]]:
-                entries[k * len(live) + place[following]] -= p
-        matrix = fmpq_mat(len(live), len(live), entries)
-        side = fmpq_mat(len(live), 1, [earned[pairs[state]] for state in live])
-        solved = matrix.solve(side).entries()
-        scale = matrix.det()
-        value = dict(zip(live, solved, strict=True))
-        found = []
+                entries[k * count + place[following]] -= p
+        matrix = flint.fmpq_mat(count, count, entries)
+        side = flint.fmpq_mat(count, 1, [earned[pairs[state]] for state in live])
+        value = dict(zip(live, matrix.solve(side).entries(), strict=True))
+        scale, found = matrix.det(), []
         for pair, state in enumerate(rows.state):
             if rows.terminal[state]:
                 found.append(zero)
@@ -187,29 +177,23 @@ class Gaps:
         return found
 
 
-def _through(points: Sequence[Fraction], values: Sequence[object]) -> fmpq_poly:
+def _through(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:
     """Return the polynomial through the points (Newton)."""
-    from flint import fmpq_poly
-
+    poly = flint.fmpq_poly
     if not any(values):
-        return fmpq_poly()
-    x, divided = [rational(point) for point in points], list(values)
+        return poly()
+    divided = list(values)
     for level in range(1, len(x)):
         for k in range(len(x) - 1, level - 1, -1):
             divided[k] = (divided[k] - divided[k - 1]) / (x[k] - x[k - level])
-    total = fmpq_poly([divided[-1]])
+    total = poly([divided[-1]])
     for k in range(len(x) - 2, -1, -1):
-        total = total * fmpq_poly([-x[k], 1]) + fmpq_poly([divided[k]])
+        total = total * poly([-x[k], 1]) + poly([divided[k]])
     return total
 
 
-def _ratio(top: object, bottom: object) -> object:
-    return rational(Fraction(int(top), int(bottom)))
-
-
-def _polys(change: object) -> list[fmpq_poly]:
-    """Return the polynomials of a change, without constant terms."""
-    from flint import fmpq_poly
-
+def _polynomials(change: Change) -> list[tuple[int, fmpq_poly]]:
+    """Return what is added to each entry that moves, by its key."""
     columns = zip(*change.coefficients, strict=True)
-    return [fmpq_poly([rational(Fraction(0)), *map(rational, column)]) for column in columns]
+    moved = [flint.fmpq_poly([rational(0), *map(rational, column)]) for column in columns]
+    return list(zip(change.key.tolist(), moved, strict=True))

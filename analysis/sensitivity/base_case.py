@@ -1,6 +1,4 @@
-"""The unit of a parameter, for tables and axes.
-
-The base case: a model at today's values, its optimum, and the policies that are held fixed.
+"""The base case: a model at today's values, its optimum, and the policies that are held fixed.
 
 A policy is held as the probabilities of the model's (state, action) pairs, so that it can be
 evaluated at other values of the parameters, where the pairs are the same.
@@ -15,31 +13,15 @@ from hashlib import sha256
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Solution
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
-def unit_of(parameter: Parameter) -> str:
-    """Return what a parameter is measured in.
-
-    Examples
-    --------
-    >>> from fractions import Fraction
-    >>> unit_of(Parameter(name="reward.anger", value=Fraction(-5)))
-    'reward'
-    """
-    if parameter.name == DISCOUNT:
-        return "per step"
-    return "probability" if (parameter.low, parameter.high) == (0, 1) else "reward"
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseCase:
-    """A model at today's values.
+    """A model at today's values; it is solved once, when that is first asked for.
 
     Examples
     --------
@@ -57,16 +39,9 @@ class BaseCase:
         return solve(self.mdp)
 
     def held(self, policy: object) -> Floats:
-        """Return (L,) probabilities of pairs of a policy that is held fixed.
-
-        Parameters
-        ----------
-        policy : "optimal", which is the optimum today, or anything that `solvers.evaluate` takes
-        """
+        """Return (L,) probabilities of pairs of a policy; "optimal" is today's optimum."""
         if isinstance(policy, str) and policy == "optimal":
-            weights = np.zeros(self.mdp.n_pairs)
-            weights[self.solution.pairs] = 1.0
-            return weights
+            policy = self.solution
         return PolicyChain.of(self.mdp, policy).chosen
 
     def taken(self, choice: Integers) -> Floats:
@@ -78,5 +53,5 @@ class BaseCase:
 
 def digest(*policies: Floats) -> str:
     """Return a hash that tells policies, (L,) probabilities of pairs each, from other ones."""
-    told = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
-    return sha256(told).hexdigest()
+    content = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
+    return sha256(content).hexdigest()

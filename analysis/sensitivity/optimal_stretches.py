@@ -1,4 +1,4 @@
-"""From one end of a piece to the other: every point at which an optimal action changes.
+"""The stretches of a parameter on which the set of optimal actions stays as it is.
 
 A policy π stays optimal until the first root at which one of its gap polynomials turns negative.
 Just beyond it the model is solved exactly, and the new policy's gaps show that it is optimal from
@@ -15,19 +15,27 @@ from math import ceil, floor
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.thresholds.gaps import Gaps, Rows
-from exact_mdp.analysis.sensitivity.thresholds.roots import Root, roots, sign, simple
+from exact_mdp.analysis.sensitivity.exact_chain import rational
+from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps, Rows
+from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
 
+flint = later("flint")
+
 WIDTH = Fraction(1, 10**12)
 GRID = 10**13
 ATTEMPTS = 200
+
+Mask = NDArray[np.bool_]
+Bracket = tuple[Fraction, Fraction]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,22 +44,17 @@ class Stretch:
 
     Attributes
     ----------
-    before : (Fraction, Fraction)
-        Bracket of its lower end.
-    after : (Fraction, Fraction)
-        Bracket of its upper end; both are values of the parameter.
+    before, after : (Fraction, Fraction)
+        Brackets of its lower and of its upper end; all are values of the parameter.
     optimal : (L,) bool
         The pairs that are optimal throughout.
-    policy : (S,) int64
-        Pairs of one optimal policy.
     touches : list of (low, high, pair)
         Points inside at which one more pair is as good, and no better.
     """
 
-    before: tuple[Fraction, Fraction]
-    after: tuple[Fraction, Fraction]
-    optimal: np.ndarray
-    policy: Integers
+    before: Bracket
+    after: Bracket
+    optimal: Mask
     touches: list[tuple[Fraction, Fraction, int]]
 
 
@@ -70,25 +73,42 @@ class Sweep:
         self.policy: Integers = np.empty(0, dtype=np.int64)
 
     def __iter__(self) -> Iterator[Stretch]:
-        begin = Root(poly=self._line(self.low), low=self.low, high=self.low)
+        begin = Root(poly=flint.fmpq_poly([rational(-self.low), 1]), low=self.low, high=self.low)
         before, here = (self.low, self.low), self._settle(begin, self.high)
-        while True:
-            found = self._next(here)
-            if found is None:
-                yield self._stretch(before, (self.high, self.high), here)
-                return
+        while found := self._next(here):
             root = found.narrowed(WIDTH / 16)
-            policy, optimal, start = self.policy, self._optimal(), here
-            touches = self._touches(start, root.low)
-            here, bracket = self._cross(root, start)
-            yield Stretch(
-                before=self._shift(before),
-                after=self._shift(bracket),
-                optimal=optimal,
-                policy=policy,
-                touches=touches,
-            )
-            before = bracket
+            optimal, touches = self._optimal(), self._touches(here, root.low)
+            here, after = self._cross(root, here)
+            yield self._stretch(before, after, optimal, touches)
+            before = after
+        touches = self._touches(here, self.high)
+        yield self._stretch(before, (self.high, self.high), self._optimal(), touches)
+
+    def _stretch(
+        self,
+        before: Bracket,
+        after: Bracket,
+        optimal: Mask,
+        touches: list[tuple[Fraction, Fraction, int]],
+    ) -> Stretch:
+        return Stretch(
+            before=(before[0] + self.origin, before[1] + self.origin),
+            after=(after[0] + self.origin, after[1] + self.origin),
+            optimal=optimal,
+            touches=touches,
+        )
+
+    def _optimal(self) -> Mask:
+        return np.array([poly.degree() < 0 for poly in self.gaps.gap])
+
+    def _touches(self, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction, int]]:
+        found = []
+        for pair, touching in self.touching.items():
+            for root in touching:
+                near = root.narrowed(WIDTH)
+                if low <= near.low and near.high <= high:
+                    found.append((near.low + self.origin, near.high + self.origin, pair))
+        return sorted(found)
 
     # ---- the next root -----------------------------------------------------------------------
 
@@ -96,9 +116,7 @@ class Sweep:
         """Return the first root beyond `here` at which a gap turns negative."""
         best: Root | None = None
         for pair, poly in enumerate(self.gaps.gap):
-            if poly.degree() < 1:
-                continue
-            root = self._first(pair, poly, here)
+            root = None if poly.degree() < 1 else self._first(pair, poly, here)
             if root is not None:
                 best = root if best is None else _earlier(best, root)
         return best
@@ -121,13 +139,6 @@ class Sweep:
             self.simple[pair] = simple(poly)
         return self.simple[pair]
 
-    def _follow(self, policy: Integers) -> None:
-        self.policy = policy
-        self.gaps.follow(policy)
-        for pair in self.gaps.renewed:
-            for known in (self.simple, self.first, self.touching):
-                known.pop(pair, None)
-
     # ---- beyond a root -----------------------------------------------------------------------
 
     def _settle(self, root: Root, limit: Fraction) -> Fraction:
@@ -140,18 +151,18 @@ class Sweep:
             step = step * 3 / 64
         raise RuntimeError("no policy is optimal beyond a point: thresholds without end")
 
-    def _cross(self, root: Root, here: Fraction) -> tuple[Fraction, tuple[Fraction, Fraction]]:
+    def _cross(self, root: Root, here: Fraction) -> tuple[Fraction, Bracket]:
         """Follow the policy beyond a root; return a point where it is optimal, and the bracket."""
         width = WIDTH / 16
         for _ in range(ATTEMPTS):
-            for low, high in self._brackets(root, here):
-                if self._fits(root, (low, high)):
-                    return high, (low, high)
+            for bracket in self._brackets(root, here):
+                if self._fits(root, bracket):
+                    return bracket[1], bracket
             width /= 1024
             root = root.narrowed(width)
         raise RuntimeError("two thresholds cannot be told apart")
 
-    def _brackets(self, root: Root, here: Fraction) -> Iterator[tuple[Fraction, Fraction]]:
+    def _brackets(self, root: Root, here: Fraction) -> Iterator[Bracket]:
         """Yield intervals around a root: with short decimals first, then with any ends."""
         low = Fraction(floor((root.low + self.origin) * GRID), GRID) - self.origin
         high = Fraction(ceil((root.high + self.origin) * GRID), GRID) - self.origin
@@ -165,24 +176,20 @@ class Sweep:
             low, high = low - reach, high + reach
         yield low, high
 
-    def _fits(self, root: Root, bracket: tuple[Fraction, Fraction]) -> bool:
+    def _fits(self, root: Root, bracket: Bracket) -> bool:
         """Whether the policy that is optimal at the bracket's end is so from the root on.
 
-        The policy is followed if there is any; also proves the old policy at the other end.
+        The policy is followed if it is; also proves the old policy at the other end.
         """
-        low, high = bracket
-        if low < root.low or root.low < root.high:  # not where a walk begins
-            certificate = proven(self.at(low + self.origin))
-            if not certificate.optimal_pairs[self.policy].all():
-                return False
-        certificate = proven(self.at(high + self.origin))
-        optimal = certificate.optimal_pairs
+        (low, high), former = bracket, self.policy
+        begins = low == root.low == root.high
+        if not (begins or proven(self.at(low + self.origin)).optimal_pairs[former].all()):
+            return False
+        optimal = proven(self.at(high + self.origin)).optimal_pairs
         pairs = np.flatnonzero(optimal)
-        first = np.searchsorted(pairs, self.rows.mdp.pair_offsets[:-1])
-        former, keeps = self.policy, None
+        policy = pairs[np.searchsorted(pairs, self.rows.mdp.pair_offsets[:-1])]
         if len(former):  # where nothing has changed, nothing is worked out again
-            keeps = optimal[former]
-        policy = pairs[first] if keeps is None else np.where(keeps, former, pairs[first])
+            policy = np.where(optimal[former], former, policy)
         self._follow(policy)
         for pair, poly in enumerate(self.gaps.gap):
             if poly.degree() < 0:
@@ -195,47 +202,20 @@ class Sweep:
                 return False
         return True
 
+    def _follow(self, policy: Integers) -> None:
+        self.policy = policy
+        self.gaps.follow(policy)
+        for pair in self.gaps.renewed:
+            self.simple.pop(pair, None)
+            self.first.pop(pair, None)
+            self.touching.pop(pair, None)
+
     def _clear(self, pair: int, poly: fmpq_poly, root: Root, low: Fraction, high: Fraction) -> bool:
         """Whether a gap has no root in (low, high], that of the threshold itself apart."""
         found = list(roots(self._simple(pair, poly), low, high))
         if not found or low == root.low == root.high:
             return not found
         return len(found) == 1 and root.equals(self._simple(pair, poly)) is not None
-
-    # ---- what is told ------------------------------------------------------------------------
-
-    def _optimal(self) -> np.ndarray:
-        return np.array([poly.degree() < 0 for poly in self.gaps.gap])
-
-    def _touches(self, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction, int]]:
-        found = []
-        for pair, touching in self.touching.items():
-            for root in touching:
-                near = root.narrowed(WIDTH)
-                if low <= near.low and near.high <= high:
-                    found.append((near.low + self.origin, near.high + self.origin, pair))
-        return sorted(found)
-
-    def _stretch(
-        self, before: tuple[Fraction, Fraction], after: tuple[Fraction, Fraction], here: Fraction
-    ) -> Stretch:
-        return Stretch(
-            before=self._shift(before),
-            after=self._shift(after),
-            optimal=self._optimal(),
-            policy=self.policy,
-            touches=self._touches(here, after[0]),
-        )
-
-    def _shift(self, bracket: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
-        return bracket[0] + self.origin, bracket[1] + self.origin
-
-    def _line(self, point: Fraction) -> fmpq_poly:
-        from flint import fmpq_poly
-
-        from exact_mdp.analysis.sensitivity.exact_chain import rational
-
-        return fmpq_poly([rational(-point), 1])
 
 
 def _turns(poly: fmpq_poly, root: Root) -> bool:

@@ -15,20 +15,17 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from exact_mdp.analysis.sensitivity.exact_chain import rational
+from exact_mdp.mdp.lazy import later
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
 
+flint = later("flint")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Root:
-    """The only root of `poly`, which has no double ones, in the open interval, or low = high.
-
-    Attributes
-    ----------
-    poly : fmpq_poly
-    low, high : Fraction
-    """
+    """The only root of `poly`, which has no double ones, in the open interval, or low = high."""
 
     poly: fmpq_poly
     low: Fraction
@@ -39,7 +36,10 @@ class Root:
         low, high = self.low, self.high
         if low == high or high - low <= width:
             return self
-        right = sign(self.poly, high) or -sign(self.poly, low) or self._right_sign()
+        # Where both ends are roots themselves, the sign between this root and `high`.
+        right = (
+            sign(self.poly, high) or -sign(self.poly, low) or -sign(self.poly.derivative(), high)
+        )
         while high - low > width:
             middle = (low + high) / 2
             here = sign(self.poly, middle)
@@ -47,10 +47,6 @@ class Root:
                 return Root(poly=self.poly, low=middle, high=middle)
             low, high = (low, middle) if here == right else (middle, high)
         return Root(poly=self.poly, low=low, high=high)
-
-    def _right_sign(self) -> int:
-        """Return the sign between the root and `high` where both ends are roots themselves."""
-        return sign(self.poly.derivative(), self.high) * -1
 
     def equals(self, poly: fmpq_poly) -> fmpq_poly | None:
         """Return a factor that has this root in common with another polynomial, or None."""
@@ -63,44 +59,21 @@ class Root:
 
 
 def sign(poly: fmpq_poly, x: Fraction) -> int:
-    """Return the sign of a polynomial at a rational point.
-
-    Examples
-    --------
-    >>> from flint import fmpq_poly
-    >>> sign(fmpq_poly([-2, 0, 1]), Fraction(3, 2)), sign(fmpq_poly([-1, 1]), Fraction(1))
-    (1, 0)
-    """
+    """Return the sign of a polynomial at a rational point."""
     value = poly(rational(x))
-    return (value > 0) - (value < 0)
+    return int(value > 0) - int(value < 0)
 
 
 def variations(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
-    """Return the variations of signs of a polynomial on an open interval.
-
-    Examples
-    --------
-    >>> from flint import fmpq_poly
-    >>> variations(fmpq_poly([-2, 0, 1]), Fraction(0), Fraction(2))
-    1
-    """
-    from flint import fmpq_poly, fmpz_poly
-
-    moved = poly(fmpq_poly([rational(low), rational(high - low)])).numer()
-    turned = fmpz_poly(list(reversed(moved.coeffs())))
-    signs = [c > 0 for c in turned(fmpz_poly([1, 1])).coeffs() if c != 0]
+    """Return the variations of signs of a polynomial on an open interval."""
+    moved = poly(flint.fmpq_poly([rational(low), rational(high - low)])).numer()
+    turned = flint.fmpz_poly(list(reversed(moved.coeffs())))
+    signs = [c > 0 for c in turned(flint.fmpz_poly([1, 1])).coeffs() if c != 0]
     return sum(a != b for a, b in pairwise(signs))
 
 
 def simple(poly: fmpq_poly) -> fmpq_poly:
-    """Return the polynomial with the same roots, none of them double.
-
-    Examples
-    --------
-    >>> from flint import fmpq_poly
-    >>> simple(fmpq_poly([1, -2, 1])).degree()
-    1
-    """
+    """Return the polynomial with the same roots, none of them double."""
     if poly.degree() < 2:
         return poly
     shared = poly.gcd(poly.derivative())

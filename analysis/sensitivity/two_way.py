@@ -1,4 +1,4 @@
-"""Two parameters at once: which policy is optimal where, and what it is worth.
+"""Two parameters at once: which policy is optimal where, and its value.
 
 The model is solved at every point of a grid, the policy re-optimised; a policy that is held fixed
 is evaluated beside it. Lines between points of the map are not proved; `thresholds` proves them
@@ -7,30 +7,36 @@ along one parameter.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base import BaseCase
-from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked
+from exact_mdp.analysis.sensitivity.base_case import BaseCase
+from exact_mdp.analysis.sensitivity.one_way import grid
+from exact_mdp.analysis.sensitivity.ranges import ranges_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import evaluate, solve
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-POINTS = 11
+pandas = later("pandas")
+tqdm = later("tqdm")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TwoWay:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TwoWay(Result):
     """Optimal policies over a grid of two parameters.
 
     Attributes
@@ -60,10 +66,8 @@ class TwoWay:
 
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""
-        from pandas import DataFrame
-
         across, along = np.meshgrid(self.x_values, self.y_values)
-        return DataFrame(
+        return pandas.DataFrame(
             {
                 self.x.name: across.reshape(-1),
                 self.y.name: along.reshape(-1),
@@ -82,26 +86,34 @@ class TwoWay:
 
 
 def two_way(
-    source: Scenario | MDP | Parametric,
+    model: Scenario | MDP | Parametric,
     x: str,
     y: str,
     *,
-    bounds: dict[str, Range | tuple[object, object]] | None = None,
     policy: object = "optimal",
-    points: int = POINTS,
+    ranges: Mapping[str, object] | None = None,
+    relative: object | None = None,
+    points: int = 11,
 ) -> TwoWay:
     """Return the map of the optimal policy over two parameters.
 
     Parameters
     ----------
+    model : Scenario, MDP or Parametric
     x, y : str
         Different parameters.
-    bounds : {name: (low, high)}, optional
-        Within today's value ± 20 % where left out.
-    policy : "optimal" at today's values, or anything that `solvers.evaluate` takes
-        The policy held fixed.
+    policy : PolicyLike
+        The policy held fixed; "optimal" is the optimum at today's values.
+    ranges : {name: (low, high)}, optional
+        Today's value ± 20 % where left out, within what the model admits.
+    relative : number, optional
+        Another share than 20 %.
     points : int
         Along each side, evenly spaced, the ends included.
+
+    Returns
+    -------
+    TwoWay
 
     Raises
     ------
@@ -113,61 +125,45 @@ def two_way(
     >>> from exact_mdp.mdp.parametric import moving
     >>> rows = [(0, 0, [("1/2", 1, 4), ("1/2", 2, 0)]), (0, 1, [(1, 1, 1)])]
     >>> mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 0, 0)])], "1/2")
-    >>> found = two_way(
-    ...     moving(mdp, {"p": [(0, 1)]}),
-    ...     "p",
-    ...     "discount",
-    ...     points=2,
-    ...     bounds={"p": ("1/10", "9/10"), "discount": (0, "1/2")},
-    ... )
+    >>> ranges = {"p": ("1/10", "9/10"), "discount": (0, "1/2")}
+    >>> found = two_way(moving(mdp, {"p": [(0, 1)]}), "p", "discount", points=2, ranges=ranges)
     >>> found.actions_at(0).tolist()
     [[1, 0], [1, 0]]
     """
-    model = parametric(source)
+    family = parametric(model)
     if x == y:
         raise ModelError(f"{x} twice", where="two-way", fix="name two different parameters")
-    if points < 2:
-        raise ModelError(f"{points} points", where="two-way", fix="ask for at least 2")
-    axes = [parameter_of(model, name) for name in (x, y)]
-    stated = checked(model, bounds or {})
-    if odd := sorted(set(stated) - {x, y}):
+    if odd := sorted(set(ranges or {}) - {x, y}):
         raise ModelError(
             f"a range of {odd[0]}", where="two-way", fix=f"give ranges of {x} and {y} alone"
         )
-    spans = [stated.get(axis.name) or admitted(model, axis, around(axis)) for axis in axes]
-    grids = [[s.low + (s.high - s.low) * k / (points - 1) for k in range(points)] for s in spans]
-    base = model.at({})
-    weights = BaseCase(mdp=base).held(policy)
+    spans = ranges_of(family, [x, y], ranges, relative)
+    across, along = (grid(spans[name], points, "two-way") for name in (x, y))
+    base = BaseCase(mdp=family.at({}))
+    held = base.held(policy)
     value, fixed, error = np.zeros((3, points, points))
-    choices = np.zeros((points, points, base.n_states), dtype=np.int64)
+    choices = np.zeros((points, points, base.mdp.n_states), dtype=np.int64)
     number = np.zeros((points, points), dtype=np.int64)
     known: dict[bytes, int] = {}
-    for row, column in _progress(points):
-        mdp = model.at({x: grids[0][column], y: grids[1][row]})
-        solution = solve(mdp)
-        mean = evaluate(mdp, weights).numbers["mean"]
-        value[row, column], fixed[row, column] = solution.start_value, mean.value
-        error[row, column] = solution.start_error_bound + mean.error
-        choices[row, column] = solution.policy
+    places = list(product(range(points), repeat=2))
+    for place in tqdm.tqdm(places, desc="two-way", disable=None, leave=False):
+        mdp = family.at({x: across[place[1]], y: along[place[0]]})
+        solution, mean = solve(mdp), evaluate(mdp, held).numbers["mean"]
+        value[place], fixed[place] = solution.start.value, mean.value
+        error[place] = solution.start.error + mean.error
+        choices[place] = solution.policy
         seen = reachable(mdp, pairs=solution.pairs) & ~mdp.forced
         key = np.where(seen, solution.policy, -1).tobytes()
-        number[row, column] = known.setdefault(key, len(known))
+        number[place] = known.setdefault(key, len(known))
     return TwoWay(
-        mdp=base,
-        x=axes[0],
-        y=axes[1],
-        x_values=np.array([float(v) for v in grids[0]]),
-        y_values=np.array([float(v) for v in grids[1]]),
+        mdp=base.mdp,
+        x=parameter_of(family, x),
+        y=parameter_of(family, y),
+        x_values=np.array([float(at) for at in across]),
+        y_values=np.array([float(at) for at in along]),
         value=value,
         fixed_value=fixed,
         error=error,
         choices=choices,
         policy=number,
     )
-
-
-def _progress(points: int) -> list[tuple[int, int]]:
-    from tqdm import tqdm
-
-    places = [(row, column) for row in range(points) for column in range(points)]
-    return tqdm(places, desc="two-way", disable=None, leave=False)

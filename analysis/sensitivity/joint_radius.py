@@ -19,16 +19,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.ranges import around, checked
+from exact_mdp.analysis.sensitivity.ranges import Ranges, around, checked
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT
+from exact_mdp.mdp.result import Result
+from exact_mdp.solvers.proof.certificate import Certificate
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
 
 
-@dataclass(frozen=True, kw_only=True)
-class JointRadius:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointRadius(Result):
     """A box around today's values in which today's optimal policy is optimal.
 
     Attributes
@@ -44,15 +54,25 @@ class JointRadius:
     widths: Mapping[str, Fraction]
     state: str
 
+    def frame(self) -> DataFrame:
+        """Return one row for each parameter: how far it may move together with the others."""
+        moves = {name: float(self.share * width) for name, width in self.widths.items()}
+        return pandas.DataFrame({"parameter": list(moves), "moves by": list(moves.values())})
 
-def joint_radius(scenario: Scenario, ranges: Mapping[str, object] | None = None) -> JointRadius:
+
+def joint_radius(model: Scenario, ranges: Mapping[str, object] | None = None) -> JointRadius:
     """Return a provable inner radius for joint changes, as a share of the parameters' ranges.
 
     Parameters
     ----------
+    model : Scenario
     ranges : {name: (low, high)}, optional
         The parameters that move, and how far relative to each other: w is the distance of the
         farther end from today's value. All of them, ± 20 %, unless given.
+
+    Returns
+    -------
+    JointRadius
 
     Raises
     ------
@@ -65,43 +85,55 @@ def joint_radius(scenario: Scenario, ranges: Mapping[str, object] | None = None)
     >>> 0 < found.share < 1
     True
     """
-    family = ScenarioFamily(scenario=scenario)
+    family = ScenarioFamily(scenario=model)
     today = {parameter.name: parameter.value for parameter in family.parameters}
     if ranges is None:
-        spans = {parameter.name: around(parameter) for parameter in family.parameters}
+        spans = Ranges({parameter.name: around(parameter) for parameter in family.parameters})
     else:
         spans = checked(family, ranges)
     widths = {
         name: max(today[name] - span.low, span.high - today[name]) for name, span in spans.items()
     }
+    mdp = model.compile()
+    certificate = proven(mdp)
+    step = _step(family, widths, today, certificate)
+    if step <= 0:
+        raise ModelError("nothing moves", where="joint radius", fix="widen a range")
+    shares = {state: gap / (2 * left * step) for state, gap, left in _gaps(mdp, certificate)}
+    if not shares:
+        raise ModelError("no state with a choice", where="joint radius", fix="add an action")
+    state = min(shares, key=lambda each: shares[each])
+    return JointRadius(share=shares[state], widths=widths, state=mdp.space.label(state))
+
+
+def _step(
+    family: ScenarioFamily,
+    widths: Mapping[str, Fraction],
+    today: Mapping[str, Fraction],
+    certificate: Certificate,
+) -> Fraction:
+    """Return δ."""
     zero = Fraction(0)
     weights = {name for name in today if name.startswith("reward.")}
     reward = sum((w for name, w in widths.items() if name in weights), zero)
     chances = [name for name in widths if name not in weights and name != DISCOUNT]
     law = 2 * sum((family.degree(name) * widths[name] for name in chances), zero)
     apart = sum((abs(today[name]) for name in weights), zero)
-    mdp = scenario.compile()
-    certificate = proven(mdp)
     value = certificate.value
     span, size = max(value) - min(value), max(abs(v) for v in value)
-    step = reward + law * (apart + span) / 2 + widths.get(DISCOUNT, zero) * size
-    if step <= 0:
-        raise ModelError("nothing moves", where="joint radius", fix="widen a range")
+    return reward + law * (apart + span) / 2 + widths.get(DISCOUNT, zero) * size
+
+
+def _gaps(mdp: MDP, certificate: Certificate) -> list[tuple[int, Fraction, int]]:
+    """Return each state with a choice, its gap, and the steps that are left at most."""
     trials = mdp.space.column("trial").size
     places = mdp.space.column("subtask").size * trials
-    subtask, trial = mdp.space.values("subtask"), mdp.space.values("trial")
-    best: tuple[Fraction, int] | None = None
-    single = mdp.forced | mdp.terminal
-    for state in range(mdp.n_states):
-        if single[state]:
-            continue
-        left = places - int(subtask[state]) * trials - int(trial[state])
-        optimal = certificate.optimal_pairs[list(mdp.pairs_of(state))]
-        # Several optimal actions today may part at once.
-        gap = certificate.gaps[state] if optimal.sum() == 1 else zero
-        share = gap / (2 * left * step)
-        if best is None or share < best[0]:
-            best = (share, state)
-    if best is None:
-        raise ModelError("no state with a choice", where="joint radius", fix="add an action")
-    return JointRadius(share=best[0], widths=widths, state=mdp.space.label(best[1]))
+    gone = (mdp.space.values("subtask") * trials + mdp.space.values("trial")).tolist()
+    found = []
+    for state, single in enumerate((mdp.forced | mdp.terminal).tolist()):
+        if not single:
+            optimal = certificate.optimal_pairs[list(mdp.pairs_of(state))]
+            # Several optimal actions today may part at once.
+            gap = certificate.gaps[state] if optimal.sum() == 1 else Fraction(0)
+            found.append((state, gap, places - gone[state]))
+    return found

@@ -1,0 +1,275 @@
+"""Every value of a parameter at which an optimal action changes, and where none does.
+
+Within a piece of the parameter's range a policy stays optimal up to a root of one of its gap
+polynomials (`analysis.sensitivity.gap_polynomials`); `analysis.sensitivity.optimal_stretches` goes
+from root to root and solves the model exactly on both sides of each.
+
+The stability radius is the distance from today's value to the nearest threshold on either side, the
+policy being re-optimised (threshold analysis in the sense of the ISPOR-SMDM good practices: Briggs
+et al., Medical Decision Making 32, 2012).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.gap_polynomials import Rows
+from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Stretch, Sweep
+from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.row_change import Piece, row_change
+from exact_mdp.solvers.solution import Claim
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+COLUMNS = ("parameter", "unit", "today", "threshold", "state", "before", "after", "reached")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Switch:
+    """A state whose optimal actions change at a threshold.
+
+    Attributes
+    ----------
+    state : int
+    label : str
+    columns : mapping
+        The state's named columns, such as subtask, trial and status.
+    before, after : tuple of str
+        All optimal actions below and above the threshold.
+    reached : bool
+        Whether an optimal policy comes to the state from the start, below or above.
+    """
+
+    state: int
+    label: str
+    columns: Mapping[str, Any]
+    before: tuple[str, ...]
+    after: tuple[str, ...]
+    reached: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threshold:
+    """A value at which optimal actions change, between two rationals at most 1e-12 apart.
+
+    The optimum has been proved at both. `touch` is True where another action becomes as good at
+    one point and no better on either side.
+    """
+
+    low: Fraction
+    high: Fraction
+    switches: tuple[Switch, ...]
+    touch: bool = False
+
+    @property
+    def value(self) -> float:
+        """The middle of the bracket."""
+        return float((self.low + self.high) / 2)
+
+    @property
+    def reached(self) -> bool:
+        """Whether a state that optimal policies come to is among those that change."""
+        return any(switch.reached for switch in self.switches)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Thresholds(Result):
+    """All thresholds of one parameter within a range, in rising order.
+
+    Attributes
+    ----------
+    parameter : Parameter
+    range : Range
+    found : tuple of Threshold
+    checked : int or None
+        Points at which the degree of a family's rows was checked, where it is not proven: there may
+        be more thresholds. None where a proof says that there are no others.
+    """
+
+    parameter: Parameter
+    range: Range
+    found: tuple[Threshold, ...]
+    checked: int | None = None
+
+    @property
+    def claim(self) -> Claim:
+        """Certified, or estimated where the degree of the rows is checked and not proven."""
+        return Claim.CERTIFIED if self.checked is None else Claim.ESTIMATED
+
+    def frame(self) -> DataFrame:
+        """Return one row for each state that changes at a threshold."""
+        rows = [
+            {
+                "parameter": self.parameter.name,
+                "unit": unit_of(self.parameter),
+                "today": float(self.parameter.value),
+                "threshold": threshold.value,
+                **switch.columns,
+                "state": switch.label,
+                "before": " or ".join(switch.before),
+                "after": " or ".join(switch.after),
+                "reached": switch.reached,
+                "touch": threshold.touch,
+                "claim": str(self.claim),
+            }
+            for threshold in self.found
+            for switch in threshold.switches
+        ]
+        return pandas.DataFrame(rows) if rows else pandas.DataFrame(columns=list(COLUMNS))
+
+    def stable(self, *, reached: bool = False) -> tuple[Fraction, Fraction]:
+        """Return the interval around today's value in which no optimal action changes.
+
+        It has the claim of the thresholds: its ends are the near ends of brackets, or the ends of
+        the range.
+
+        Parameters
+        ----------
+        reached : bool
+            Count only states that an optimal policy comes to from the start.
+
+        Returns
+        -------
+        low, high : Fraction
+        """
+        low, high, today = self.range.low, self.range.high, self.parameter.value
+        for each in self.found:
+            if each.touch or (reached and not each.reached):
+                continue
+            if each.high < today:
+                low = max(low, each.high)
+            elif each.low > today:
+                high = min(high, each.low)
+            else:
+                return today, today
+        return low, high
+
+    @property
+    def radius(self) -> Fraction:
+        """The policy's stability radius: how far the parameter may move either way.
+
+        Where no threshold is nearer, the distance to an end of the range that is not an end of
+        what the parameter may be.
+        """
+        low, high = self.stable()
+        today, parameter = self.parameter.value, self.parameter
+        sides = []
+        if low != parameter.low:
+            sides.append(today - low)
+        if high != parameter.high:
+            sides.append(high - today)
+        return min(sides, default=max(today - low, high - today))
+
+
+def thresholds(
+    model: Scenario | MDP | Parametric,
+    name: str,
+    ranges: Mapping[str, object] | Range | tuple[object, object] | None = None,
+    *,
+    relative: object | None = None,
+) -> Thresholds:
+    """Return every threshold of a parameter, the others held and the policy re-optimised.
+
+    Parameters
+    ----------
+    model : Scenario, MDP or Parametric
+    name : str
+        The parameter.
+    ranges : (low, high) or {name: (low, high)}, optional
+        Today's value ± 20 % unless given, within what the model admits.
+    relative : number, optional
+        Another share than 20 %.
+
+    Returns
+    -------
+    Thresholds
+        Those inside the range, touches included; its own ends are not looked at. They are certified
+        where the degree of the rows is proven; where that of a `mdp.parametric.Family` is only
+        checked at some points they say so.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name, an empty range, a model with cycles that is too large, or rows that are
+        no polynomials of the degree that a family states.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
+    >>> found = thresholds(MDP.from_outcomes(rows, "1/2"), "discount", ("1/10", "99/100"))
+    >>> [threshold.value for threshold in found.found]  # 10/11: Puterman (1994), section 3.1
+    [0.90909090909...]
+    """
+    family = parametric(model)
+    span = range_of(family, name, ranges, relative)
+    inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
+    stretches: list[Stretch] = []
+    checked_at: int | None = None
+    for low, high in pairwise(sorted({span.low, *inside, span.high})):
+        middle = (low + high) / 2
+        base = family.at({name: middle})
+        change = row_change(family, name, Piece(low=low, high=high), origin=middle, base=base)
+        checked_at = checked_at if change.checked is None else change.checked
+        stretches += Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high)
+    mdp = family.at({})
+    found: list[Threshold] = []
+    for left, right in pairwise(stretches):
+        both = (left.optimal, right.optimal)
+        low, high = left.after[0], max(left.after[1], right.before[1])
+        if switches := _switches(mdp, *both, met=both):
+            found.append(Threshold(low=low, high=high, switches=switches))
+        if low == high:  # a breakpoint: rows have a kink there, and so may a gap that is 0 there
+            more = left.optimal | (proven(family.at({name: low})).optimal_pairs & ~right.optimal)
+            more = np.where(mdp.terminal[mdp.pair_state], left.optimal, more)
+            if switches := _switches(mdp, left.optimal, more, met=both):
+                found.append(Threshold(low=low, high=high, switches=switches, touch=True))
+    for each in stretches:
+        for low, high, pair in each.touches:
+            more = each.optimal.copy()
+            more[pair] = True
+            switches = _switches(mdp, each.optimal, more, met=(each.optimal,))
+            found.append(Threshold(low=low, high=high, switches=switches, touch=True))
+    found.sort(key=lambda threshold: threshold.low)
+    parameter = parameter_of(family, name)
+    return Thresholds(parameter=parameter, range=span, found=tuple(found), checked=checked_at)
+
+
+def _switches(mdp: MDP, before: Mask, after: Mask, *, met: tuple[Mask, ...]) -> tuple[Switch, ...]:
+    """Return the states whose optimal pairs (L,) change; `met`: what policies may take, (L,)."""
+    states = np.unique(mdp.pair_state[before != after]).tolist()
+    if not states:
+        return ()
+    seen = np.any([reachable(mdp, pairs=pairs) for pairs in met], axis=0)
+
+    def actions(state: int, optimal: Mask) -> tuple[str, ...]:
+        taken = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
+        return tuple(mdp.actions[mdp.pair_action[pair]] for pair in taken)
+
+    return tuple(
+        Switch(
+            state=state,
+            label=mdp.space.label(state),
+            columns=dict(mdp.space.as_dict(state)),
+            before=actions(state, before),
+            after=actions(state, after),
+            reached=bool(seen[state]),
+        )
+        for state in states
+    )

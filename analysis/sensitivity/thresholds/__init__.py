@@ -1,1 +1,0 @@
-"""Every value of a parameter at which an optimal action changes."""
