@@ -47,7 +47,7 @@ optimum = solve(mdp).start_value
 # %%
 schedules = {"constant ε": PAPER_CONSTANT, "decaying ε": PAPER_DECAYING}
 runs = {
-    label: train_many(mdp, QLearning(exploration=exploration), 20, seed=0, n_jobs=2)
+    label: train_many(mdp, QLearning(exploration=exploration), 20, rng=0, n_jobs=2)
     for label, exploration in schedules.items()
 }
 
@@ -60,7 +60,7 @@ runs = {
 # of it: the dots lie on several levels, one for each policy that the learner passes through.
 
 # %%
-curves = {label: learning_curve(mdp, each[0], seed=1) for label, each in runs.items()}
+curves = {label: learning_curve(mdp, each[0], rng=1) for label, each in runs.items()}
 with style():
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.4), dpi=80, sharey=True)
     for ax, (label, curve) in zip(axes, curves.items(), strict=True):

@@ -64,7 +64,7 @@ class Learned:
         """The first run's curve as the paper draws it: 40 experiments each epoch."""
         number = list(SCHEDULES).index(self.schedule)
         seed = child(child(self.seed, 2**20), number)
-        return learning_curve(self.outcomes.mdp, self.runs[0], seed=seed)
+        return learning_curve(self.outcomes.mdp, self.runs[0], rng=seed)
 
     @property
     def final(self) -> Integers:
@@ -98,7 +98,7 @@ def learn(mdp: MDP, schedule: str, *, runs: int, seed: int, folder: Path | None 
     """Train with so many seeds; runs that the folder holds are not done again."""
     number = list(SCHEDULES).index(schedule)
     trained = train_many(
-        mdp, settings(schedule), runs, seed=child(seed, number), n_jobs=None, out=folder
+        mdp, settings(schedule), runs, rng=child(seed, number), n_jobs=None, out=folder
     )
     return Learned(
         schedule=schedule, runs=trained, outcomes=outcomes(mdp, trained, bound=False), seed=seed
@@ -107,4 +107,4 @@ def learn(mdp: MDP, schedule: str, *, runs: int, seed: int, folder: Path | None 
 
 def random_baseline(mdp: MDP, seed: int) -> LearningCurve:
     """Return the random strategy's curve: 40 experiments each epoch."""
-    return random_curve(mdp, QLearning().epochs, seed=child(child(seed, 2**20), len(SCHEDULES)))
+    return random_curve(mdp, QLearning().epochs, rng=child(child(seed, 2**20), len(SCHEDULES)))

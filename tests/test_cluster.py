@@ -30,7 +30,6 @@ from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import moving
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.readings import search as reading_search
-from exact_mdp.solvers.learning import training as training_module
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.parallel import cluster as cluster_module
@@ -201,9 +200,9 @@ GIVES_UP = pytest.mark.parametrize("killer", [0], ids=["scheduler gives up"], in
 def test_a_training_loses_nothing_with_a_worker(address: str, killer: Kill, tmp_path: Path) -> None:
     mdp = Scenario.load("yuan2025").compile()
     learner = QLearning(epochs=30)
-    wanted = train_many(mdp, learner, 24, seed=0, out=tmp_path / "here")
-    killer(training_module)
-    found = train_many(mdp, learner, 24, seed=0, scheduler=address, out=tmp_path / "there")
+    wanted = train_many(mdp, learner, 24, rng=0, out=tmp_path / "here")
+    killer(many_module)
+    found = train_many(mdp, learner, 24, rng=0, scheduler=address, out=tmp_path / "there")
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
     for a, b in zip(found, wanted, strict=True):
         assert a.q.tobytes() == b.q.tobytes()

@@ -26,7 +26,7 @@ def care() -> MDP:
 
 @pytest.fixture(scope="module")
 def runs(care: MDP) -> list[TrainingRun]:
-    return train_many(care, SHORT, 24, seed=3, n_jobs=2)
+    return train_many(care, SHORT, 24, rng=3, n_jobs=2)
 
 
 # ---- outcomes ------------------------------------------------------------------------------------
@@ -77,7 +77,7 @@ def test_an_optimal_policy_has_no_regret() -> None:
     """Two actions that are equally good: whatever is learned is optimal."""
     rows = [(0, a, [("1/3", 1, 3), ("2/3", 1, 0)]) for a in range(2)]
     mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
-    found = outcomes(mdp, train_many(mdp, QLearning(epochs=10), 10, seed=0))
+    found = outcomes(mdp, train_many(mdp, QLearning(epochs=10), 10, rng=0))
     assert found.regret.tolist() == [0.0] * 10
     assert found.optimal_fraction == found.best_fraction == 1.0
     assert found.best is None
@@ -88,7 +88,7 @@ def test_reading_less_is_told_from_learning_badly() -> None:
     """One action for all states cannot be optimal; the learner is not to blame for that."""
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 2, 0)]), (1, 1, [(1, 2, 3)])]
     mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
-    found = outcomes(mdp, train_many(mdp, QLearning(epochs=50, columns=()), 10, seed=0))
+    found = outcomes(mdp, train_many(mdp, QLearning(epochs=50, columns=()), 10, rng=0))
     assert found.optimum.value == 4
     assert found.best_value.value == 3
     assert found.regret.tolist() == [1.0] * 10
@@ -108,7 +108,7 @@ def test_runs_of_another_model_are_refused(care: MDP, runs: list[TrainingRun]) -
 
 
 def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[TrainingRun]) -> None:
-    curve = learning_curve(care, runs[0], seed=5)
+    curve = learning_curve(care, runs[0], rng=5)
     assert len(curve.sampled) == SHORT.epochs
     assert curve.experiments == 40
     error = curve.standard_error
@@ -116,13 +116,13 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
     assert 0.8 < ((curve.sampled - curve.exact) ** 2).sum() / (error**2).sum() < 1.25
     last = runs[0].policies[runs[0].snapshots[-1]]
     assert curve.exact[-1] == pytest.approx(evaluate(care, Policy.by(care, ("status",), last)).mean)
-    again = learning_curve(care, runs[0], seed=5)
+    again = learning_curve(care, runs[0], rng=5)
     assert again.sampled.tobytes() == curve.sampled.tobytes()
-    assert learning_curve(care, runs[0], seed=6).sampled.tobytes() != curve.sampled.tobytes()
+    assert learning_curve(care, runs[0], rng=6).sampled.tobytes() != curve.sampled.tobytes()
 
 
 def test_the_random_baseline(care: MDP) -> None:
-    curve = random_curve(care, 300, seed=1)
+    curve = random_curve(care, 300, rng=1)
     exact = evaluate(care, "random")
     assert set(curve.exact) == {exact.mean}
     assert abs(curve.sampled.mean() - exact.mean) < 4 * exact.sd / sqrt(300 * 40)
@@ -135,7 +135,7 @@ def test_discounted_curves_of_another_reading() -> None:
         .compile()
     )
     run = QLearning(epochs=60, columns=("trial", "status")).train(mdp, 1)
-    curve = learning_curve(mdp, run, seed=0, experiments=200)
+    curve = learning_curve(mdp, run, rng=0, n=200)
     error = sqrt((curve.standard_error**2).sum())
     assert abs((curve.sampled - curve.exact).sum()) < 4 * error
 
@@ -143,7 +143,7 @@ def test_discounted_curves_of_another_reading() -> None:
 def test_exact_curves_of_many_runs(care: MDP, runs: list[TrainingRun]) -> None:
     values = exact_curves(care, runs)
     assert values.shape == (24, SHORT.epochs)
-    assert values[0].tolist() == learning_curve(care, runs[0], seed=5).exact.tolist()
+    assert values[0].tolist() == learning_curve(care, runs[0], rng=5).exact.tolist()
     assert values[:, -20:].mean() > values[:, :5].mean()
 
 
@@ -228,7 +228,7 @@ def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, s
     learner = QLearning(epochs=40, exploration=Exponential(minimum=0.05, decay=0.1))
     count = 24
     scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=[1, 1])
-    ours = train_many(scenario.compile(), learner, 8 * count, seed=90210)
+    ours = train_many(scenario.compile(), learner, 8 * count, rng=90210)
     care = oracle.Oracle(readings, tasks=[1, 1])
     theirs = [learn_alone(care, learner, 77_000 + number) for number in range(count)]
 

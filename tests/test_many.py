@@ -117,4 +117,4 @@ def test_a_wrong_number_of_processes_is_refused(n_jobs: Any) -> None:
 def test_a_training_by_a_wrong_number_of_threads_is_refused(n_jobs: Any) -> None:
     mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])], 1)
     with pytest.raises(ModelError, match="n_jobs is"):
-        train_many(mdp, QLearning(epochs=1), 2, seed=0, n_jobs=n_jobs)
+        train_many(mdp, QLearning(epochs=1), 2, rng=0, n_jobs=n_jobs)

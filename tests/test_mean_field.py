@@ -167,7 +167,7 @@ def test_a_coins_noise_is_known_and_simulated() -> None:
     assert np.isnan(found.q[1, 0])
     assert found.spread(rate)[0, 0] ** 2 == pytest.approx(rate / (2 - rate))
     learner = QLearning(epochs=4, rate=Constant(rate), last=1, snapshot_episode=0)
-    values = np.array([run.q[0, 0] for run in train_many(mdp, learner, 1500, seed=0)])
+    values = np.array([run.q[0, 0] for run in train_many(mdp, learner, 1500, rng=0)])
     assert values.var() == pytest.approx(rate / (2 - rate), rel=0.15)
     assert abs(values.mean()) < 4 * values.std() / np.sqrt(1500)
 
@@ -183,9 +183,9 @@ def test_a_rate_that_does_not_settle_is_refused(field: MeanField) -> None:
 def test_the_predicted_shares_are_those_of_training(care: MDP) -> None:
     """The greedy action in 0000 over held-out seeds, against a theory that samples no episode."""
     learner = QLearning(epochs=1500)
-    theory = predict(care, learner, row=0, policy=SETTLED, replicas=64, episodes=4000)
+    theory = predict(care, learner, row=0, policy=SETTLED, n=64, episodes=4000)
     assert theory.label == "status 0000"
-    runs = train_many(care, learner, 160, seed=4242, n_jobs=2)
+    runs = train_many(care, learner, 160, rng=4242, n_jobs=2)
     counts = outcomes(care, runs, bound=False).choices(0)
     switching, linear = compare(theory.switching, counts), compare(theory.linear, counts)
     assert switching.distance < 2.5 * switching.noise

@@ -32,21 +32,21 @@ def care() -> MDP:
 
 @pytest.fixture(scope="module")
 def found(care: MDP) -> Outcomes:
-    return outcomes(care, train_many(care, LEARNER, 12, seed=0))
+    return outcomes(care, train_many(care, LEARNER, 12, rng=0))
 
 
 @pytest.fixture(scope="module")
 def curves(care: MDP) -> dict[str, LearningCurve]:
     run = LEARNER.train(care, 0)
     return {
-        "constant ε": learning_curve(care, run, seed=1),
-        "random": random_curve(care, 40, seed=2),
+        "constant ε": learning_curve(care, run, rng=1),
+        "random": random_curve(care, 40, rng=2),
     }
 
 
 @pytest.fixture(scope="module")
 def theory(care: MDP) -> Prediction:
-    return predict(care, LEARNER, replicas=4, episodes=60)
+    return predict(care, LEARNER, n=4, episodes=60)
 
 
 @pytest.fixture

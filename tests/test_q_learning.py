@@ -22,7 +22,6 @@ from exact_mdp.solvers.learning.schedules import (
     PAPER_DECAYING,
     Constant,
     Exponential,
-    Harmonic,
 )
 from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.values.policy_values import policy_values
@@ -89,9 +88,7 @@ def test_every_bit_is_the_twins(other: MDP, method: str, ties: str, bootstrap_en
     [
         QLearning(epochs=60, exploration=PAPER_DECAYING),
         QLearning(epochs=8, columns=("subtask", "trial", "status"), initial=50.0, last=7),
-        QLearning(
-            epochs=9, columns=("trial", "status"), discount=1, rate=Harmonic(first=1, scale=3)
-        ),
+        QLearning(epochs=9, columns=("trial", "status"), discount=1, rate=Exponential(decay=0.3)),
         QLearning(epochs=5, columns=(), rate=Exponential(decay=0.5), snapshot_episode=0),
         QLearning(epochs=30, episodes=3, snapshot_episode=3, max_steps=4, last=500),
         QLearning(epochs=10, exploration=Constant(1.0), ties="random", initial=-3.5),
@@ -222,7 +219,7 @@ def test_bad_settings_are_refused(settings: dict[str, object]) -> None:
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "0", None, True])
 def test_a_bad_seed_is_refused(care: MDP, seed: object) -> None:
-    with pytest.raises(ModelError, match="seed"):
+    with pytest.raises(ModelError, match="source of random numbers"):
         QLearning(epochs=1).train(care, seed)
 
 
@@ -354,10 +351,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_workers_and_number_of_runs_change_nothing(care: MDP, tmp_path: Path) -> None:
-    alone = train_many(care, SMALL, 7, seed=0, n_jobs=1, out=tmp_path / "one")
-    many = train_many(care, SMALL, 7, seed=0, n_jobs=3, out=tmp_path / "three")
+    alone = train_many(care, SMALL, 7, rng=0, n_jobs=1, out=tmp_path / "one")
+    many = train_many(care, SMALL, 7, rng=0, n_jobs=3, out=tmp_path / "three")
     assert contents(tmp_path / "one") == contents(tmp_path / "three")
-    few = train_many(care, SMALL, 2, seed=0)
+    few = train_many(care, SMALL, 2, rng=0)
     for a, b in [*zip(alone, many, strict=True), *zip(alone, few, strict=False)]:
         assert a.q.tobytes() == b.q.tobytes()
         assert np.array_equal(a.policies[a.snapshots], b.policies[b.snapshots])
@@ -380,15 +377,15 @@ def test_finished_runs_are_kept_and_used_again(
 
     monkeypatch.setattr(Trainer, "run", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        train_many(care, SMALL, 8, seed=1, out=tmp_path)
+        train_many(care, SMALL, 8, rng=1, out=tmp_path)
     assert sorted(path.name for path in tmp_path.glob("*.npz")) == [
         f"runs-{number:06d}.npz" for number in range(5)
     ]
     done.clear()
     monkeypatch.setattr(Trainer, "run", lambda self, seed: done.append(seed) or once(self, seed))
-    runs = train_many(care, SMALL, 8, seed=1, out=tmp_path)
+    runs = train_many(care, SMALL, 8, rng=1, out=tmp_path)
     assert len(done) == 3
-    fresh = train_many(care, SMALL, 8, seed=1)
+    fresh = train_many(care, SMALL, 8, rng=1)
     for a, b in zip(runs, fresh, strict=True):
         assert a.q.tobytes() == b.q.tobytes()
         assert (a.steps, a.cut_short, a.space) == (b.steps, b.cut_short, b.space)
@@ -396,47 +393,47 @@ def test_finished_runs_are_kept_and_used_again(
         assert np.array_equal(a.last, b.last)
         assert np.array_equal(a.returns, b.returns)
     done.clear()
-    more = train_many(care, SMALL, 9, seed=1, out=tmp_path)
+    more = train_many(care, SMALL, 9, rng=1, out=tmp_path)
     assert (len(more), len(done)) == (9, 1)
 
 
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"seed": 2}, "seed"),
+        ({"rng": 2}, "seed"),
         ({"settings": QLearning(epochs=5)}, "settings"),
-        ({"mdp": CARE.with_(tasks=[1]).compile()}, "model_hash"),
+        ({"model": CARE.with_(tasks=[1]).compile()}, "model_hash"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_a_folder_of_another_training_is_refused(
     care: MDP, tmp_path: Path, changes: dict[str, object], named: str
 ) -> None:
-    given = {"mdp": care, "settings": SMALL, "runs": 1, "seed": 1, "out": tmp_path}
+    given = {"model": care, "settings": SMALL, "n": 1, "rng": 1, "out": tmp_path}
     train_many(**given)
     with pytest.raises(ModelError, match=named):
         train_many(**given | changes)
 
 
 def test_a_damaged_file_is_named(care: MDP, tmp_path: Path) -> None:
-    train_many(care, SMALL, 1, seed=1, out=tmp_path)
+    train_many(care, SMALL, 1, rng=1, out=tmp_path)
     path = tmp_path / "runs-000000.npz"
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(ModelError, match="damaged") as refused:
-        train_many(care, SMALL, 1, seed=1, out=tmp_path)
+        train_many(care, SMALL, 1, rng=1, out=tmp_path)
     assert refused.value.where == str(path)
     (tmp_path / "training.json").write_text("{")
     with pytest.raises(ModelError, match="broken JSON"):
-        train_many(care, SMALL, 1, seed=1, out=tmp_path)
+        train_many(care, SMALL, 1, rng=1, out=tmp_path)
     (tmp_path / "training.json").write_text(json.dumps([]))
     with pytest.raises(ModelError, match="differs"):
-        train_many(care, SMALL, 1, seed=1, out=tmp_path)
+        train_many(care, SMALL, 1, rng=1, out=tmp_path)
 
 
 @pytest.mark.parametrize("runs", [0, -1, 1.5, True])
 def test_a_bad_number_of_runs_is_refused(care: MDP, runs: object) -> None:
     with pytest.raises(ModelError, match="runs"):
-        train_many(care, SMALL, runs, seed=0)
+        train_many(care, SMALL, runs, rng=0)
 
 
 def test_settings_and_runs_cannot_be_changed(care: MDP) -> None:

@@ -105,7 +105,7 @@ def test_learning_is_that_of_the_training_module(tmp_path: Path) -> None:
     assert found.readings.tolist() == [0, 0, 8]  # 1 differs from 0 in the evaluation alone
     mdp = search.reading(8).compile()
     for place, settings in enumerate(SETTINGS.values()):
-        runs = train_many(mdp, settings, 3, seed=4)
+        runs = train_many(mdp, settings, 3, rng=4)
         assert found.unique[2, place].tolist() == outcomes(mdp, runs, bound=False).distinct.tolist()
         assert np.array_equal(found.final[2, place], [run.final for run in runs])
     again = learning(search, [0, 1, 8], seeds=3, seed=4, n_jobs=1, out=tmp_path)

@@ -100,7 +100,7 @@ def train(
         loaded.mdp,
         settings,
         count,
-        seed=first,
+        rng=first,
         n_jobs=workers,
         scheduler=scheduler,
         out=out,

@@ -9,24 +9,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.random import SeedSequence
 
 from exact_mdp.analysis.learning.outcomes import common_rows
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.learning.q_learning import TrainingRun
-from exact_mdp.solvers.learning.sampler import Rows, child, rows_of, scores, stream, tables
+from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, scores, stream, tables
 from exact_mdp.solvers.values.policy_values import policy_values
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+kernels, pandas = later("exact_mdp.solvers.kernels"), later("pandas")
 
 EXPERIMENTS = 40
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LearningCurve:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LearningCurve(Result):
     """Mean returns of the greedy policies of E epochs, by experiment and exact.
 
     Attributes
@@ -35,6 +42,7 @@ class LearningCurve:
         Mean of `experiments` sampled returns, and its standard error.
     exact, error : (E,)
         Value of the same policy, up to rounding.
+    experiments : int
     cut_short : int
         Experiments that did not end; they are counted as far as they went.
     """
@@ -46,108 +54,120 @@ class LearningCurve:
     experiments: int
     cut_short: int
 
+    @property
+    def value(self) -> Floats:
+        """(E,) the exact values."""
+        return self.exact
+
+    def frame(self) -> DataFrame:
+        """Return one row for each epoch."""
+        return pandas.DataFrame(
+            {
+                "exact value (reward)": self.exact,
+                "mean of experiments (reward)": self.sampled,
+                "standard error (reward)": self.standard_error,
+            },
+            index=pandas.RangeIndex(len(self.exact), name="epoch"),
+        )
+
 
 def learning_curve(
-    mdp: MDP,
+    model: MDP,
     run: TrainingRun,
     *,
-    seed: int | SeedSequence,
-    experiments: int = EXPERIMENTS,
+    rng: Seed,
+    n: int = EXPERIMENTS,
     max_steps: int = 10_000,
 ) -> LearningCurve:
     """Return the curve of one run: each epoch's greedy policy, tried and evaluated exactly.
+
+    Parameters
+    ----------
+    model : MDP
+    run : TrainingRun
+    rng : int, numpy.random.Generator or SeedSequence
+    n : int
+        Experiments with each policy.
+    max_steps : int
+        Experiments are cut short after so many timesteps.
+
+    Returns
+    -------
+    LearningCurve
+
+    Raises
+    ------
+    ModelError
+        For a run on another model, or fewer than two experiments.
 
     Examples
     --------
     >>> from exact_mdp import Scenario
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> curve = learning_curve(mdp, QLearning(epochs=50).train(mdp, seed=0), seed=1)
+    >>> curve = learning_curve(mdp, QLearning(epochs=50).train(mdp, rng=0), rng=1)
     >>> curve.exact.shape, bool(abs(curve.sampled - curve.exact).mean() < 15)
     ((50,), True)
     """
-    rows = common_rows(mdp, [run])
-    values = policy_values(mdp, rows, run.policies)
-    table = scores(run.policies, mdp.n_actions)
-    return _curve(
-        mdp,
-        rows,
-        table,
-        run.snapshots,
-        values.value[run.snapshots],
-        values.error[run.snapshots],
-        0.0,
-        (experiments, max_steps),
-        seed,
-    )
+    values = policy_values(model, common_rows(model, [run]), run.policies)
+    exact = values.value[run.snapshots], values.error[run.snapshots]
+    table = scores(run.policies, model.n_actions)
+    return _curve(model, run.space.names, table, run.snapshots, exact, 0.0, (n, max_steps), rng)
 
 
 def random_curve(
-    mdp: MDP,
+    model: MDP,
     epochs: int,
     *,
-    seed: int | SeedSequence,
-    experiments: int = EXPERIMENTS,
+    rng: Seed,
+    n: int = EXPERIMENTS,
     max_steps: int = 10_000,
 ) -> LearningCurve:
     """Return the same curve for actions drawn uniformly, the authors' baseline."""
-    rows = rows_of(mdp)
-    exact = evaluate(mdp, "random")
+    found = evaluate(model, "random")
+    exact = np.full(epochs, found.mean), np.full(epochs, found.error_bound)
+    table = np.zeros((1, rows_of(model).offered.size))
     which = np.zeros(epochs, dtype=np.int64)
-    return _curve(
-        mdp,
-        rows,
-        np.zeros((1, rows.offered.size)),
-        which,
-        np.full(epochs, exact.mean),
-        np.full(epochs, exact.error_bound),
-        1.0,
-        (experiments, max_steps),
-        seed,
-    )
+    return _curve(model, None, table, which, exact, 1.0, (n, max_steps), rng)
 
 
-def exact_curves(mdp: MDP, runs: Sequence[TrainingRun]) -> Floats:
+def exact_curves(model: MDP, runs: Sequence[TrainingRun]) -> Floats:
     """Return (R, E) exact values of the greedy policy of every epoch of every run."""
-    rows = common_rows(mdp, runs)
-    found = [policy_values(mdp, rows, run.policies).value[run.snapshots] for run in runs]
+    rows = common_rows(model, runs)
+    found = [policy_values(model, rows, run.policies).value[run.snapshots] for run in runs]
     return np.array(found)
 
 
 def _curve(
-    mdp: MDP,
-    rows: Rows,
+    model: MDP,
+    columns: Sequence[str] | None,
     table: Floats,
     which: Numbers,
-    exact: Floats,
-    error: Floats,
+    exact: tuple[Floats, Floats],
     chance: float,
     sizes: tuple[int, int],
-    seed: int | SeedSequence,
+    rng: Seed,
 ) -> LearningCurve:
-    from exact_mdp.solvers import kernels
-
-    experiments, max_steps = sizes
-    if experiments < 2:
-        raise ModelError(
-            f"{experiments} experiments", where="learning curve", fix="make two or more"
-        )
-    returns = np.zeros((len(which), experiments))
+    """Return a curve with the policies `which` of `table`, acting at random by `chance`."""
+    n, max_steps = sizes
+    if n < 2:
+        raise ModelError(f"n is {n} experiments", where="learning curve", fix="make two or more")
+    returns = np.zeros((len(which), n))
     cut_short = kernels.rollouts(
-        tables(mdp, rows),
-        stream(child(seed, 0)),
+        tables(model, rows_of(model, columns)),
+        stream(child(rng, 0)),
         table,
         np.ascontiguousarray(which, dtype=np.int64),
         chance,
-        mdp.discount,
+        model.discount,
         max_steps,
         returns,
     )
     return LearningCurve(
         sampled=returns.mean(axis=1),
-        standard_error=returns.std(axis=1, ddof=1) / np.sqrt(experiments),
-        exact=exact,
-        error=error,
-        experiments=experiments,
+        standard_error=returns.std(axis=1, ddof=1) / np.sqrt(n),
+        exact=exact[0],
+        error=exact[1],
+        experiments=n,
         cut_short=int(cut_short),
     )

@@ -18,22 +18,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exact_mdp.analysis.learning.outcomes import Interval, share_interval
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.learning.mean_field import MeanField, settle
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.sampler import rows_of
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
 DRAWS = 2**18
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Prediction:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Prediction(Result):
     """How often each action of a row should be greedy at the end of training.
 
     Attributes
@@ -64,9 +73,29 @@ class Prediction:
     switching: Floats
     switching_error: Floats
 
+    @property
+    def actions(self) -> Integers:
+        """(n,) the actions that the row offers."""
+        return np.flatnonzero(~np.isnan(self.gaps))
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+    def frame(self) -> DataFrame:
+        """Return one row for each action that is offered."""
+        some = self.actions
+        return pandas.DataFrame(
+            {
+                "Q": self.field.q[self.row, some],
+                "gap": self.gaps[some],
+                "noise": self.spread[some],
+                "linear": self.linear[some],
+                "switching": self.switching[some],
+                "switching error": self.switching_error[some],
+            },
+            index=pandas.Index([self.field.mdp.actions[a] for a in some], name="action"),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Result):
     """A prediction beside what runs ended with.
 
     Attributes
@@ -86,27 +115,40 @@ class Comparison:
     distance: float
     noise: float
 
+    def frame(self) -> DataFrame:
+        """Return one row for each action."""
+        low, high = np.array(self.intervals).T
+        return pandas.DataFrame({"runs": self.counts, "low share": low, "high share": high})
+
 
 def predict(
-    mdp: MDP,
+    model: MDP,
     settings: QLearning,
     *,
     row: int = 0,
     policy: Sequence[int] | None = None,
-    seed: int = 0,
-    replicas: int = 128,
+    rng: RNG = 0,
+    n: int = 128,
     episodes: int = 8000,
 ) -> Prediction:
     """Return the shares that theory predicts for a row's greedy action under `settings`.
 
     Parameters
     ----------
+    model : MDP
+    settings : QLearning
     row : int
         Row of the Q-table.
     policy : (K,) ints, optional
         Where the search for the fixed point starts; each row's first action unless given.
-    seed, replicas, episodes : int
-        Of the simulated equation of `switching`; its first half is thrown away.
+    rng : int or numpy.random.Generator
+    n, episodes : int
+        Paths of the simulated equation of `switching`, and their lengths; the first half of each is
+        thrown away.
+
+    Returns
+    -------
+    Prediction
 
     Raises
     ------
@@ -117,12 +159,12 @@ def predict(
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> found = predict(Scenario.load("yuan2025").compile(), QLearning(), episodes=100, replicas=4)
+    >>> found = predict(Scenario.load("yuan2025").compile(), QLearning(), episodes=100, n=4)
     >>> found.label, found.gaps.round(2).tolist()
     ('status 0000', [9.31, 4.34, 0.0, 1.52])
     """
     require_theory(settings)
-    rows = rows_of(mdp, settings.columns)
+    mdp, rows = model, rows_of(model, settings.columns)
     first = rows.offered.argmax(axis=1) if policy is None else np.asarray(policy)
     epsilon = float(settings.exploration.values(settings.epochs)[-1])
     rate = float(settings.rate.values(settings.epochs)[-1])
@@ -159,7 +201,7 @@ def predict(
             where=rows.space.label(row),
             fix="explore, and choose a row that is visited",
         )
-    shares = _switching(regimes, place, rate, (seed, replicas, episodes))
+    shares = _switching(regimes, place, rate, (seed_of(rng), n, episodes))
 
     def over(values: Floats, fill: float) -> Floats:
         full = np.full(mdp.n_actions, fill)
@@ -175,7 +217,7 @@ def predict(
         spread=over(field.spread(rate)[row, actions], np.nan),
         linear=over(_linear(field, place, rate), 0.0),
         switching=over(shares.mean(axis=0), 0.0),
-        switching_error=over(shares.std(axis=0, ddof=1) / np.sqrt(replicas), 0.0),
+        switching_error=over(shares.std(axis=0, ddof=1) / np.sqrt(n), 0.0),
     )
 
 
@@ -189,7 +231,7 @@ def require_theory(settings: QLearning) -> None:
         )
 
 
-def compare(prediction: Floats, counts: Integers) -> Comparison:
+def compare(predicted: Floats, counts: Integers) -> Comparison:
     """Return predicted shares (A,) beside the counts (A,) of runs.
 
     Examples
@@ -200,12 +242,12 @@ def compare(prediction: Floats, counts: Integers) -> Comparison:
     """
     total = int(counts.sum())
     observed = counts / total
-    drawn = np.random.default_rng(0).multinomial(total, prediction / prediction.sum(), 4000)
+    drawn = np.random.default_rng(0).multinomial(total, predicted / predicted.sum(), 4000)
     return Comparison(
         counts=counts,
         intervals=tuple(share_interval(int(count), total) for count in counts),
-        distance=float(np.abs(prediction - observed).sum() / 2),
-        noise=float((np.abs(drawn / total - prediction).sum(axis=1) / 2).mean()),
+        distance=float(np.abs(predicted - observed).sum() / 2),
+        noise=float((np.abs(drawn / total - predicted).sum(axis=1) / 2).mean()),
     )
 
 
@@ -221,8 +263,8 @@ def _linear(field: MeanField, place: Integers, rate: float) -> Floats:
 def _switching(
     regimes: Sequence[MeanField], place: Integers, rate: float, sizes: tuple[int, int, int]
 ) -> Floats:
-    """Return (replicas, n) shares of time that each of n actions is greedy."""
-    seed, replicas, episodes = sizes
+    """Return (n, m) shares of time that each of m actions is greedy."""
+    seed, n, episodes = sizes
     used = regimes[0].used
     if any(not np.array_equal(field.used, used) for field in regimes):
         raise ModelError(
@@ -232,8 +274,8 @@ def _switching(
     pull = [np.eye(len(used)) + rate * field.jacobian.T for field in regimes]
     noise = [rate * _root(field.noise).T for field in regimes]
     generator = np.random.default_rng(seed)
-    q = np.repeat(regimes[0].q.reshape(1, -1)[:, used], replicas, axis=0)
-    shares = np.zeros((replicas, len(regimes)))
+    q = np.repeat(regimes[0].q.reshape(1, -1)[:, used], n, axis=0)
+    shares = np.zeros((n, len(regimes)))
     for episode in range(episodes):
         greedy = q[:, place].argmax(axis=1)
         draw = generator.standard_normal(q.shape)
@@ -241,7 +283,7 @@ def _switching(
             at = greedy == regime
             q[at] = q[at] @ pull[regime] + drift[regime] + draw[at] @ noise[regime]
         if episode >= episodes // 2:
-            shares[np.arange(replicas), q[:, place].argmax(axis=1)] += 1
+            shares[np.arange(n), q[:, place].argmax(axis=1)] += 1
     return shares / shares.sum(axis=1, keepdims=True)
 
 

@@ -13,26 +13,34 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers import Bounded, solve
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
 from exact_mdp.solvers.values.policy_values import policy_values
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas, stats = later("pandas"), later("scipy.stats")
+
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CANDIDATES = 5
 Interval = tuple[float, float]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Outcomes:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Outcomes(Result):
     """Final policies of R runs, U of them distinct, with their exact values.
 
     Attributes
@@ -85,14 +93,19 @@ class Outcomes:
         return np.bincount(self.final, minlength=len(self.policies))
 
     @property
+    def policy_regret(self) -> Floats:
+        """(U,) exact regret of each policy; 0 where rounding can explain it."""
+        return self._below(self.optimum)
+
+    @property
     def regret(self) -> Floats:
-        """(R,) exact regret of each run's final policy; 0 where rounding can explain it."""
-        return self._regret(self.optimum)[self.final]
+        """(R,) exact regret of each run's final policy."""
+        return self.policy_regret[self.final]
 
     @property
     def selected_regret(self) -> Floats:
         """(R,) exact regret of the policy that each run would select."""
-        return self._regret(self.optimum)[self.selected]
+        return self.policy_regret[self.selected]
 
     @property
     def best_value(self) -> Bounded:
@@ -102,9 +115,9 @@ class Outcomes:
     @property
     def learning_error(self) -> Floats:
         """(R,) how far final policies are below the best that reads what the learner reads."""
-        return self._regret(self.best_value)[self.final]
+        return self._below(self.best_value)[self.final]
 
-    def _regret(self, reference: Bounded) -> Floats:
+    def _below(self, reference: Bounded) -> Floats:
         regret = reference.value - self.value
         return np.where(np.abs(regret) <= self.error + reference.error, 0.0, regret)
 
@@ -128,14 +141,37 @@ class Outcomes:
         taken = self.policies[self.final, row]
         return np.bincount(taken, minlength=self.mdp.n_actions)
 
+    def frame(self) -> DataFrame:
+        """Return one row for each final policy, the most frequent first."""
+        shown = np.flatnonzero(self.counts)
+        return pandas.DataFrame(
+            {
+                "runs": self.counts[shown],
+                "value (reward)": self.value[shown],
+                "error bound (reward)": self.error[shown],
+                "regret (reward)": self.policy_regret[shown],
+            }
+        )
 
-def outcomes(mdp: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> Outcomes:
-    """Return the final policies of runs on `mdp` and what they are worth at its discount.
+
+def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> Outcomes:
+    """Return the final policies of runs on a model and their values at its discount.
 
     Parameters
     ----------
+    model : MDP
+    runs : sequence of TrainingRun
     bound : bool
         Also find the best policy that reads what the learner reads, where that is not everything.
+
+    Returns
+    -------
+    Outcomes
+
+    Raises
+    ------
+    ModelError
+        Where there is no run, or runs on another model.
 
     Examples
     --------
@@ -143,11 +179,11 @@ def outcomes(mdp: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> Ou
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
     >>> from exact_mdp.solvers.learning.training import train_many
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=300), 12, seed=0))
+    >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=300), 12, rng=0))
     >>> found.counts.sum(), bool((found.learning_error <= found.regret).all())
     (np.int64(12), True)
     """
-    rows = common_rows(mdp, runs)
+    mdp, rows = model, common_rows(model, runs)
     known: dict[bytes, int] = {}
     listed: list[Numbers] = []
 
@@ -198,35 +234,26 @@ def share_interval(count: int, total: int) -> Interval:
     >>> round(low, 4), round(high, 4)
     (0.4038, 0.5962)
     """
-    from scipy.stats import binomtest
-
-    found = binomtest(int(count), int(total)).proportion_ci(method="wilson")
+    found = stats.binomtest(int(count), int(total)).proportion_ci(method="wilson")
     return float(found.low), float(found.high)
 
 
 def mean_interval(values: Floats) -> Interval | None:
-    """Return the BCa bootstrap 95 % interval of a mean; None for fewer than ten values.
-
-    Examples
-    --------
-    >>> mean_interval(np.ones(20))
-    (1.0, 1.0)
-    """
-    from scipy.stats import bootstrap
-
+    """Return the BCa bootstrap 95 % interval of a mean; None for fewer than ten values."""
     if len(values) < 10:
         return None
     if np.ptp(values) == 0:
         return float(values[0]), float(values[0])
-    found = bootstrap((values,), np.mean, n_resamples=2000, batch=500, rng=0).confidence_interval
-    return float(found.low), float(found.high)
+    found = stats.bootstrap((values,), np.mean, n_resamples=2000, batch=500, rng=0)
+    interval = found.confidence_interval
+    return float(interval.low), float(interval.high)
 
 
-def common_rows(mdp: MDP, runs: Sequence[TrainingRun]) -> Rows:
+def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> Rows:
     """Return the rows that the runs read; raises ModelError for runs on another model."""
     if not runs:
         raise ModelError("no runs", where="learning", fix="train one")
-    rows = rows_of(mdp, runs[0].space.names)
+    rows = rows_of(model, runs[0].space.names)
     if any(run.space != rows.space or run.q.shape != rows.offered.shape for run in runs):
         raise ModelError(
             "the runs read other states than this model has",

@@ -23,14 +23,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
@@ -40,11 +42,16 @@ from exact_mdp.solvers.learning.sampler import Rows, rows_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas, linalg = later("pandas"), later("scipy.linalg")
+
 MOST_ENTRIES = 3000
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MeanField:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MeanField(Result):
     """The point at which Q-learning stands still on average while one policy is greedy.
 
     Attributes
@@ -81,6 +88,24 @@ class MeanField:
     updates: Floats
     q: Floats
     error: Floats
+
+    @property
+    def value(self) -> Floats:
+        """(K, A) the action values `q`."""
+        return self.q
+
+    def frame(self) -> DataFrame:
+        """Return one row for each entry that is ever updated."""
+        row, action = np.divmod(self.used, self.mdp.n_actions)
+        return pandas.DataFrame(
+            {
+                "row": [self.rows.space.label(number) for number in row.tolist()],
+                "action": [self.mdp.actions[number] for number in action.tolist()],
+                "value (reward)": self.q[row, action],
+                "error bound (reward)": self.error[row, action],
+                "updates an episode": self.updates[row, action],
+            }
+        )
 
     @property
     def greedy(self) -> Integers:
@@ -151,8 +176,6 @@ class MeanField:
 
     def covariance(self, rate: float) -> Floats:
         """Return (U, U) the covariance of Q that the learning rate leaves, to first order."""
-        from scipy.linalg import solve_discrete_lyapunov
-
         step = np.eye(len(self.used)) + rate * self.jacobian
         if np.abs(np.linalg.eigvals(step)).max() >= 1:
             raise ModelError(
@@ -160,7 +183,7 @@ class MeanField:
                 where="mean field",
                 fix="choose a smaller rate",
             )
-        return np.asarray(solve_discrete_lyapunov(step, rate**2 * self.noise))
+        return np.asarray(linalg.solve_discrete_lyapunov(step, rate**2 * self.noise))
 
     def spread(self, rate: float) -> Floats:
         """Return (K, A) the standard deviation of Q that the learning rate leaves."""
@@ -170,7 +193,7 @@ class MeanField:
 
 
 def mean_field(
-    mdp: MDP,
+    model: MDP,
     policy: Sequence[int] | Numbers,
     *,
     epsilon: float,
@@ -182,6 +205,7 @@ def mean_field(
 
     Parameters
     ----------
+    model : MDP
     policy : (K,) ints
         Action number of each row.
     epsilon : float
@@ -189,6 +213,10 @@ def mean_field(
         The learner's.
     columns, bootstrap_end
         As in `QLearning`.
+
+    Returns
+    -------
+    MeanField
 
     Raises
     ------
@@ -203,13 +231,13 @@ def mean_field(
     >>> found.consistent, found.q[0].round(2).tolist()
     (True, [115.5, 120.47, 124.81, 123.29])
     """
-    rows = rows_of(mdp, columns)
-    entries, n_actions = rows.offered.size, mdp.n_actions
+    mdp, rows = model, rows_of(model, columns)
+    (count, n_actions), entries = rows.offered.shape, rows.offered.size
     if entries > MOST_ENTRIES:
         raise ModelError(
             f"a Q-table of {entries:,} entries", where="mean field", fix="read fewer columns"
         )
-    greedy, count = np.asarray(policy, dtype=np.int64), len(rows.offered)
+    greedy = np.asarray(policy, dtype=np.int64)
     known = greedy.shape == (count,) and bool(((greedy >= 0) & (greedy < n_actions)).all())
     if not known or not rows.offered[np.arange(count), greedy].all():
         raise ModelError(
@@ -249,7 +277,7 @@ def mean_field(
         earned.astype(np.float64), gamma(roundings + 2) * size * SLACK
     )
     q[used], error[used] = solved.value, solved.error
-    shape = rows.offered.shape
+    shape = (count, n_actions)
     return MeanField(
         mdp=mdp,
         rows=rows,
@@ -267,7 +295,7 @@ def mean_field(
 
 
 def settle(
-    mdp: MDP,
+    model: MDP,
     policy: Sequence[int] | Numbers,
     *,
     held: Sequence[int] = (),
@@ -276,14 +304,27 @@ def settle(
 ) -> MeanField:
     """Return the fixed point that greedy steps from `policy` lead to.
 
-    The options are those of `mean_field`. Where the steps run in a circle the result is not
-    `consistent`: no fixed point was found. The rows `held` keep their actions, however poor.
+    Parameters
+    ----------
+    model : MDP
+    policy : (K,) ints
+    held : sequence of int
+        Rows that keep their actions, however poor.
+    rounds : int
+        Steps at most.
+    **options
+        As for `mean_field`.
+
+    Returns
+    -------
+    MeanField
+        Not `consistent` where the steps run in a circle: no fixed point was found.
     """
     check_counts("mean field", rounds=rounds)
     current = np.array(policy, dtype=np.int64)
     kept = list(held)
     for _ in range(rounds):
-        found = mean_field(mdp, current, **options)
+        found = mean_field(model, current, **options)
         following = found.greedy.copy()
         following[kept] = current[kept]
         if np.array_equal(following, current):

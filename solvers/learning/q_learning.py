@@ -22,16 +22,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount
-from exact_mdp.solvers.learning.sampler import as_policy, as_sequence, rows_of, stream, tables
+from exact_mdp.solvers.learning.sampler import Seed, as_policy, rows_of, stream, tables
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_RATE, Schedule, checked
+
+kernels = later("exact_mdp.solvers.kernels")
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -75,7 +77,7 @@ class QLearning:
     --------
     >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> run = QLearning(epochs=20).train(mdp, seed=0)
+    >>> run = QLearning(epochs=20).train(mdp, rng=0)
     >>> run.q.shape, len(run.snapshots), len(run.last)
     ((16, 4), 20, 100)
     """
@@ -97,39 +99,45 @@ class QLearning:
 
     def __post_init__(self) -> None:
         for name, options in (("method", METHODS), ("ties", TIES)):
-            if getattr(self, name) not in options:
-                raise _refused(
-                    name, getattr(self, name), suggest(str(getattr(self, name)), options)
-                )
-        for name, least in (
-            ("epochs", 1),
-            ("episodes", 1),
-            ("max_steps", 1),
-            ("snapshot_episode", 0),
-            ("last", 1),
-        ):
-            if not _whole(getattr(self, name), least):
-                raise _refused(name, getattr(self, name), f"give a whole number from {least} on")
-        if self.snapshot_episode > self.episodes:
-            raise _refused("snapshot_episode", self.snapshot_episode, "0 keeps no snapshot")
-        if not (np.isfinite(self.initial) and np.isfinite(self.rate_power)):
-            raise _refused("initial or rate_power", self.initial, "give finite numbers")
-        if self.rate_power < 0:
-            raise _refused("rate_power", self.rate_power, "rates must not grow: give 0 or more")
+            self._require(
+                name, getattr(self, name) in options, suggest(str(getattr(self, name)), options)
+            )
+        for name in ("epochs", "episodes", "max_steps", "last", "snapshot_episode"):
+            value, least = getattr(self, name), int(name != "snapshot_episode")
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            self._require(name, whole and value >= least, f"give a whole number from {least} on")
+        self._require(
+            "snapshot_episode", self.snapshot_episode <= self.episodes, "0 keeps no snapshot"
+        )
+        for name in ("initial", "rate_power"):
+            self._require(name, np.isfinite(getattr(self, name)), "give a finite number")
+        self._require("rate_power", self.rate_power >= 0, "rates must not grow: give 0 or more")
         object.__setattr__(self, "discount", as_discount(self.discount))
         checked("exploration", self.exploration, self.epochs)
         checked("learning rate", self.rate, self.epochs)
 
-    def train(self, mdp: MDP, seed: int | SeedSequence) -> TrainingRun:
+    def _require(self, name: str, holds: object, fix: str) -> None:
+        if not holds:
+            raise ModelError(f"{name} is {getattr(self, name)!r}", where="QLearning", fix=fix)
+
+    def train(self, model: MDP, rng: Seed) -> TrainingRun:
         """Return one run; the same seed gives the same bytes.
+
+        Parameters
+        ----------
+        model : MDP
+        rng : int, numpy.random.Generator or SeedSequence
+
+        Returns
+        -------
+        TrainingRun
 
         Raises
         ------
         ModelError
-            For a seed that is not a whole number, or columns that do not tell apart states which
-            offer different actions.
+            For columns that do not tell apart states which offer different actions.
         """
-        return Trainer(self, mdp).run(seed)
+        return Trainer(self, model).run(rng)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,10 +206,8 @@ class Trainer:
                 fix="set snapshot_episode=0, or keep fewer last policies",
             )
 
-    def run(self, seed: int | SeedSequence) -> TrainingRun:
+    def run(self, rng: Seed) -> TrainingRun:
         """Return one run; see `QLearning.train`."""
-        from exact_mdp.solvers import kernels
-
         own, rows = self.settings, self.rows.space.size
         entries, double = rows * self.mdp.n_actions, own.method == "double-q-learning"
         both = np.full((2, entries if double else 0), float(own.initial))
@@ -210,7 +216,7 @@ class Trainer:
         snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int16)
         last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int16)
         returns = np.zeros(own.epochs)
-        random = stream(as_sequence(seed))
+        random = stream(rng)
         steps, cut_short = kernels.learn(
             self.tables,
             random,
@@ -245,11 +251,7 @@ class Trainer:
         )
 
     def possible(self, run: TrainingRun) -> bool:
-        """Return whether a run that was read from a file can be one of these settings.
-
-        Compiled code takes its numbers as they are: an action that there is not would be read from
-        beyond an array.
-        """
+        """Return whether a run that was read from a file can be one of these settings."""
         own, (rows, actions) = self.settings, self.rows.offered.shape
         recorded = {
             "q": (np.float64, (rows, actions)),
@@ -271,13 +273,7 @@ class Trainer:
 
 
 def distinct(policies: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the distinct rows of (n, K) as they first appear, and which of them each row is.
-
-    Examples
-    --------
-    >>> distinct(np.array([[1, 2], [1, 2], [0, 5]], dtype=np.int16))[1].tolist()
-    [0, 0, 1]
-    """
+    """Return the distinct rows of (n, K) as they first appear, and which of them each row is."""
     fresh = np.ones(len(policies), dtype=bool)
     fresh[1:] = (policies[1:] != policies[:-1]).any(axis=1)
     changes = np.flatnonzero(fresh)
@@ -290,11 +286,3 @@ def distinct(policies: Numbers) -> tuple[Numbers, Numbers]:
             first.append(place)
         numbers.append(number)
     return policies[first], np.array(numbers, dtype=np.int32)[np.cumsum(fresh) - 1]
-
-
-def _whole(value: object, least: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def _refused(name: str, value: object, fix: str) -> ModelError:
-    return ModelError(f"{name} is {value!r}", where="QLearning", fix=fix)

@@ -9,20 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.kernels import Tables
+
+kernels = later("exact_mdp.solvers.kernels")
+
+Seed: TypeAlias = RNG | SeedSequence
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,13 +51,18 @@ class Rows:
     offered: NDArray[np.bool_]
 
 
-def default_columns(mdp: MDP) -> tuple[str, ...]:
-    """Return the status alone where the model has one, all columns otherwise."""
-    return ("status",) if "status" in mdp.space.names else mdp.space.names
+def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
+    """Return the rows of a Q-table that reads some columns of the state.
 
+    Parameters
+    ----------
+    model : MDP
+    columns : sequence of str, optional
+        The status alone where the model has one and all columns otherwise, unless given.
 
-def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
-    """Return the rows of a Q-table that reads `columns` (see `default_columns` where None).
+    Returns
+    -------
+    Rows
 
     Raises
     ------
@@ -65,8 +76,11 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
     >>> rows.offered.shape, rows.space.label(20)
     ((80, 4), 'trial 1, status 0100')
     """
-    chosen = default_columns(mdp) if columns is None else tuple(columns)
-    if set(chosen) >= set(mdp.space.names):
+    mdp, names = model, model.space.names
+    if columns is None:
+        columns = ("status",) if "status" in names else names
+    chosen = tuple(columns)
+    if set(chosen) >= set(names):
         space, key = mdp.space, np.arange(mdp.n_states)
     else:
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in chosen))
@@ -83,7 +97,7 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
         raise ModelError(
             "states that share a row of the Q-table offer different actions",
             where=f"state ({mdp.space.label(int(np.flatnonzero(unlike)[0]))})",
-            fix=f"read more columns: {', '.join(mdp.space.names)}",
+            fix=f"read more columns: {', '.join(names)}",
         )
     inside = np.logical_not(offered.any(axis=1))[key]
     np.logical_or.at(offered, key[inside], mine[inside])
@@ -93,8 +107,6 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
 
 def tables(mdp: MDP, rows: Rows) -> Tables:
     """Return the model as flat arrays for `solvers.kernels`."""
-    from exact_mdp.solvers import kernels
-
     table = mdp.table
     cut = np.empty(len(table.next))
     alias, small, large = np.empty((3, len(table.next)), dtype=np.int64)
@@ -136,21 +148,17 @@ def as_policy(mdp: MDP, space: StateSpace, choices: Sequence[int] | Numbers) -> 
     return Policy(space=space, actions=mdp.actions, rule=rule)
 
 
-def stream(seed: int | SeedSequence) -> Numbers:
+def stream(rng: Seed) -> Numbers:
     """Return the (4,) uint64 state of a random stream; 0 is a seed like any other."""
-    return as_sequence(seed).generate_state(4, np.uint64)
+    return as_sequence(rng).generate_state(4, np.uint64)
 
 
-def as_sequence(seed: int | SeedSequence) -> SeedSequence:
-    """Return the seed sequence of a whole number at least 0, or the sequence given."""
-    if isinstance(seed, SeedSequence):
-        return seed
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ModelError(f"seed is {seed!r}", where="seed", fix="give a whole number, 0 or greater")
-    return SeedSequence(int(seed))
+def as_sequence(rng: Seed) -> SeedSequence:
+    """Return the seed sequence of a whole number or a generator, or the sequence given."""
+    return rng if isinstance(rng, SeedSequence) else SeedSequence(seed_of(rng))
 
 
-def child(seed: int | SeedSequence, number: int) -> SeedSequence:
+def child(rng: Seed, number: int) -> SeedSequence:
     """Return what `SeedSequence.spawn` would give as child `number`, without counting children.
 
     Examples
@@ -158,7 +166,7 @@ def child(seed: int | SeedSequence, number: int) -> SeedSequence:
     >>> child(0, 2).spawn_key == SeedSequence(0).spawn(3)[2].spawn_key
     True
     """
-    parent = as_sequence(seed)
+    parent = as_sequence(rng)
     return SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number))
 
 

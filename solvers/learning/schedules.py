@@ -22,7 +22,6 @@ class Schedule(Protocol):
 
     def values(self, epochs: int) -> Floats:
         """Return (E,) numbers, that of epoch t = 0 first."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,7 @@ class Constant:
     value: float
 
     def values(self, epochs: int) -> Floats:
+        """Return (E,) numbers."""
         return np.full(epochs, float(self.value))
 
 
@@ -71,26 +71,10 @@ class Exponential:
         return cls(minimum=minimum, maximum=maximum, decay=decay)
 
     def values(self, epochs: int) -> Floats:
+        """Return (E,) numbers."""
         # math.exp, not NumPy's, whose last bit depends on the processor.
         fall = [exp(-self.decay * epoch) for epoch in range(epochs)]
         return self.minimum + (self.maximum - self.minimum) * np.array(fall)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Harmonic:
-    """first / (1 + t / scale): it falls like 1/t, so that the noise of learning dies out.
-
-    Examples
-    --------
-    >>> Harmonic(first=0.5, scale=10).values(11)[10]
-    np.float64(0.25)
-    """
-
-    first: float
-    scale: float
-
-    def values(self, epochs: int) -> Floats:
-        return np.asarray(self.first / (1 + np.arange(epochs) / self.scale))
 
 
 PAPER_RATE = Constant(0.05)

@@ -26,12 +26,13 @@ import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import closing, contextmanager
-from importlib import import_module
+from functools import partial
 from itertools import islice
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import load
 from exact_mdp.solvers.parallel.sources import TRAVEL, difference, here, require, unlike
 
 ANSWER_WITHIN = 30.0  # seconds for a scheduler, a first worker, an answer; see above
@@ -51,29 +52,20 @@ VERSIONS = (
 SHOWN = 5  # workers in a message
 
 One = Callable[[Any, int, Any], Any]
+Task = tuple[int, Any]  # the number of a piece, and the piece
 
 
 def on_cluster(
-    one: One, work: Any, tasks: Sequence[tuple[int, Any]], scheduler: str, n_jobs: int | None
+    one: One, work: Any, tasks: Sequence[Task], scheduler: str, n_jobs: int | None
 ) -> Generator[Any]:
     """Yield `one(work, number, piece)` for every (number, piece), in any order.
 
-    Parameters
-    ----------
-    scheduler : str
-        "tcp://host:port", or "local" for one that ends with the call.
-    n_jobs : int, optional
-        Worker processes of a local one; all cores where None.
-
-    Raises
-    ------
-    ModelError
-        Where Dask is not installed, the scheduler does not answer, has no worker or goes away, a
-        worker has other code or does not answer, none is left, or the workers that do a piece die
-        time after time. What `one` raises is raised as it is.
+    The scheduler is "tcp://host:port", or "local" for one of `n_jobs` processes that ends with the
+    call. ModelError says where Dask is missing, the scheduler does not answer, has no worker or
+    goes away, a worker has other code or does not answer, none is left, or the workers that do a
+    piece die time after time. What `one` raises is raised as it is.
     """
-    wanted = here()
-    within = _timeout()
+    wanted, within = here(), _timeout()
     with _client(scheduler, n_jobs, within) as client:
         crew = _Crew(client, wanted, within)
         crew.meet()
@@ -90,23 +82,18 @@ def died(index: int) -> ModelError:
     )
 
 
-def _distributed() -> Any:
-    try:
-        return import_module("distributed")
-    except ImportError as error:
-        raise ModelError(
-            "a scheduler needs Dask, which is not installed",
-            where="scheduler",
-            fix='install it: pip install "exact-mdp[cluster]"',
-        ) from error
+def _gone(address: str) -> ModelError:
+    return ModelError(
+        "the scheduler has gone",
+        where=address,
+        fix="start it again; pieces that were written to a folder are kept",
+    )
 
 
 def _timeout() -> float:
     """Return the seconds that an answer is waited for."""
-    _distributed()
-    from dask import config
-
-    given = config.get("exact-mdp.timeout", None)
+    load("distributed")
+    given = load("dask.config").get("exact-mdp.timeout", None)
     if given is None:
         return ANSWER_WITHIN
     number = isinstance(given, int | float) and not isinstance(given, bool)
@@ -119,121 +106,13 @@ def _timeout() -> float:
     return float(given)
 
 
-class _Crew:
-    """The workers of a scheduler, each asked for its code before it counts.
-
-    Attributes
-    ----------
-    met : set of str
-        Addresses of workers that have this process's code.
-    """
-
-    def __init__(self, client: Any, wanted: Mapping[str, str], within: float) -> None:
-        self.client, self.wanted, self.within = client, wanted, within
-        self.address = str(client.scheduler.address)  # a client that gives up forgets it
-        self.met: set[str] = set()
-        self.seen = time.monotonic()
-
-    def meet(self) -> None:
-        """Ask the workers that came since, and refuse those with other code.
-
-        Raises
-        ------
-        ModelError
-            Where one has other code or does not answer, or none has been there for long.
-        """
-        present = self._present()
-        if present is None:  # who cannot be asked may be gone: the client finds out
-            return
-        if present:
-            self.seen = time.monotonic()
-        elif time.monotonic() - self.seen > self.within:
-            raise ModelError(
-                f"no worker has been there for {self.within:g} seconds",
-                where=self.address,
-                fix="start workers again; finished pieces are kept. For slow ones set "
-                "DASK_EXACT_MDP__TIMEOUT to more seconds",
-            )
-        came = present - self.met
-        if not came:
-            return
-        if not self.met:
-            self._scheduler()
-        found = self._ask(came)
-        left = self._present() or set()
-        told = {
-            worker: words
-            for worker in sorted(came)
-            if (words := self._unlike(found[worker])) and (worker in left)
-        }
-        if told:
-            names = "; ".join(f"{worker}: {told[worker]}" for worker in list(told)[:SHOWN])
-            more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-            raise unlike(names + more, f"{len(told)} of {len(left)} workers of {self.address}")
-        self.met |= came & left
-
-    def _unlike(self, answer: object) -> str:
-        if isinstance(answer, dict):
-            return difference(self.wanted, answer)
-        if isinstance(answer, TimeoutError):
-            return f"no answer within {self.within:g} seconds; other versions of Python or Dask?"
-        return f"{type(answer).__name__}: {' '.join(str(answer).split())[:200]}"
-
-    def _present(self) -> set[str] | None:
-        async def listed() -> set[str]:
-            return set(await self.client.nthreads())
-
-        found = self._wait(listed())
-        return found if isinstance(found, set) else None
-
-    def _ask(self, workers: Iterable[str]) -> dict[str, object]:
-        async def one(worker: str) -> object:
-            how = {"workers": [worker], "on_error": "return"}
-            try:
-                return (await asyncio.wait_for(self.client.run(eval, CODE, **how), self.within))[
-                    worker
-                ]
-            except Exception as error:  # whatever it is, this worker is told by it
-                return error
-
-        async def all_of(names: list[str]) -> dict[str, object]:
-            return dict(zip(names, await asyncio.gather(*map(one, names)), strict=True))
-
-        names = list(workers)
-        found = self._wait(all_of(names), 2 * self.within)
-        return found if isinstance(found, dict) else dict.fromkeys(names, found)
-
-    def _scheduler(self) -> None:
-        """Compare what work travels on with what the scheduler has: it computes nothing."""
-
-        async def asked() -> Any:
-            return await self.client.run_on_scheduler(eval, VERSIONS)
-
-        answer = self._wait(asked())
-        mine = {name: self.wanted[name] for name in ("Python", *TRAVEL)}
-        if isinstance(answer, dict):
-            told = difference(mine, answer)
-        else:
-            told = self._unlike(answer)
-        if told:
-            raise unlike(f"the scheduler: {told}", self.address)
-
-    def _wait(self, answer: Any, within: float | None = None) -> Any:
-        """Return what is awaited, or the error that it ends in."""
-
-        async def waited() -> Any:
-            return await asyncio.wait_for(answer, within or self.within)
-
-        try:
-            return self.client.sync(waited)
-        except Exception as error:
-            return error
+# ---- who is there --------------------------------------------------------------------------------
 
 
 @contextmanager
 def _client(scheduler: str, n_jobs: int | None, within: float) -> Iterator[Any]:
     """Give a client of a scheduler that answers and has a worker."""
-    distributed = _distributed()
+    distributed = load("distributed")
     if scheduler == "local":
         # A free port for its status page: the usual one may be in use. Workers that are slow to
         # end are no news: the results are all here by then.
@@ -257,20 +136,19 @@ def _client(scheduler: str, n_jobs: int | None, within: float) -> Iterator[Any]:
         "version of Dask that is installed here"
     )
 
-    class Client(distributed.Client):  # type: ignore[misc, name-defined]
-        """One that is closed where it cannot start, and not left to the end of the process."""
+    def start(self: Any, **how: Any) -> None:
+        """Close a client that cannot start: it is not left to the end of the process."""
+        try:
+            distributed.Client.start(self, **how)
+        except BaseException:
+            self.close(timeout=within)
+            raise
 
-        def start(self, **how: Any) -> None:
-            try:
-                super().start(**how)
-            except BaseException:
-                self.close(timeout=within)
-                raise
-
+    connect: Any = type("Client", (distributed.Client,), {"start": start})
     try:
         with warnings.catch_warnings():  # of other versions: they are refused by name
             warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
-            client = Client(scheduler, timeout=within, set_as_default=False)
+            client = connect(scheduler, timeout=within, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ModelError(
             f"no scheduler answers: {str(error)[:200]}", where=scheduler, fix=advice
@@ -283,16 +161,104 @@ def _client(scheduler: str, n_jobs: int | None, within: float) -> Iterator[Any]:
         yield client
 
 
-def _results(one: One, work: Any, tasks: Sequence[tuple[int, Any]], crew: _Crew) -> Generator[Any]:
-    client, address = crew.client, crew.address
-    killed = _distributed().KilledWorker
+class _Crew:
+    """The workers of a scheduler, each asked for its code before it counts."""
+
+    def __init__(self, client: Any, wanted: Mapping[str, str], within: float) -> None:
+        self.client, self.wanted, self.within = client, wanted, within
+        self.address = str(client.scheduler.address)  # a client that gives up forgets it
+        self.met: set[str] = set()  # addresses of workers that have this process's code
+        self.seen = time.monotonic()
+
+    def meet(self) -> None:
+        """Ask the workers that came since; refuse those with other code, and where none is left."""
+        present = self._answer(self.client.nthreads)
+        if not isinstance(present, dict):  # who cannot be asked may be gone: the client finds out
+            return
+        if present:
+            self.seen = time.monotonic()
+        elif time.monotonic() - self.seen > self.within:
+            raise ModelError(
+                f"no worker has been there for {self.within:g} seconds",
+                where=self.address,
+                fix="start workers again; finished pieces are kept. For slow ones set "
+                "DASK_EXACT_MDP__TIMEOUT to more seconds",
+            )
+        came = set(present) - self.met
+        if not came:
+            return
+        if not self.met:
+            self._meet_scheduler()
+        found = self._codes(came)
+        now = self._answer(self.client.nthreads)
+        left = set(now) if isinstance(now, dict) else set()
+        told = {
+            worker: words
+            for worker in sorted(came & left)
+            if (words := self._unlike(found[worker], self.wanted))
+        }
+        if told:
+            names = "; ".join(f"{worker}: {told[worker]}" for worker in list(told)[:SHOWN])
+            more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
+            raise unlike(names + more, f"{len(told)} of {len(left)} workers of {self.address}")
+        self.met |= came & left
+
+    def _meet_scheduler(self) -> None:
+        """Compare what work travels on with what the scheduler has: it computes nothing."""
+        answer = self._answer(partial(self.client.run_on_scheduler, eval, VERSIONS))
+        told = self._unlike(answer, {name: self.wanted[name] for name in ("Python", *TRAVEL)})
+        if told:
+            raise unlike(f"the scheduler: {told}", self.address)
+
+    def _unlike(self, answer: object, wanted: Mapping[str, str]) -> str:
+        """Return in words what is wrong with an answer; "" where nothing is."""
+        if isinstance(answer, dict):
+            return difference(wanted, answer)
+        if isinstance(answer, TimeoutError):
+            return f"no answer within {self.within:g} seconds; other versions of Python or Dask?"
+        return f"{type(answer).__name__}: {' '.join(str(answer).split())[:200]}"
+
+    def _codes(self, workers: Iterable[str]) -> dict[str, object]:
+        """Return the code of each worker, or the error that asking it ends in."""
+
+        async def one(worker: str) -> object:
+            asked = self.client.run(eval, CODE, workers=[worker], on_error="return")
+            try:
+                return (await asyncio.wait_for(asked, self.within))[worker]
+            except Exception as error:  # whatever it is, this worker is told by it
+                return error
+
+        async def each() -> dict[str, object]:
+            return dict(zip(names, await asyncio.gather(*map(one, names)), strict=True))
+
+        names = list(workers)
+        found = self._answer(each, 2 * self.within)
+        return found if isinstance(found, dict) else dict.fromkeys(names, found)
+
+    def _answer(self, ask: Callable[[], Any], within: float | None = None) -> Any:
+        """Return what is awaited, or the error that it ends in."""
+
+        async def waited() -> Any:
+            return await asyncio.wait_for(ask(), within or self.within)
+
+        try:
+            return self.client.sync(waited)
+        except Exception as error:
+            return error
+
+
+# ---- what they do --------------------------------------------------------------------------------
+
+
+def _results(one: One, work: Any, tasks: Sequence[Task], crew: _Crew) -> Generator[Any]:
+    client, killed = crew.client, load("distributed").KilledWorker
     coming = iter(tasks)
     deaths: dict[int, int] = {}
-    pending: dict[Any, tuple[int, Any]] = {}
+    pending: dict[Any, Task] = {}
     ended: SimpleQueue[Any] = SimpleQueue()
     shared = _shared(work, client)
 
-    def submit(task: tuple[int, Any]) -> None:
+    def submit(task: Task) -> None:
         future = client.submit(_guarded, one, crew.wanted, shared, *task, pure=False)
         pending[future] = task
         future.add_done_callback(ended.put)
@@ -307,7 +273,7 @@ def _results(one: One, work: Any, tasks: Sequence[tuple[int, Any]], crew: _Crew)
             except Empty:
                 # What was sent to a scheduler that is gone for good never ends.
                 if client.status in GONE:
-                    raise _gone(address) from None
+                    raise _gone(crew.address) from None
                 crew.meet()
                 continue
             index, piece = pending.pop(future)
@@ -328,7 +294,7 @@ def _results(one: One, work: Any, tasks: Sequence[tuple[int, Any]], crew: _Crew)
                 if not isinstance(error, killed):
                     future.result()  # raises what was raised over there
             if client.status in GONE:
-                raise _gone(address)
+                raise _gone(crew.address)
             deaths[index] = deaths.get(index, 0) + 1
             if deaths[index] > ATTEMPTS:
                 raise died(index) from error
@@ -340,26 +306,16 @@ def _results(one: One, work: Any, tasks: Sequence[tuple[int, Any]], crew: _Crew)
             client.cancel(list(pending))
 
 
-def _gone(address: str) -> ModelError:
-    return ModelError(
-        "the scheduler has gone",
-        where=address,
-        fix="start it again; pieces that were written to a folder are kept",
-    )
-
-
 def _shared(work: Any, client: Any) -> Any:
     """Return the work as the result of a task, which is sent to a worker once."""
-    import dask
-
     # Large models are meant to be sent: no warning of their size.
-    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TiB"}):
+    with load("dask.config").set({"distributed.admin.large-graph-warning-threshold": "1 TiB"}):
         return client.submit(_itself, work, pure=False)
 
 
 def _guarded(one: One, wanted: Mapping[str, str], work: Any, index: int, piece: Any) -> Any:
     """Do a piece where this worker has the code that it was sent with."""
-    require(wanted, f"worker {import_module('distributed').get_worker().address}")
+    require(wanted, f"worker {load('distributed').get_worker().address}")
     return one(work, index, piece)
 
 

@@ -2,13 +2,15 @@
 
 The result depends neither on where a piece is done nor on who finishes first: each piece carries
 all that it needs, its seed too. With a folder, every finished piece is written at once, whole or
-not at all, and is read instead of done again when the same work is called once more.
+not at all, and is read instead of done again when the same work is called once more
+(`solvers.parallel.pieces`).
 
 A process, here or there, does a piece only where it has the code of the one that sent it, as
 `solvers.parallel.sources` tells: one that starts after a file changed is refused.
 
-Cores are processes of joblib (loky; another joblib backend where `joblib.parallel_config` says so).
-A cluster is a Dask scheduler; see `solvers.parallel.cluster`.
+Cores are processes of joblib (loky; another joblib backend where `joblib.parallel_config` says so),
+or its threads for compiled loops that need no interpreter lock. A cluster is a Dask scheduler; see
+`solvers.parallel.cluster`.
 """
 
 from __future__ import annotations
@@ -23,14 +25,15 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.solvers.parallel.cluster import ATTEMPTS, died, on_cluster
+from exact_mdp.mdp.lazy import later
+from exact_mdp.solvers.parallel.cluster import ATTEMPTS, Task, died, on_cluster
 from exact_mdp.solvers.parallel.pieces import Arrays, kept, open_folder, read_piece, write_piece
 from exact_mdp.solvers.parallel.sources import here, require
 
-RECORD = "work.json"
+joblib, tqdm = later("joblib"), later("tqdm")
+loky = later("joblib.externals.loky.process_executor")
 
 Work = Callable[[Any], Mapping[str, Any]]
-Task = tuple[int, Any]  # a piece and its number
 
 
 def many(
@@ -39,8 +42,10 @@ def many(
     *,
     key: Mapping[str, object],
     n_jobs: int | None = 1,
+    threads: bool = False,
     scheduler: str | None = None,
     folder: str | Path | None = None,
+    files: tuple[str, str] = ("work.json", ""),
     progress: bool = False,
     what: str = "runs",
 ) -> list[Arrays]:
@@ -58,19 +63,27 @@ def many(
         earlier pieces stay the same when more are asked for.
     n_jobs : int, optional
         Processes: 1 works in this one, None on all cores. With `scheduler="local"`, the workers.
+    threads : bool
+        Threads of this process instead, for work that needs no interpreter lock.
     scheduler : str, optional
         A Dask scheduler, "tcp://host:port", or "local" for one that ends with the call.
     folder : path, optional
         Where finished pieces are kept; those of an earlier call with the same key are used again.
+    files : (str, str)
+        Name of the folder's record, and the beginning of the names of its pieces.
     progress : bool
         Show a bar on standard error where that is a terminal.
     what : str
         What pieces are called, for the bar and for messages.
 
+    Returns
+    -------
+    list of {name: array}
+
     Raises
     ------
     ModelError
-        Where the folder holds other work or a damaged file, `n_jobs` is no count, Dask is not
+        Where the folder holds other work or a damaged file, `n_jobs` is not a count, Dask is not
         installed, the scheduler does not answer, or a process has other code. What `work` raises is
         raised as it is.
 
@@ -79,50 +92,44 @@ def many(
     >>> [found["x"].item() for found in many(dict, [{"x": 1}, {"x": 2}], key={})]
     [1, 2]
     """
-    from tqdm import tqdm
-
-    check_jobs(n_jobs, what)
-    place = None if folder is None else open_folder(folder, dict(key), name=RECORD, what=what)
-    files = [None if place is None else place / f"{i:06d}.npz" for i in range(len(pieces))]
+    whole = isinstance(n_jobs, int) and not isinstance(n_jobs, bool)
+    if n_jobs is not None and not (whole and n_jobs >= 1):
+        raise ModelError(f"n_jobs is {n_jobs!r}", where=what, fix="give a whole number > 0")
+    record, stem = files
+    place = None if folder is None else open_folder(folder, dict(key), name=record, what=what)
     done: dict[int, Arrays] = {}
-    for index, file in enumerate(files):
-        found = None if file is None else read_piece(file)
+
+    def file_of(index: int) -> Path:
+        return Path() if place is None else place / f"{stem}{index:06d}.npz"
+
+    for index in range(len(pieces) if place else 0):
+        found = read_piece(file_of(index))
         if found is not None:
             done[index] = found
-    waiting = [index for index in range(len(pieces)) if index not in done]
-    tasks = [(index, pieces[index]) for index in waiting]
+    tasks = [(index, piece) for index, piece in enumerate(pieces) if index not in done]
     with (
         kept(done, len(pieces), what, place),
-        tqdm(
+        tqdm.tqdm(
             total=len(pieces),
             initial=len(done),
             desc=what,
             disable=None if progress else True,
             delay=1,
         ) as bar,
-        closing(as_done(work, tasks, n_jobs=n_jobs, scheduler=scheduler)) as results,
+        closing(_as_done(work, tasks, n_jobs, threads, scheduler)) as results,
     ):
         for index, result in results:
-            file = files[index]
-            if file is not None:
-                write_piece(file, result)
+            if place is not None:
+                write_piece(file_of(index), result)
             done[index] = result
             bar.update()
     return [done[index] for index in range(len(pieces))]
 
 
-def as_done(
-    work: Work, tasks: Sequence[Task], *, n_jobs: int | None = 1, scheduler: str | None = None
+def _as_done(
+    work: Work, tasks: Sequence[Task], n_jobs: int | None, threads: bool, scheduler: str | None
 ) -> Generator[tuple[int, Arrays]]:
-    """Yield (number, `work(piece)`) as they are finished, in any order; see `many`.
-
-    For those who keep files of their own; close it, so that an interruption ends the workers too.
-
-    Examples
-    --------
-    >>> next(as_done(dict, [(7, {"x": 1})]))
-    (7, {'x': array(1)})
-    """
+    """Yield (number, `work(piece)`) as they are finished, in any order."""
     if not tasks:
         return
     if scheduler is not None:
@@ -131,16 +138,8 @@ def as_done(
     elif n_jobs == 1:
         yield from (_one(work, *task) for task in tasks)
     else:
-        with closing(_on_cores(work, tasks, n_jobs)) as results:
+        with closing(_on_cores(work, tasks, n_jobs, threads)) as results:
             yield from results
-
-
-def check_jobs(n_jobs: object, what: str) -> None:
-    """Raise ModelError unless `n_jobs` is None or a whole number of workers."""
-    if n_jobs is None:
-        return
-    if isinstance(n_jobs, bool) or not isinstance(n_jobs, int) or n_jobs < 1:
-        raise ModelError(f"n_jobs is {n_jobs!r}", where=what, fix="give a whole number > 0")
 
 
 def _one(work: Work, index: int, piece: Any) -> tuple[int, Arrays]:
@@ -160,26 +159,25 @@ def _guarded(wanted: Mapping[str, str], work: Work, index: int, piece: Any) -> t
 
 
 def _on_cores(
-    work: Work, tasks: Sequence[Task], n_jobs: int | None
+    work: Work, tasks: Sequence[Task], n_jobs: int | None, threads: bool
 ) -> Generator[tuple[int, Arrays]]:
-    from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
     left, wanted = dict(tasks), here()
+    how = {"backend": "threading"} if threads else {}
     for attempt in range(ATTEMPTS + 1):
-        parallel = Parallel(
+        parallel = joblib.Parallel(
             n_jobs=-1 if n_jobs is None else n_jobs,
             return_as="generator_unordered",
             batch_size=1,
+            **how,
         )
         with closing(
-            parallel(delayed(_guarded)(wanted, work, *task) for task in list(left.items()))
+            parallel(joblib.delayed(_guarded)(wanted, work, *task) for task in list(left.items()))
         ) as results:
             try:
                 for index, result in results:
                     del left[index]
                     yield index, result
                 return
-            except TerminatedWorkerError as error:
+            except loky.TerminatedWorkerError as error:
                 if attempt == ATTEMPTS:
                     raise died(min(left)) from error

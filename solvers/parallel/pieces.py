@@ -34,31 +34,8 @@ def open_folder(
 ) -> Path:
     """Return the folder, made where it is missing, after checking that it is of this record.
 
-    Parameters
-    ----------
-    record : mapping
-        JSON values; what the pieces depend on.
-    name : str
-        The record's file.
-    what : str
-        What the folder holds, for messages.
-
-    Raises
-    ------
-    ModelError
-        Where the folder cannot be made, or its record is broken or another one.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     _ = open_folder(folder, {"seed": 0}, name="run.json")
-    ...     open_folder(folder, {"seed": 1}, name="run.json")
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: the folder holds pieces whose record differs in seed
-      where: ...
-      fix:   choose another folder, or delete this one
+    The record has the JSON values that the pieces depend on, `name` is its file, and `what` says
+    in messages what the folder holds.
     """
     folder = Path(folder)
     text = json.dumps(record, indent=2)
@@ -99,13 +76,7 @@ def write_piece(path: Path, arrays: Mapping[str, Numbers]) -> None:
 
 
 def read_piece(path: Path) -> Arrays | None:
-    """Return the arrays of a piece; None where it is not there.
-
-    Raises
-    ------
-    ModelError
-        Where the file is damaged.
-    """
+    """Return the arrays of a piece; None where it is missing, ModelError where it is damaged."""
     if not path.exists():
         return None
     try:
@@ -131,17 +102,7 @@ def _digest(arrays: Mapping[str, Numbers]) -> Numbers:
 
 @contextmanager
 def kept(done: Sized, total: int, what: str, folder: Path | None) -> Iterator[None]:
-    """Let an interruption say what is finished: whoever ends the program tells of it.
-
-    Examples
-    --------
-    >>> try:
-    ...     with kept([1, 2, 3], 200, "runs", Path("out")):
-    ...         raise KeyboardInterrupt
-    ... except KeyboardInterrupt as stop:
-    ...     print(*stop.__notes__)
-    what is finished (runs: 3 of 200) is kept in out, and the same command goes on from there
-    """
+    """Let an interruption say what is finished: whoever ends the program tells of it."""
     try:
         yield
     except KeyboardInterrupt as stop:

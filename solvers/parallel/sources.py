@@ -29,25 +29,9 @@ Stamp = tuple[int, int, int]
 
 
 def source_digest() -> str:
-    """Return a digest of every module and data file that a result can depend on.
-
-    Returns
-    -------
-    str
-        SHA-256 over the names and contents of all files `*.py` and `*.toml` of the packages.
-
-    Raises
-    ------
-    OSError
-        Where a file cannot be read.
-
-    Examples
-    --------
-    >>> len(source_digest())
-    64
-    """
+    """Return a SHA-256 digest of the names and contents of all `*.py` and `*.toml` files here."""
     digest = sha256()
-    for path in _files():
+    for path in map(Path, sorted(_stamps())):
         digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0")
         digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -56,21 +40,8 @@ def source_digest() -> str:
 def here() -> dict[str, str]:
     """Return what a result of this process depends on besides the work itself.
 
-    Returns
-    -------
-    dict
-        Python's version as far as the minor one, those of the packages, and `sources`, the
-        beginning of the digest of the project's own files.
-
-    Raises
-    ------
-    ModelError
-        Where a file changed since this process began to import them.
-
-    Examples
-    --------
-    >>> list(here())[:4]
-    ['Python', 'numpy', 'scipy', 'numba']
+    These are Python's version as far as the minor one, those of the packages, and `sources`, the
+    beginning of the digest. ModelError names a file that changed since it began to be imported.
     """
     found = {"Python": ".".join(platform.python_version_tuple()[:2])}
     for name in (*NUMBERS, *TRAVEL, "exact-mdp"):
@@ -87,11 +58,6 @@ def difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> str:
     """Return in words where two results of `here` differ; "" where they do not.
 
     The version of exact-mdp is compared where both have one: the sources tell in any case.
-
-    Examples
-    --------
-    >>> difference({"numpy": "2.1.0", "sources": "ab"}, {"numpy": "2.0.0", "sources": "ab"})
-    'numpy 2.0.0 there, 2.1.0 here'
     """
     names = [name for name in {**mine, **theirs} if mine.get(name) != theirs.get(name)]
     told = [
@@ -103,24 +69,7 @@ def difference(mine: Mapping[str, str], theirs: Mapping[str, str]) -> str:
 
 
 def require(wanted: Mapping[str, str], where: str) -> None:
-    """Refuse work that was sent by a process with other code than this one.
-
-    Parameters
-    ----------
-    wanted : mapping
-        What `here` returned there.
-    where : str
-        This process, for the message.
-
-    Raises
-    ------
-    ModelError
-        Where the two differ, or a file changed since this process began.
-
-    Examples
-    --------
-    >>> require(here(), "this process")
-    """
+    """Refuse work of a process for which `here` was `wanted`; `where` is this one in words."""
     told = difference(wanted, _remembered())
     if told:
         raise unlike(told, where)
@@ -133,11 +82,6 @@ def unlike(told: str, where: str) -> ModelError:
         where=where,
         fix="install the same versions there, and start it again; finished pieces are kept",
     )
-
-
-def _files() -> list[Path]:
-    """Return the files that the digest covers, in its order."""
-    return [Path(path) for path in sorted(_stamps())]
 
 
 def _stamps() -> dict[str, Stamp]:
