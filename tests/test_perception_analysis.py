@@ -12,15 +12,10 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from exact_mdp.analysis.perception.accuracy import (
-    Hedging,
-    accuracy_curves,
-    accuracy_needed,
-    confusion_at,
-    hedging,
-    prices,
-)
-from exact_mdp.analysis.perception.cost import error_costs, price_of_perception
+from exact_mdp.analysis.perception.accuracy import Hedging, accuracy_curves, hedging, prices
+from exact_mdp.analysis.perception.cost import price_of_perception
+from exact_mdp.analysis.perception.errors import error_costs
+from exact_mdp.analysis.perception.needed import accuracy_needed, confusion_at
 from exact_mdp.analysis.perception.policies import best_perceived_policy
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care.perception import independent, perceived

@@ -114,16 +114,16 @@ def test_rates_are_of_single_statuses() -> None:
 def test_the_uncertain_value_is_that_of_the_draws(care: MDP) -> None:
     counts = counted(examples(), size=16, prior=1 / 16)
     policy = {f"{s:04b}": ["none", "supportive", "directive"][s % 3] for s in range(16)}
-    found = value_under_counts(care, policy, counts, seed=5, draws=30)
-    again = value_under_counts(care, policy, counts, seed=5, draws=30)
+    found = value_under_counts(care, policy, counts, rng=5, n=30)
+    again = value_under_counts(care, policy, counts, rng=5, n=30)
     matrices = counts.samples(np.random.default_rng(5), 30)
     alone = [evaluate(care, perceived(care, policy, matrix)).mean for matrix in matrices]
     assert found.draws == pytest.approx(alone, rel=1e-12)
     assert np.array_equal(found.draws, again.draws)
-    assert found.mean == pytest.approx(np.mean(alone))
+    assert found.value.value == pytest.approx(np.mean(alone))
     at_mean = evaluate(care, perceived(care, policy, counts.mean)).mean
     assert abs(found.at_mean.value - at_mean) <= 2 * found.at_mean.error
-    assert found.claim == "estimated"
+    assert found.value.claim == "estimated"
 
 
 @pytest.mark.parametrize(

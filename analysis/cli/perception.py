@@ -22,7 +22,8 @@ from exact_mdp.analysis.cli.render import Grid, at_most, number, show
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.column_policies import BestPolicy
-    from exact_mdp.analysis.perception.cost import ErrorCosts, PriceOfPerception, UncertainValue
+    from exact_mdp.analysis.perception.cost import PriceOfPerception, UncertainValue
+    from exact_mdp.analysis.perception.errors import ErrorCosts
     from exact_mdp.analysis.perception.needed import AccuracyNeeded
     from exact_mdp.mdp.care.counts import Counted
     from exact_mdp.mdp.model import MDP
@@ -96,19 +97,19 @@ def need_of(each: AccuracyNeeded) -> dict[str, Any]:
         "enough": float(each.enough),
         "crossings": [[float(low), float(high)] for low, high, _ in each.crossings],
         "monotone": each.monotone,
-        "claim": each.claim,
+        "claim": each.value.claim,
     }
 
 
 def spread_of(spread: UncertainValue, seed: int) -> dict[str, Any]:
     return {
-        "mean": spread.mean,
-        "standard_error": spread.standard_error,
+        "mean": spread.value.value,
+        "standard_error": spread.value.standard_error,
         "interval": list(spread.interval),
         "level": spread.level,
         "draws": len(spread.draws),
         "seed": seed,
-        "claim": spread.claim,
+        "claim": spread.value.claim,
     }
 
 
@@ -158,7 +159,7 @@ def grids_of(
         rows.append(
             (
                 "… by the posterior",
-                f"{spread.mean:.6g}",
+                f"{spread.value.value:.6g}",
                 f"{spread.level:.0%} in {low:.5g} to {high:.5g} (estimated)",
             )
         )
@@ -285,11 +286,8 @@ def perception(
     fixed reading of what is seen (told action by action), and taking it for true. Then which
     errors cost most, and the accuracy that keeps a share of the value.
     """
-    from exact_mdp.analysis.perception.cost import (
-        error_costs,
-        price_of_perception,
-        value_under_counts,
-    )
+    from exact_mdp.analysis.perception.cost import price_of_perception, value_under_counts
+    from exact_mdp.analysis.perception.errors import error_costs
 
     # import
     from exact_mdp.mdp.io.load import load
@@ -306,7 +304,7 @@ def perception(
     costs = error_costs(mdp, chosen, matrix)
     spread = None
     if counts is not None:
-        spread = value_under_counts(mdp, chosen, counts, seed=seeded, draws=drawn)
+        spread = value_under_counts(mdp, chosen, counts, rng=seeded, n=drawn)
     told = perception or f"accuracy {accuracy}"
     result = {
         "model": loaded.name,

@@ -17,37 +17,24 @@ import numpy as np
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy
 from exact_mdp.analysis.perception.cost import PriceOfPerception, price_of_perception
-from exact_mdp.analysis.perception.needed import ALL, AccuracyNeeded, accuracy_needed, confusion_at
-from exact_mdp.analysis.perception.policies import (
-    NODES,
-    best_perceived_policy,
-    chosen_policy,
-    status_names,
-)
+from exact_mdp.analysis.perception.needed import ALL, confusion_at
+from exact_mdp.analysis.perception.policies import NODES, best_perceived_policy, status_names
 from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = [
-    "ALL",
-    "AccuracyCurves",
-    "AccuracyNeeded",
-    "Hedging",
-    "accuracy_curves",
-    "accuracy_needed",
-    "confusion_at",
-    "hedging",
-    "prices",
-]
+pandas = later("pandas")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AccuracyCurves:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AccuracyCurves(Result):
     """Values of a policy on perceptions along accuracies, status by status and for all.
 
     Attributes
@@ -63,20 +50,13 @@ class AccuracyCurves:
     values: dict[str, Floats]
     error: float
 
-    @property
-    def claim(self) -> Claim:
-        """What is claimed of every value."""
-        return Claim.BOUNDED
-
     def frame(self) -> DataFrame:
         """Return one row for each accuracy, one column for each status and for all."""
-        from pandas import DataFrame
-
-        return DataFrame({"accuracy": self.levels} | self.values)
+        return pandas.DataFrame({"accuracy": self.levels} | self.values)
 
 
 def accuracy_curves(
-    mdp: MDP,
+    model: MDP,
     policy: object = "optimal",
     *,
     levels: Iterable[float] | None = None,
@@ -86,8 +66,17 @@ def accuracy_curves(
 
     Parameters
     ----------
-    levels : accuracies; 51 from 0.5 to 1 unless given
-    statuses : the curves; one for each status and "all" unless given
+    model : MDP
+        With a column `status`.
+    policy : PolicyLike
+    levels : iterable of float, optional
+        Accuracies; 51 from 0.5 to 1 unless given.
+    statuses : sequence of str, optional
+        The curves; one for each status and "all" unless given.
+
+    Returns
+    -------
+    AccuracyCurves
 
     Examples
     --------
@@ -97,26 +86,27 @@ def accuracy_curves(
     [140.7766, 146.2359]
     """
     grid = np.linspace(0.5, 1.0, 51) if levels is None else np.array(list(levels), dtype=float)
-    process = Process.of(mdp, confusion_at(mdp, 1.0))
-    table = process.table(chosen_policy(mdp, policy))
+    process = Process.of(model, confusion_at(model, 1.0))
+    table = process.table(policy_of(model, policy).policy)
     found = {}
-    for name in (*status_names(mdp), ALL) if statuses is None else statuses:
-        matrices = np.stack([confusion_at(mdp, x, name) for x in grid.tolist()])
+    for name in (*status_names(model), ALL) if statuses is None else statuses:
+        matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
         found[name] = at_start(process, values(process, acting(process, table, matrices))[0])
     return AccuracyCurves(levels=grid, values=found, error=rounding(process))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Hedging:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Hedging(Result):
     """The best memoryless policy on perceptions as perception worsens.
 
     Attributes
     ----------
     mdp : MDP
-    levels : (M,) accuracies of all statuses
+    levels : (M,)
+        Accuracies of all statuses.
     best : tuple of M BestPolicy
     taken_as_true : (M,)
-        What the policy given is worth, taking what it perceives for true.
+        The value of the policy given, taking what it perceives for true.
     """
 
     mdp: MDP
@@ -125,10 +115,12 @@ class Hedging:
     taken_as_true: Floats
 
     @classmethod
-    def of(cls, mdp: MDP, levels: Sequence[float], prices: Sequence[PriceOfPerception]) -> Hedging:
+    def of(
+        cls, model: MDP, levels: Sequence[float], prices: Sequence[PriceOfPerception]
+    ) -> Hedging:
         """Return what prices along accuracies say of the best memoryless policy."""
         return cls(
-            mdp=mdp,
+            mdp=model,
             levels=np.array(levels, dtype=float),
             best=tuple(price.memoryless for price in prices),
             taken_as_true=np.array([price.taken_as_true.value for price in prices]),
@@ -141,7 +133,7 @@ class Hedging:
 
     @property
     def values(self) -> Floats:
-        """(M,) what the best memoryless policies are worth."""
+        """(M,) the values of the best memoryless policies."""
         return np.array([best.value.value for best in self.best])
 
     @property
@@ -149,9 +141,20 @@ class Hedging:
         """(M,) no deterministic memoryless policy is worth more."""
         return np.array([best.upper_bound for best in self.best])
 
+    def frame(self) -> DataFrame:
+        """Return one row for each accuracy."""
+        return pandas.DataFrame(
+            {
+                "accuracy": self.levels,
+                "best memoryless (reward)": self.values,
+                "upper bound (reward)": self.upper_bounds,
+                "taken for true (reward)": self.taken_as_true,
+            }
+        )
+
 
 def hedging(
-    mdp: MDP,
+    model: MDP,
     policy: object = "optimal",
     *,
     levels: Sequence[float] = (1.0, 0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7, 0.65, 0.6),
@@ -161,9 +164,18 @@ def hedging(
 
     Parameters
     ----------
-    policy : what is compared, taking what it perceives for true
-    levels : accuracies
-    node_limit : relaxations solved for each at most
+    model : MDP
+        With a column `status`.
+    policy : PolicyLike
+        What is compared, taking what it perceives for true.
+    levels : sequence of float
+        Accuracies.
+    node_limit : int
+        Relaxations solved for each at most.
+
+    Returns
+    -------
+    Hedging
 
     Examples
     --------
@@ -175,28 +187,19 @@ def hedging(
     found: list[BestPolicy] = []
     for x in levels:
         before = found[-1].policy if found else None
-        matrix = confusion_at(mdp, float(x))
-        found.append(best_perceived_policy(mdp, matrix, start=before, node_limit=node_limit))
-    curves = accuracy_curves(mdp, policy, levels=levels, statuses=[ALL])
+        matrix = confusion_at(model, float(x))
+        found.append(best_perceived_policy(model, matrix, start=before, node_limit=node_limit))
+    curves = accuracy_curves(model, policy, levels=levels, statuses=[ALL])
     return Hedging(
-        mdp=mdp,
-        levels=np.array(levels, dtype=float),
-        best=tuple(found),
-        taken_as_true=curves.values[ALL],
+        mdp=model, levels=curves.levels, best=tuple(found), taken_as_true=curves.values[ALL]
     )
 
 
 def prices(
-    mdp: MDP, levels: Sequence[float], policy: object = "optimal", **limits: Any
+    model: MDP, levels: Sequence[float], policy: object = "optimal", **limits: Any
 ) -> tuple[PriceOfPerception, ...]:
-    """Return what is left of the optimum at each accuracy of all statuses.
-
-    Parameters
-    ----------
-    levels : accuracies
-    **limits : as for `analysis.perception.cost.price_of_perception`
-    """
+    """Return `price_of_perception` at each accuracy of all statuses, with its limits."""
     return tuple(
-        price_of_perception(mdp, confusion_at(mdp, float(x)), policy=policy, **limits)
+        price_of_perception(model, confusion_at(model, float(x)), policy=policy, **limits)
         for x in levels
     )

@@ -1,52 +1,51 @@
-"""What it costs to act on a perceived status: the best with memory, without, and none of both.
+"""The cost of acting on a perceived status: the best with memory, without it, and neither.
 
 From above to below: whoever knows the status; whoever remembers what was seen and done
 (`solvers.pomdp.pomdp`, between two bounds); the best fixed reading of what is seen
 (`analysis.perception.policies`, with a bound on all others); what is seen taken for true. Which
-errors cost most is told by `analysis.perception.errors`, the value where the confusion is known
-from counts only by `analysis.perception.uncertain`, and how it depends on the accuracy by
+errors cost most is in `analysis.perception.errors`, and how the value depends on the accuracy in
 `analysis.perception.accuracy` and `analysis.perception.needed`.
+
+Where the confusion of statuses is known from counts only, its rows are drawn from their posterior
+(`mdp.care.counts`), and the policy is evaluated under each draw: mean and quantiles are estimates,
+of what the labels leave open.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, is_proven
-from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
-from exact_mdp.analysis.perception.policies import (
-    NODES,
-    best_perceived_policy,
-    chosen_policy,
-    place_by_place,
-    status_names,
-)
-from exact_mdp.analysis.perception.uncertain import UncertainValue, value_under_counts
+from exact_mdp.analysis.perception.policies import NODES, best_perceived_policy, place_by_place
+from exact_mdp.mdp.care.counts import LEVEL, Counted
 from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.pomdp.pomdp import BeliefSolution, solve_beliefs
 from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solution import Bounded, Estimated
+from exact_mdp.solvers.values.policy_chain import policy_of
 
-__all__ = [
-    "ErrorCosts",
-    "PriceOfPerception",
-    "UncertainValue",
-    "chosen_policy",
-    "error_costs",
-    "price_of_perception",
-    "status_names",
-    "value_under_counts",
-]
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+BATCH = 256  # matrices evaluated at once
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PriceOfPerception:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PriceOfPerception(Result):
     """What perceiving with errors leaves of the optimum, by how it is dealt with.
 
     Attributes
@@ -72,9 +71,30 @@ class PriceOfPerception:
     taken_as_true: Bounded
     unseeing: BeliefSolution
 
+    @property
+    def value(self) -> Bounded:
+        """The value of the best that remembers."""
+        return self.filtering.value
+
+    def frame(self) -> DataFrame:
+        """Return one row for each way to deal with errors, between bounds on the best of its kind.
+
+        The bounds of a policy that is known hold for its own value.
+        """
+        placed, fixed = self.with_place, self.memoryless
+        rows = [
+            ("the status is known", *self.perfect.interval),
+            ("memory of what was seen and done", *self.filtering.interval),
+            ("memory of what was done, unseeing", *self.unseeing.interval),
+            (f"best by {', '.join(placed.columns)} seen", placed.value.value, placed.upper_bound),
+            (f"best by {', '.join(fixed.columns)} seen", fixed.value.value, fixed.upper_bound),
+            ("seen taken for true", *self.taken_as_true.interval),
+        ]
+        return pandas.DataFrame(rows, columns=["way", "low (reward)", "high (reward)"])
+
 
 def price_of_perception(
-    mdp: MDP,
+    model: MDP,
     confusion: ArrayLike,
     *,
     policy: object = "optimal",
@@ -87,12 +107,26 @@ def price_of_perception(
 
     Parameters
     ----------
-    mdp : MDP with a column `status`
-    confusion : (Z, Z) probabilities of the perceived status (column) given the true one (row)
-    policy : what is taken for true perceptions; the optimum unless given
-    tol, seconds, max_trials : when each of the two searches over beliefs ends; where time
-        ends it, bounds differ a little from one run to the next
-    node_limit : relaxations solved for the best memoryless policy at most
+    model : MDP
+        With a column `status`.
+    confusion : (Z, Z)
+        Probabilities of the perceived status (column) given the true one (row).
+    policy : PolicyLike
+        What is taken for true perceptions; the optimum unless given.
+    tol, seconds, max_trials : float, float, int
+        When each of the two searches over beliefs ends; where time ends it, bounds differ a little
+        from one run to the next.
+    node_limit : int
+        Relaxations solved for the best memoryless policy at most.
+
+    Returns
+    -------
+    PriceOfPerception
+
+    Raises
+    ------
+    ModelError
+        Where the model has no statuses, or a limit is not positive.
 
     Examples
     --------
@@ -105,28 +139,23 @@ def price_of_perception(
     >>> found.memoryless.value.value <= found.filtering.upper <= found.perfect.interval[1] + 1e-9
     True
     """
-    limits: dict[str, Any] = {
-        "tol": tol, "seconds": seconds, "max_trials": max_trials
-    }  # fmt: skip
-    process = Process.of(mdp, confusion)
-    optimum = solve(mdp)
-    chosen = chosen_policy(mdp, policy, optimum.policy)
+    process, optimum = Process.of(model, confusion), solve(model)
+    optimal = isinstance(policy, str) and policy == "optimal"
+    chosen = policy_of(model, optimum if optimal else policy).policy
     value, _ = values(process, acting(process, process.table(chosen)))
-    reading = best_perceived_policy(mdp, process, node_limit=node_limit)
+    reading = best_perceived_policy(model, process, node_limit=node_limit)
     placed = best_perceived_policy(
-        mdp,
+        model,
         process,
-        mdp.space.names,
+        model.space.names,
         start=place_by_place(process, [chosen, reading.policy, "random"]),
         node_limit=max(1, node_limit // 10),
     )
-    filtering = solve_beliefs(
-        process,
-        **limits,
-        begin=[chosen, reading.policy, placed.policy],
-    )
     blind = process.with_confusion(np.full_like(process.confusion, 1 / process.statuses))
-    unseeing = solve_beliefs(blind, **limits)
+    filtering, unseeing = (
+        solve_beliefs(seen, tol=tol, seconds=seconds, max_trials=max_trials, begin=begin)
+        for seen, begin in ((process, [chosen, reading.policy, placed.policy]), (blind, None))
+    )
     return PriceOfPerception(
         perfect=optimum.start,
         filtering=filtering,
@@ -143,3 +172,109 @@ def _capped(best: BestPolicy, upper: float) -> BestPolicy:
     bound = min(best.upper_bound, cap)
     proven = is_proven(best.value, bound)
     return replace(best, mixed_upper_bound=cap, upper_bound=bound, proven=proven)
+
+
+# ---- a confusion known from counts ---------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class UncertainValue(Result):
+    """A policy's value where the confusion is known from counts only.
+
+    Attributes
+    ----------
+    at_mean : Bounded
+        Under the posterior mean of the confusion.
+    value : Estimated
+        The mean over matrices drawn from the posterior.
+    interval : (low, high)
+        The credible interval, between quantiles of the draws.
+    level : float
+    draws : (N,)
+        The values.
+    """
+
+    at_mean: Bounded
+    value: Estimated
+    interval: tuple[float, float]
+    level: float
+    draws: Floats
+
+    @property
+    def error(self) -> float:
+        """The standard error of the mean."""
+        return self.value.standard_error
+
+    def frame(self) -> DataFrame:
+        """Return one row for each draw."""
+        return pandas.DataFrame({"value (reward)": self.draws})
+
+
+def value_under_counts(
+    model: MDP,
+    policy: object,
+    counts: Counted,
+    *,
+    rng: RNG,
+    n: int = 2000,
+    level: float = LEVEL,
+) -> UncertainValue:
+    """Return the value of a policy under a confusion of which only counts are known.
+
+    Parameters
+    ----------
+    model : MDP
+    policy : PolicyLike
+        It reads the perceived status.
+    counts : Counted
+        With a prior.
+    rng : int or numpy.random.Generator
+    n : int
+        Matrices drawn from the posterior.
+    level : float
+        Of the credible interval.
+
+    Returns
+    -------
+    UncertainValue
+
+    Raises
+    ------
+    ModelError
+        For less than one draw, or a level outside (0, 1).
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> seen = Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16)
+    >>> found = value_under_counts(mdp, "optimal", seen, rng=0, n=200)
+    >>> found.interval[0] < found.at_mean.value < found.interval[1]
+    True
+    """
+    if n < 1 or not 0 < level < 1:
+        raise ModelError(
+            f"{n} draws, level {level}",
+            where="value_under_counts",
+            fix="give 1 or more, and such as 0.95",
+        )
+    drawn = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
+    process = Process.of(model, counts.mean)
+    table = process.table(policy_of(model, policy).policy)
+
+    def worth(matrices: Floats | None) -> Floats:
+        return at_start(process, values(process, acting(process, table, matrices))[0])
+
+    sizes = [min(BATCH, n - first) for first in range(0, n, BATCH)]
+    draws = np.concatenate([worth(counts.samples(drawn, size)) for size in sizes])
+    draws.setflags(write=False)
+    tail = (1 - level) / 2
+    low, high = np.quantile(draws, [tail, 1 - tail]).tolist()
+    error = float(draws.std(ddof=1) / np.sqrt(n)) if n > 1 else inf
+    return UncertainValue(
+        at_mean=Bounded(value=float(worth(None)[0]), error=rounding(process)),
+        value=Estimated(value=float(draws.mean()), standard_error=error),
+        interval=(low, high),
+        level=level,
+        draws=draws,
+    )

@@ -24,20 +24,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.perception.policies import chosen_policy, status_names
+from exact_mdp.analysis.perception.policies import status_names
 from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.pomdp.values import acting, at_start, largest, rounding, values, visits
-from exact_mdp.solvers.solution import Bounded, Claim
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+pandas = later("pandas")
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorCosts:
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ErrorCosts(Result):
     """Which errors of perception cost a policy most.
 
     Attributes
@@ -66,11 +71,6 @@ class ErrorCosts:
     error: float
 
     @property
-    def claim(self) -> Claim:
-        """What is claimed of every number here."""
-        return Claim.BOUNDED
-
-    @property
     def marginal(self) -> Floats:
         """(Z, Z) what each unit of probability moved from s read rightly to z loses."""
         return np.asarray(np.diag(self.derivative)[:, None] - self.derivative)
@@ -82,11 +82,10 @@ class ErrorCosts:
         An error in which several statuses are misread counts for each of them in equal parts, so
         that these, too, sum to the whole loss.
         """
-        size, bits = len(self.loss), len(self.statuses)
-        number = np.arange(size)
-        wrong = (number[:, None] ^ number)[:, :, None] >> np.arange(bits - 1, -1, -1) & 1
+        number, shift = np.arange(len(self.loss)), np.arange(len(self.statuses))[::-1]
+        wrong = (number[:, None] ^ number)[:, :, None] >> shift & 1
         share = wrong / np.maximum(wrong.sum(axis=2, keepdims=True), 1)
-        present = number[:, None] >> np.arange(bits - 1, -1, -1) & 1
+        present = number[:, None] >> shift & 1
         split = self.loss[:, :, None] * share
         return {
             name: (
@@ -98,32 +97,36 @@ class ErrorCosts:
 
     def frame(self) -> DataFrame:
         """Return one row for each pair of statuses that is confused, the costliest first."""
-        from pandas import DataFrame
-
         bits = len(self.statuses)
         rows = [
-            {
-                "true": format(true, f"0{bits}b"),
-                "perceived": format(seen, f"0{bits}b"),
-                "loss (reward)": self.loss[true, seen],
-                "loss per unit of probability (reward)": self.marginal[true, seen],
-                "claim": str(self.claim),
-            }
+            (
+                format(true, f"0{bits}b"),
+                format(seen, f"0{bits}b"),
+                self.loss[true, seen],
+                self.marginal[true, seen],
+            )
             for true, seen in np.ndindex(self.loss.shape)
             if true != seen
         ]
-        rows.sort(key=lambda row: -row["loss (reward)"])
-        return DataFrame(rows)
+        names = ["true", "perceived", "loss (reward)", "loss per unit of probability (reward)"]
+        return pandas.DataFrame(sorted(rows, key=lambda row: -row[2]), columns=names)
 
 
-def error_costs(mdp: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
+def error_costs(model: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
     """Return which errors of perception cost a policy most, at the margin and in all.
 
     Parameters
     ----------
-    mdp : MDP with a column `status`
-    policy : "optimal", or anything that `Policy.of` takes; it reads the perceived status
-    confusion : (Z, Z) probabilities of the perceived status (column) given the true one (row)
+    model : MDP
+        With a column `status`.
+    policy : PolicyLike
+        It reads the perceived status.
+    confusion : (Z, Z)
+        Probabilities of the perceived status (column) given the true one (row).
+
+    Returns
+    -------
+    ErrorCosts
 
     Examples
     --------
@@ -135,9 +138,9 @@ def error_costs(mdp: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
     >>> bool(abs(found.loss.sum() - whole) < 1e-9), max(found.by_status, key=found.by_status.get)
     (True, 'disengagement')
     """
-    process = Process.of(mdp, confusion)
+    process = Process.of(model, confusion)
     size, matrix = process.statuses, process.confusion
-    table = process.table(chosen_policy(mdp, policy))
+    table = process.table(policy_of(model, policy).policy)
     weights = acting(process, table)
     value, q = values(process, weights)
     met = visits(process, weights)[..., 0]
@@ -153,7 +156,7 @@ def error_costs(mdp: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
     rough = float(gamma(process.depth * process.terms + len(process.moves) + 4 * size + 8))
     # Visits sum to the steps at most, and no difference of values exceeds twice the largest.
     error = 4 * rough * process.depth * largest(process) * size * SLACK
-    names = status_names(mdp)
+    names = status_names(model)
     return ErrorCosts(
         statuses=names,
         value=Bounded(value=float(at_start(process, value)[0]), error=off),

@@ -19,24 +19,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.perception.policies import chosen_policy, status_names
+from exact_mdp.analysis.perception.policies import status_names
 from exact_mdp.analysis.sensitivity.exact_chain import rational
 from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solution import Certified
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
+    from pandas import DataFrame
+
+flint, pandas = later("flint"), later("pandas")
 
 ALL = "all"
 LOWEST = Fraction(1, 2)  # an accuracy that says nothing
 WIDTH = Fraction(1, 10**12)
 
 
-def confusion_at(mdp: MDP, accuracy: float, status: str = ALL) -> Floats:
+def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
     """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all.
 
     Examples
@@ -49,14 +55,14 @@ def confusion_at(mdp: MDP, accuracy: float, status: str = ALL) -> Floats:
     if not 0 <= accuracy <= 1:
         raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
     found = np.ones((1, 1))
-    for changed in _uncertain(mdp, status):
+    for changed in _uncertain(model, status):
         x = accuracy if changed else 1.0
         found = np.kron(found, np.array([[x, 1 - x], [1 - x, x]]))
     return found
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AccuracyNeeded:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AccuracyNeeded(Result):
     """The accuracy that keeps a share of what a policy is worth where it sees the truth.
 
     Attributes
@@ -89,21 +95,34 @@ class AccuracyNeeded:
     polynomial: tuple[Fraction, ...]
 
     @property
-    def claim(self) -> Claim:
-        """What is claimed: roots isolated in rational arithmetic."""
-        return Claim.CERTIFIED
+    def value(self) -> Certified:
+        """The accuracy that is enough; roots are isolated in rational arithmetic."""
+        return Certified(value=self.enough)
+
+    def frame(self) -> DataFrame:
+        """Return one row for each crossing."""
+        rows = [(float(low), float(high), rising) for low, high, rising in self.crossings]
+        return pandas.DataFrame(rows, columns=["low accuracy", "high accuracy", "rising"])
 
 
 def accuracy_needed(
-    mdp: MDP, policy: object = "optimal", *, share: object = "19/20", status: str = ALL
+    model: MDP, policy: object = "optimal", *, share: object = "19/20", status: str = ALL
 ) -> AccuracyNeeded:
     """Return the accuracy from which on a policy on perceptions keeps a share of its value.
 
     Parameters
     ----------
-    policy : "optimal", or anything that `Policy.of` takes
-    share : of the value where it sees the truth, from 0 to 1
-    status : the status that is perceived with errors, the others perfectly; or "all"
+    model : MDP
+        With a column `status`.
+    policy : PolicyLike
+    share : number or "p/q"
+        Of the value where it sees the truth, from 0 to 1.
+    status : str
+        The status that is perceived with errors, the others perfectly; or "all".
+
+    Returns
+    -------
+    AccuracyNeeded
 
     Raises
     ------
@@ -120,7 +139,7 @@ def accuracy_needed(
     part = exact(share)
     if not 0 <= part <= 1:
         raise ModelError(f"share is {share}", where="share", fix="choose one from 0 to 1")
-    poly = value_polynomial(mdp, policy, status=status)
+    poly = _value_polynomial(model, policy, status)
     perfect = _fraction(poly(rational(Fraction(1))))
     if perfect <= 0:
         raise ModelError(
@@ -146,12 +165,10 @@ def accuracy_needed(
     )
 
 
-def value_polynomial(mdp: MDP, policy: object = "optimal", *, status: str = ALL) -> fmpq_poly:
+def _value_polynomial(mdp: MDP, policy: object, status: str) -> fmpq_poly:
     """Return the value at the start as an exact polynomial of the accuracy."""
-    from flint import fmpq_poly
-
-    process = Process.of(mdp, confusion_at(mdp, 1.0))
-    table = process.table(chosen_policy(mdp, policy))
+    zero, process = flint.fmpq_poly([]), Process.of(mdp, confusion_at(mdp, 1.0))
+    table = process.table(policy_of(mdp, policy).policy)
     bits = _uncertain(mdp, status)
     entries = _entries(bits)
     size, rate = process.statuses, rational(mdp.discount_exact)
@@ -166,20 +183,20 @@ def value_polynomial(mdp: MDP, policy: object = "optimal", *, status: str = ALL)
             done: dict[int, fmpq_poly] = {}
             for distance, seen in entries[true]:
                 for action, share in shares[seen]:
-                    done[action] = done.get(action, fmpq_poly([])) + distance * share
-            total = fmpq_poly([])
+                    done[action] = done.get(action, zero) + distance * share
+            total = zero
             for action, weight in done.items():
                 pair = mdp.pair(state, action)
-                ahead = fmpq_poly([])
+                ahead = zero
                 for chance, following, _ in mdp.table.row(pair):
                     if following in value:
-                        ahead += value[following] * rational(chance)
+                        ahead = ahead + value[following] * rational(chance)
                 gain = rational(Fraction(int(gain_top[pair]), int(gain_bottom[pair])))
-                total += weight * (ahead * rate + gain)
+                total = total + weight * (ahead * rate + gain)
             value[state] = total
-    start = fmpq_poly([])
+    start = zero
     for state, weight in mdp.start:
-        start += value.get(state, fmpq_poly([])) * rational(weight)
+        start = start + value.get(state, zero) * rational(weight)
     return start
 
 
@@ -194,9 +211,7 @@ def _uncertain(mdp: MDP, status: str) -> list[bool]:
 
 def _entries(bits: Sequence[bool]) -> list[list[tuple[fmpq_poly, int]]]:
     """Return, for each true status, the polynomials C(s, z) that are not 0, with z."""
-    from flint import fmpq_poly
-
-    right, wrong = fmpq_poly([0, 1]), fmpq_poly([1, -1])
+    right, wrong = flint.fmpq_poly([0, 1]), flint.fmpq_poly([1, -1])
     count = sum(bits)
     by_distance = [right ** (count - h) * wrong**h for h in range(count + 1)]
     mask = sum(1 << (len(bits) - 1 - bit) for bit, on in enumerate(bits) if on)

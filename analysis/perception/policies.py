@@ -30,7 +30,6 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values, visits
 
 CELLS = 2**22  # places × statuses × actions × relaxations solved at once
@@ -38,25 +37,31 @@ NODES = 10_000
 
 
 def best_perceived_policy(
-    mdp: MDP,
+    model: MDP,
     confusion: ArrayLike | Process,
     columns: Sequence[str] = ("status",),
     *,
     start: Policy | None = None,
     node_limit: int = NODES,
-    mixed_upper_bound: float = inf,
 ) -> BestPolicy:
     """Return the best deterministic memoryless policy on perceptions, and bounds on all others.
 
     Parameters
     ----------
-    mdp : MDP with a column `status`, the one that moves fastest
-    confusion : (Z, Z) probabilities of the perceived status (column) given the true one, or Process
-    columns : names of columns that the policy reads, `status` among them: the perceived one
+    model : MDP
+        With a column `status`, the one that moves fastest.
+    confusion : (Z, Z), or Process
+        Probabilities of the perceived status (column) given the true one.
+    columns : sequence of str
+        Names of columns that the policy reads, `status` among them: the perceived one.
     start : Policy, optional
         One that reads these columns, to begin from as well.
-    node_limit : relaxations to solve at most; `upper_bound` is sound wherever the search ends
-    mixed_upper_bound : what no controller can exceed, where more is known of that than V*
+    node_limit : int
+        Relaxations to solve at most; `upper_bound` is sound wherever the search ends.
+
+    Returns
+    -------
+    BestPolicy
 
     Raises
     ------
@@ -80,11 +85,10 @@ def best_perceived_policy(
         )
     if node_limit < 1:
         raise ModelError(f"node_limit is {node_limit}", where="columns", fix="give 1 or more")
-    process = confusion if isinstance(confusion, Process) else Process.of(mdp, confusion)
+    process = confusion if isinstance(confusion, Process) else Process.of(model, confusion)
     rows = perceived_rows(process, columns)
-    relaxations = PerceivedRelaxations(rows, process)
-    found = searched(rows, relaxations, start=start, node_limit=node_limit)
-    lowest = max(min(found.mixed_upper_bound, mixed_upper_bound), found.value.interval[0])
+    found = searched(rows, PerceivedRelaxations(rows, process), start=start, node_limit=node_limit)
+    lowest = max(found.mixed_upper_bound, found.value.interval[0])
     return replace(found, mixed_upper_bound=lowest, upper_bound=min(found.upper_bound, lowest))
 
 
@@ -94,16 +98,6 @@ def place_by_place(process: Process, policies: Sequence[object]) -> Policy:
     A place is visited once, so what is best in it for each perception, the other places held, is
     known from its visits and action values; places are gone through from the last to the first
     until nothing improves. The best of what becomes of the policies given is returned.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.mdp.care.perception import independent
-    >>> process = Process.of(Scenario.load("yuan2025").compile(), independent([0.9] * 4, [0.9] * 4))
-    >>> policy = place_by_place(process, ["random"])
-    >>> value, _ = values(process, acting(process, process.table(policy)))
-    >>> round(float(at_start(process, value)[0]), 4)
-    145.6184
     """
     best, worth = process.table(policies[0]), -inf
     for policy in policies:
@@ -139,18 +133,11 @@ def place_by_place(process: Process, policies: Sequence[object]) -> Policy:
     return Policy(space=mdp.space, actions=mdp.actions, rule=whole)
 
 
-def status_names(mdp: MDP) -> tuple[str, ...]:
+def status_names(model: MDP) -> tuple[str, ...]:
     """Return the names of the statuses, the most significant bit first; numbers where unnamed."""
-    names = [p.name.removeprefix("base.") for p in mdp.parameters if p.name.startswith("base.")]
-    bits = mdp.space.column("status").size.bit_length() - 1
+    names = [p.name.removeprefix("base.") for p in model.parameters if p.name.startswith("base.")]
+    bits = model.space.column("status").size.bit_length() - 1
     return tuple(names) if len(names) == bits else tuple(f"bit {bit}" for bit in range(bits))
-
-
-def chosen_policy(mdp: MDP, policy: object, optimum: Integers | None = None) -> Policy:
-    """Return a policy of any form; "optimal" is the optimum of whoever sees the truth."""
-    if isinstance(policy, str) and policy == "optimal":
-        return Policy.from_choices(mdp, solve(mdp).policy if optimum is None else optimum)
-    return Policy.of(mdp, policy)
 
 
 def perceived_rows(process: Process, columns: Sequence[str]) -> Rows:

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from exact_mdp.analysis.plots.style import action_styles, axes_or_new, plain_text
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.perception.accuracy import AccuracyCurves, AccuracyNeeded, Hedging
-    from exact_mdp.analysis.perception.cost import ErrorCosts, PriceOfPerception
+    from exact_mdp.analysis.perception.accuracy import AccuracyCurves, Hedging
+    from exact_mdp.analysis.perception.cost import PriceOfPerception
+    from exact_mdp.analysis.perception.errors import ErrorCosts
+    from exact_mdp.analysis.perception.needed import AccuracyNeeded
 
 MISSED, SEEN = "#FFFFFF", "#56B4E9"
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")

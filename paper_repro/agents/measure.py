@@ -285,13 +285,13 @@ def cost(
     perfect = evaluate(mdp, policy)
     measured = evaluate(mdp, perceived(mdp, policy, matrix(counts, prior)))
     perks = Counted(counts=counts, prior=1 / len(counts))
-    drawn = value_under_counts(mdp, policy, perks, seed=seed, draws=draws) if draws else None
+    drawn = value_under_counts(mdp, policy, perks, rng=seed, n=draws) if draws else None
     return {
         "perfect": {"value": perfect.mean, "claim": str(perfect.claim)},
         "measured": {"value": measured.mean, "claim": str(measured.claim)},
         "loss": perfect.mean - measured.mean,
         "posterior": {
-            "mean": None if drawn is None else drawn.mean,
+            "mean": None if drawn is None else drawn.value.value,
             "interval": None if drawn is None else list(drawn.interval),
             "level": LEVEL, "draws": draws, "claim": "estimated",
         },

@@ -20,18 +20,13 @@ import numpy as np
 
 from exact_mdp.analysis.perception.accuracy import (
     AccuracyCurves,
-    AccuracyNeeded,
     Hedging,
     accuracy_curves,
-    accuracy_needed,
     prices,
 )
-from exact_mdp.analysis.perception.cost import (
-    ErrorCosts,
-    UncertainValue,
-    error_costs,
-    value_under_counts,
-)
+from exact_mdp.analysis.perception.cost import UncertainValue, value_under_counts
+from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
+from exact_mdp.analysis.perception.needed import AccuracyNeeded, accuracy_needed
 from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.mdp.care.counts import Counted, counted
 from exact_mdp.solvers import solve
@@ -107,7 +102,7 @@ def measured() -> Measured:
         mdp=mdp,
         policy=policy,
         counts=counts,
-        value=value_under_counts(mdp, policy, counts, seed=SEED, draws=DRAWS),
+        value=value_under_counts(mdp, policy, counts, rng=SEED, n=DRAWS),
         costs=error_costs(mdp, policy, Counted(counts=counts.counts).mean),
     )
 
