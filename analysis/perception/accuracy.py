@@ -87,7 +87,7 @@ def accuracy_curves(
     """
     grid = np.linspace(0.5, 1.0, 51) if levels is None else np.array(list(levels), dtype=float)
     process = Process.of(model, confusion_at(model, 1.0))
-    table = process.table(policy_of(model, policy).policy)
+    table = process.table(policy_of(model, policy))
     found = {}
     for name in (*status_names(model), ALL) if statuses is None else statuses:
         matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])

@@ -141,7 +141,7 @@ def price_of_perception(
     """
     process, optimum = Process.of(model, confusion), solve(model)
     optimal = isinstance(policy, str) and policy == "optimal"
-    chosen = policy_of(model, optimum if optimal else policy).policy
+    chosen = policy_of(model, optimum if optimal else policy)
     value, _ = values(process, acting(process, process.table(chosen)))
     reading = best_perceived_policy(model, process, node_limit=node_limit)
     placed = best_perceived_policy(
@@ -260,7 +260,7 @@ def value_under_counts(
         )
     drawn = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
     process = Process.of(model, counts.mean)
-    table = process.table(policy_of(model, policy).policy)
+    table = process.table(policy_of(model, policy))
 
     def worth(matrices: Floats | None) -> Floats:
         return at_start(process, values(process, acting(process, table, matrices))[0])

@@ -140,7 +140,7 @@ def error_costs(model: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
     """
     process = Process.of(model, confusion)
     size, matrix = process.statuses, process.confusion
-    table = process.table(policy_of(model, policy).policy)
+    table = process.table(policy_of(model, policy))
     weights = acting(process, table)
     value, q = values(process, weights)
     met = visits(process, weights)[..., 0]

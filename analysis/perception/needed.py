@@ -168,7 +168,7 @@ def accuracy_needed(
 def _value_polynomial(mdp: MDP, policy: object, status: str) -> fmpq_poly:
     """Return the value at the start as an exact polynomial of the accuracy."""
     zero, process = flint.fmpq_poly([]), Process.of(mdp, confusion_at(mdp, 1.0))
-    table = process.table(policy_of(mdp, policy).policy)
+    table = process.table(policy_of(mdp, policy))
     bits = _uncertain(mdp, status)
     entries = _entries(bits)
     size, rate = process.statuses, rational(mdp.discount_exact)
