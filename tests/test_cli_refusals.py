@@ -129,11 +129,11 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
     def broken(*_: object, **__: object) -> None:
         raise ValueError("a mistake")
 
-    monkeypatch.setattr("exact_mdp.mdp.io.load.load", broken)
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", broken)
     done = run("info", "yuan2025")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("ValueError: a fault of the program, not of what you gave it: a mis")
-    assert "where: exact-mdp info, in analysis/cli/model.py, line " in done.err
+    assert "where: exact-mdp info, in analysis/cli/options.py, line " in done.err
     assert "EXACT_MDP_TRACEBACK=1" in done.err
     monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
     assert "Traceback (most recent call last)" in run("info", "yuan2025").err
@@ -171,6 +171,6 @@ def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("exact_mdp.mdp.io.load.load", stop)
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", stop)
     done = run("info", "yuan2025")
     assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")

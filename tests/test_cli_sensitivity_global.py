@@ -12,6 +12,8 @@ import matplotlib as mpl
 import pytest
 from cli_runner import run
 
+from exact_mdp.analysis.cli import commands
+from exact_mdp.analysis.cli.sensitivity import KINDS
 from exact_mdp.analysis.plots.sensitivity_global import plot_morris, plot_morris_bars, plot_sobol
 from exact_mdp.analysis.plots.style import style
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
@@ -178,7 +180,7 @@ def test_a_cluster_changes_nothing() -> None:
         (("sobol", "--samples", "1000"), "not a power of 2"),
         (("sobol", "--samples", "many"), "'many' is not a whole number"),
         (("psa", "--samples", "0"), "0"),
-        (("robust", "--samples", "5"), "--samples says nothing to robust"),
+        (("robust", "--samples", "5"), "--samples does not apply to robust"),
         (("morris", "--samples", "0"), "'0' is not a whole number from 2"),
         (("sobol", "--seed", "-1"), "--seed"),
         (("sobol", "--n-jobs", "0"), "--n-jobs"),
@@ -190,14 +192,14 @@ def test_a_cluster_changes_nothing() -> None:
         (("sobol", "--parameter", "assistance.supportive.anger.onset"), "is no range"),
         (("sobol", "--policy", "always:nothing"), "nothing"),
         (("sobol", "--out", " "), "--out is empty"),
-        (("sobol", "--combined"), "--combined says nothing to sobol"),
-        (("tornado", "--samples", "5"), "--samples says nothing to tornado"),
-        (("gradient", "--seed", "1"), "--seed says nothing to gradient"),
-        (("sobol", "--radius", "1"), "it belongs to robust"),
-        (("morris", "--effective-sample-size", "1"), "it belongs to psa"),
-        (("structural", "--set-kind", "l1"), "it belongs to robust"),
-        (("structural", "--relative", "0.1"), "readings have no ranges"),
-        (("structural", "--parameter", "base.anger"), "readings have no ranges"),
+        (("sobol", "--combined"), "--combined does not apply to sobol"),
+        (("tornado", "--samples", "5"), "--samples does not apply to tornado"),
+        (("gradient", "--seed", "1"), "--seed does not apply to gradient"),
+        (("sobol", "--radius", "1"), "it applies to robust"),
+        (("morris", "--effective-sample-size", "1"), "it applies to psa"),
+        (("structural", "--set-kind", "l1"), "it applies to robust"),
+        (("structural", "--relative", "0.1"), "it changes readings, which have no ranges"),
+        (("structural", "--parameter", "base.anger"), "it changes readings, which have no ranges"),
         (("structural", "--policy", "missing.json"), "missing.json"),
     ],
 )
@@ -208,6 +210,27 @@ def test_what_cannot_be_done_is_refused_with_the_reason(
     assert done.status == 2
     assert done.out == ""
     assert message in done.err
+
+
+def test_every_option_that_a_kind_does_not_use_is_refused() -> None:
+    """All kinds and all options; a new kind or option is in the loop without being named here."""
+    shared = {"model", "kind", "sets", "discount", "as_json"}
+    options = [each for each in commands.sensitivity.params if each.name not in shared]
+    assert {each.name for each in options} >= set().union(*(k.uses for k in KINDS.values()))
+    refused = 0
+    for kind, used in KINDS.items():
+        for option in options:
+            assert any(option.name in each.uses for each in KINDS.values())
+            if option.name in used.uses:
+                continue
+            name = max(option.opts, key=len)
+            value = [] if option.is_flag else ["l1" if name == "--set-kind" else "1"]
+            done = run("sensitivity", "tea", kind, name, *value)
+            assert (done.status, done.out) == (2, "")
+            assert done.err.startswith(f"ModelError: {name} does not apply to {kind}")
+            assert "leave it out; it applies to " in done.err
+            refused += 1
+    assert refused > 50
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -191,7 +191,7 @@ def test_the_command_for_readings(seen: Path, plan: Path) -> None:
 def test_thresholds_say_why_not(seen: Path) -> None:
     done = run("sensitivity", "yuan2025", "threshold", "--perception", seen)
     assert (done.status, done.out) == (2, "")
-    assert "thresholds are those of the optimum, re-optimised" in done.err
+    assert "thresholds are those of the optimal policy, re-optimised" in done.err
     assert "psa" in done.err
 
 

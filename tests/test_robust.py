@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 from strategies import Rows, models
 
 from exact_mdp.analysis.cli.render import to_json
+from exact_mdp.analysis.cli.sensitivity.options import Asked
 from exact_mdp.analysis.cli.sensitivity.robust import robust_report
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
 from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of, robust, robust_curve
@@ -254,24 +255,26 @@ def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
 def test_the_report(kind: str) -> None:
     loaded = load("yuan2025", sets=["tasks=[1]"])
-    result, facts, grids = robust_report(loaded, {"set_kind": kind, "radius": "0.3"})
+    found = robust_report(Asked(loaded=loaded, options={"set_kind": kind, "radius": "0.3"}))
+    result = json.loads(to_json(found.result))
     assert result["worst_case"]["value"] < result["start_value"] < result["best_case"]["value"]
     assert result["worst_case"]["nominal_policy"]["value"] <= result["worst_case"]["value"] + 1e-9
     assert result["price_of_robustness"]["value"] >= -1e-9
-    assert json.loads(to_json(result))["set_kind"] == kind
-    assert grids[0].rows
-    assert "0.3" in facts["uncertainty"]
+    assert result["set_kind"] == kind
+    assert found.tables[0].rows
+    assert "0.3" in found.facts["uncertainty"]
 
 
 def test_the_report_of_a_box() -> None:
     loaded = load("yuan2025", sets=["tasks=[1]", "max_trial=2"])
-    result, _, grids = robust_report(loaded, {"set_kind": "box", "radius": "0.1"})
+    found = robust_report(Asked(loaded=loaded, options={"set_kind": "box", "radius": "0.1"}))
+    result = json.loads(to_json(found.result))
     assert result["worst_case"]["nominal_policy"]["low"] < result["start_value"]
     assert result["worst_case"]["low"] <= result["worst_case"]["high"]
-    assert len(grids[0].rows) == len(result["box"]) == 32
-    assert json.loads(to_json(result))["best_case"]
+    assert len(found.tables[0].rows) == len(result["box"]) == 32
+    assert result["best_case"]
     one = {"set_kind": "box", "ranges": ("base.anger=0:0.2",)}
-    assert list(robust_report(loaded, one)[0]["box"]) == ["base.anger"]
+    assert list(robust_report(Asked(loaded=loaded, options=one)).result["box"]) == ["base.anger"]
 
 
 @pytest.mark.parametrize(
@@ -288,7 +291,7 @@ def test_the_report_of_a_box() -> None:
 )
 def test_reports_of_nonsense_are_refused(options: dict) -> None:
     with pytest.raises(ModelError):
-        robust_report(load("yuan2025", sets=["tasks=[1]"]), options)
+        robust_report(Asked(loaded=load("yuan2025", sets=["tasks=[1]"]), options=options))
 
 
 def test_a_box_needs_a_scenario(tmp_path) -> None:
@@ -296,7 +299,7 @@ def test_a_box_needs_a_scenario(tmp_path) -> None:
 
     save_model(risky(), tmp_path / "model.npz")
     with pytest.raises(ModelError, match="scenario"):
-        robust_report(load(tmp_path / "model.npz"), {"set_kind": "box"})
+        robust_report(Asked(loaded=load(tmp_path / "model.npz"), options={"set_kind": "box"}))
 
 
 def test_the_curve_and_its_figure() -> None:

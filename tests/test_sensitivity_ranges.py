@@ -241,7 +241,7 @@ def test_command_tornado_and_threshold(tmp_path: Path) -> None:
     ("words", "message"),
     [
         ("gradient --parameter base.angre", "unknown parameter"),
-        ("gradient --relative 0.1", "no ranges"),
+        ("gradient --relative 0.1", "does not apply to gradient"),
         ("tornado --range base.anger=0.1", "not a range"),
         ("tornado --range base.anger=0.3:0.1", "empty"),
         ("tornado --range base.anger=0:1.5", "outside"),

@@ -1,7 +1,7 @@
-"""The program `exact-mdp` and its commands; `analysis.exit_status` says how it ends.
+"""The program `exact-mdp`; `exact_mdp.analysis.exit_status` says how it ends.
 
-A failure is told on standard error as what, where and fix, with nothing on standard output. To add
-a command, write it and name it in COMMANDS.
+`commands` declares what can be typed, the other modules do it, and `render` shows the result. A
+failure is reported on standard error as what, where and fix, with nothing on standard output.
 """
 
 from __future__ import annotations
@@ -9,34 +9,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 
 import click
 
-from exact_mdp.analysis.cli.check import check
-from exact_mdp.analysis.cli.evaluate import evaluate, returns, simulate
-from exact_mdp.analysis.cli.model import convert, info
-from exact_mdp.analysis.cli.perception import perception
-from exact_mdp.analysis.cli.sensitivity import sensitivity
-from exact_mdp.analysis.cli.solve import solve
-from exact_mdp.analysis.cli.train import train
-from exact_mdp.analysis.cli.verify import verify
+from exact_mdp.analysis.cli import commands
+from exact_mdp.analysis.cli.commands import COMMANDS
 from exact_mdp.analysis.exit_status import Told, leave, run
 
 PROGRAM = "exact-mdp"
-COMMANDS = (
-    info,
-    solve,
-    evaluate,
-    returns,
-    simulate,
-    verify,
-    convert,
-    check,
-    train,
-    sensitivity,
-    perception,
-)
+GATE = commands.check
 
 
 @click.group(
@@ -70,13 +53,13 @@ def _reporting(words: list[str]) -> Told | None:
 
     So no report of an earlier run stays, whatever becomes of this one.
     """
-    if next((word for word in words if not word.startswith("-")), None) != check.name:
+    if next((word for word in words if not word.startswith("-")), None) != GATE.name:
         return None
-    rest = words[words.index(check.name) + 1 :]
-    if {"--help"} & set(rest):
+    rest = words[words.index(GATE.name) + 1 :]
+    if "--help" in rest:
         return None
     anything = {"ignore_unknown_options": True, "allow_extra_args": True}
-    with check.make_context(check.name, rest, resilient_parsing=True, **anything) as context:
+    with GATE.make_context(GATE.name, rest, resilient_parsing=True, **anything) as context:
         path, model = context.params.get("junit"), context.params.get("model") or "?"
     if not isinstance(path, str) or not path.lower().endswith(".xml"):
         return None  # the command refuses it
@@ -84,12 +67,11 @@ def _reporting(words: list[str]) -> Told | None:
         return None
 
     def write(message: str) -> None:
-        from exact_mdp.analysis.gate.junit import Case, write_junit
-
+        junit = import_module("exact_mdp.analysis.gate.junit")
         first = message.partition("\n")[0]
-        case = Case(name="check", error=first, text=message)
-        with suppress(ValueError, OSError):  # told by the command, or about something worse
-            write_junit(path, f"{PROGRAM} check {model}", [case], seconds=0.0, properties={})
+        case = junit.Case(name="check", error=first, text=message)
+        with suppress(ValueError, OSError):  # reported by the command, or about something worse
+            junit.write_junit(path, f"{PROGRAM} check {model}", [case], seconds=0.0, properties={})
 
     write("the check did not end: the process was killed, or is still at work")
     return lambda _, message: write(message)

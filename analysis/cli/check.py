@@ -1,119 +1,65 @@
-"""The gate: does a learned policy lose more than it may?"""
+"""What `exact-mdp check` does: does a learned policy lose more than it may?"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
 from fractions import Fraction
 from math import inf, nextafter
-from typing import TYPE_CHECKING, Any
+from time import perf_counter
+from typing import Any
 
-import click
-
-from exact_mdp.analysis.cli.options import (
-    POLICY_HELP,
-    check_outputs,
-    horizon_option,
-    kind_option,
-    model_options,
-    perception_option,
-    read_as,
-    stopped,
-    tell_limit,
-)
-from exact_mdp.analysis.cli.render import Grid, number, show
-
-if TYPE_CHECKING:
-    from exact_mdp.analysis.gate.audit import Audit
-    from exact_mdp.analysis.gate.disagreements import Disagreement
-    from exact_mdp.analysis.gate.representation import Representation
-    from exact_mdp.mdp.model import MDP
+from exact_mdp.analysis.cli.options import check_outputs, given
+from exact_mdp.analysis.cli.render import Report, Table, cell
+from exact_mdp.analysis.gate import check as gate
+from exact_mdp.analysis.gate.audit import UNEXPLAINED, Audit
+from exact_mdp.analysis.gate.disagreements import Disagreement
+from exact_mdp.analysis.gate.junit import Case, write_junit
+from exact_mdp.analysis.gate.representation import Representation
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.solution import Certified
 
 PASSED, FAILED = 0, 1
 SHOWN = 10  # disagreements in the table for people
 LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
 
 
-@click.command(
-    short_help="Audit a learned policy or Q-table; exit status 1 where it loses too much.",
-    epilog=POLICY_HELP,
-)
-@click.argument("model")
-@click.argument("learned")
-@click.option("--max-regret", metavar="X", help="Greatest regret at the start: 0.1 or 1/10.")
-@click.option(
-    "--max-relative-regret", metavar="X", help="Greatest regret over the absolute optimal value."
-)
-@click.option("--junit", metavar="FILE", help="Write a JUnit report: .xml.")
-@click.option("--certify", is_flag=True, help="Rational arithmetic, however long it takes.")
-@click.option(
-    "--no-explain", is_flag=True, help="Leave out what the policy's columns cannot express."
-)
-@kind_option
-@perception_option
-@horizon_option
-@model_options
 def check(
-    model: str,
+    *,
     learned: str,
     max_regret: str | None,
     max_relative_regret: str | None,
     junit: str | None,
     certify: bool,
     no_explain: bool,
-    kind: str,
-    perception: str | None,
-    horizon: str | None,
-    sets: tuple[str, ...],
-    discount: str | None,
-    as_json: bool,
-) -> int:
-    """Hold LEARNED, a policy or Q-table, against the exact optimum of MODEL.
-
-    Passes where the regret at the start is within the limits; what bounds leave open does not pass.
-    Without a limit it passes where the regret is zero: exactly, but for what half a unit in the
-    last place of the model's floats can move. --max-regret 0 forgives nothing. LEARNED is a POLICY;
-    of a Q-table the greedy policy counts.
-    """
-    from time import perf_counter
-
-    from exact_mdp.analysis.cli.options import policy_of
-    from exact_mdp.analysis.gate import check as compare
-    from exact_mdp.analysis.gate.audit import UNEXPLAINED
-    from exact_mdp.mdp.io.load import load
-
+    **shared: Any,
+) -> Report:
+    """Audit a policy."""
     started = perf_counter()
     check_outputs((junit, (".xml",)))
-    loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
-    given = policy_of(loaded.mdp, learned, perception, kind=kind)
-    audit = compare.check(
-        loaded.mdp,
-        given,
+    asked = given(policy=learned, **shared)
+    audit = gate.check(
+        asked.mdp,
+        asked.policy,
         max_regret=max_regret,
         max_relative_regret=max_relative_regret,
         exact_values=True if certify else None,
     )
     why = None if no_explain else audit.representation
     if junit is not None:
-        _report(
-            junit, loaded.name, learned, audit, perf_counter() - started, explain=why is not None
-        )
-    result = {"model": loaded.name, "learned": learned, "perception": perception, "horizon": steps}
-    result |= _result(audit)
-    result |= _reasons(audit, why)
-    if not no_explain and audit.unexplained:
-        click.echo(f"note: {UNEXPLAINED}", err=True)
-    facts = read_as(given) | _facts(result)
-    tell_limit(loaded.mdp)
-    show(result, as_json=as_json, facts=facts, grids=_grids(result))
-    return PASSED if audit.passed else FAILED
+        seconds = perf_counter() - started
+        _junit(junit, asked.loaded.name, learned, audit, seconds, explain=why is not None)
+    result = {"learned": learned} | _result(audit) | _reasons(audit, why)
+    return asked.report(
+        result,
+        _facts(audit, why),
+        _tables(result),
+        notes=[UNEXPLAINED] if not no_explain and audit.unexplained else [],
+        status=PASSED if audit.passed else FAILED,
+    )
 
 
-def _report(
+def _junit(
     path: str, model: str, learned: str, audit: Audit, seconds: float, *, explain: bool
 ) -> None:
-    from exact_mdp.analysis.gate.junit import Case, write_junit
-
     text = audit.message(explain=explain)
     cases = [
         Case(name=each.name)
@@ -133,14 +79,10 @@ def _report(
 
 
 def _result(audit: Audit) -> dict[str, Any]:
-    from exact_mdp.solvers.solution import Certified
-
     mdp, lost = audit.mdp, audit.regret
     exact = isinstance(lost.at_start, Certified)
     by_state = zip(mdp.space.labels(range(mdp.n_states)), lost.by_state.tolist(), strict=True)
     return {
-        "discount": mdp.discount,
-        "read_as": audit.read_as,
         "passed": audit.passed,
         "claim": audit.claim,
         "regret": float(lost.at_start.value),
@@ -152,13 +94,13 @@ def _result(audit: Audit) -> dict[str, Any]:
         "learned_value": float(lost.learned.value),
         "max_regret": audit.max_regret,
         "max_relative_regret": audit.max_relative_regret,
-        "checks": [asdict(verdict) for verdict in audit.verdicts],
+        "checks": audit.verdicts,
         "agreement": audit.agreement,
         "agreement_by_visits": audit.agreement_by_visits,
         "unclear": audit.unclear,
         "disagreements": [_disagreement(mdp, each) for each in audit.disagreements],
         "regret_by_state": dict(by_state) if mdp.n_states <= LISTED_STATES else None,
-        "q_error": asdict(audit.q_error) if audit.q_error else None,
+        "q_error": audit.q_error,
     }
 
 
@@ -172,7 +114,7 @@ def _disagreement(mdp: MDP, each: Disagreement) -> dict[str, Any]:
     return {
         "state": each.label,
         "number": each.state,
-        "columns": dict(mdp.space.as_dict(each.state)),
+        "columns": mdp.space.as_dict(each.state),
         "learned": each.learned,
         "optimal": each.optimal[0],
         "optimal_actions": each.optimal,
@@ -188,6 +130,11 @@ def _reasons(audit: Audit, why: Representation | None) -> dict[str, Any]:
     if why is None:
         return {"representation": None, "memory": None, "rows": None}
     best = why.best
+    policy = {
+        best.policy.space.label(row) or "all states": best.policy.actions[int(taken.argmax())]
+        for row, taken in enumerate(best.policy.table)
+        if taken.max() > 0
+    }
     return {
         "representation": {
             "columns": best.columns,
@@ -199,13 +146,7 @@ def _reasons(audit: Audit, why: Representation | None) -> dict[str, Any]:
             "loss": float(why.loss.value),
             "learning_error": float(why.learning_error.value),
             "uncertainty": why.uncertainty,
-            "policy": {
-                best.policy.space.label(row) or "all states": best.policy.actions[
-                    int(taken.argmax())
-                ]
-                for row, taken in enumerate(best.policy.table)
-                if taken.max() > 0
-            },
+            "policy": policy,
         },
         "memory": [
             {
@@ -217,87 +158,74 @@ def _reasons(audit: Audit, why: Representation | None) -> dict[str, Any]:
             }
             for each in why.memory
         ],
-        "rows": [asdict(change) for change in why.rows],
+        "rows": why.rows,
     }
 
 
-def _facts(result: dict[str, Any]) -> dict[str, str]:
-    error = result["error_bound"]
-    facts = {
-        "model": result["model"],
-        "learned": result["learned"],
-        **({"horizon": f"{result['horizon']:,} steps"} if result["horizon"] else {}),
-        "verdict": "passed" if result["passed"] else "FAILED",
-    }
-    for each in result["checks"]:
-        facts[each["name"]] = f"{'yes' if each['passed'] else 'no'}: {each['text']}"
+def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
+    lost, relative = audit.regret, audit.relative_regret
+    facts: dict[str, Any] = {"verdict": "passed" if audit.passed else "FAILED"}
+    for each in audit.verdicts:
+        facts[each.name] = f"{'yes' if each.passed else 'no'}: {each.text}"
     facts |= {
-        "regret": f"{number(result['regret'], error)} ({result['claim']})",
-        "relative regret": "undefined: the optimal value is, or may be, 0"
-        if result["relative_regret"] is None
-        else number(result["relative_regret"]),
-        "optimal value": number(result["optimal_value"], error),
-        "learned value": number(result["learned_value"], error),
-        "agreement": f"{result['agreement']:.1%} of the states with a choice, "
-        f"{result['agreement_by_visits']:.1%} of the visits to them",
+        "regret": lost.at_start,
+        "relative regret": relative
+        if relative is not None
+        else "undefined: the optimal value is, or may be, 0",
+        "optimal value": lost.optimal,
+        "learned value": lost.learned,
+        "agreement": f"{audit.agreement:.1%} of the states with a choice, "
+        f"{audit.agreement_by_visits:.1%} of the visits to them",
+        "not decided": f"by the bounds, in {audit.unclear} more states" if audit.unclear else None,
     }
-    if result["unclear"]:
-        facts["not decided"] = f"by the bounds, in {result['unclear']} more states"
-    if q := result["q_error"]:
+    if q := audit.q_error:
         facts["Q-table"] = (
-            f"promises {number(q['promised'])} at the start; root mean square error "
-            f"{number(q['root_mean_square'])}, at most {number(q['largest'])} in {q['where']}"
+            f"promises {cell(q.promised)} at the start; root mean square error "
+            f"{cell(q.root_mean_square)}, at most {cell(q.largest)} in {q.where}"
         )
-    if why := result["representation"]:
-        read = ", ".join(why["columns"]) or "nothing"
-        proof = "proven" if why["proven"] else f"upper bound {number(why['upper_bound'])}"
-        facts[f"best that reads {read}"] = f"{number(why['best_value'])} ({proof})"
-        facts["lost by what it reads"] = number(why["loss"])
-        facts["lost by learning"] = number(why["learning_error"])
+    if why is not None:
+        best = why.best
+        proof = "proven" if best.proven else f"upper bound {cell(best.upper_bound)}"
+        facts[f"best that reads {_read(best.columns)}"] = f"{cell(best.value)} ({proof})"
+        facts["lost by what it reads"] = why.loss
+        facts["lost by learning"] = why.learning_error
     return facts
 
 
-def _grids(result: dict[str, Any]) -> list[Grid]:
-    grids = []
-    if listed := result["disagreements"]:
-        rows = [
-            (
-                f"{each['state']}\n{each['learned']}, not {' or '.join(each['optimal_actions'])}",
-                *(_short(each[key]) for key in ("gap", "expected_visits", "cost")),
-                _short(each["gain_if_corrected"]),
-            )
-            for each in listed[:SHOWN]
-        ]
-        more = f", the {SHOWN} costliest of {len(listed)}" if len(listed) > SHOWN else ""
-        title = f"not optimal{more} (gain: put right alone)"
-        grids.append(_grid(title, ("state", "gap", "visits", "cost", "gain"), rows, {1, 2, 3, 4}))
-    if result["rows"]:
-        changes = [
-            (each["row"], each["learned"], each["best"], number(each["gain"]))
-            for each in result["rows"]
-        ]
-        title = "rows of the policy, each changed alone"
-        grids.append(_grid(title, ("row", "learned", "better", "gain"), changes, {3}))
-    if result["memory"] and len(result["memory"]) > 1:
-        found = [
-            (
-                ", ".join(each["columns"]) or "nothing",
-                number(each["value"]),
-                number(each["worth"]),
-                "yes" if each["proven"] else f"at most {number(each['upper_bound'])}",
-            )
-            for each in result["memory"]
-        ]
-        title = "what remembering more is worth"
-        grids.append(_grid(title, ("reads", "best value", "worth", "proven"), found, {1, 2}))
-    return grids
+def _tables(result: dict[str, Any]) -> list[Table]:
+    memory = result["memory"] or ()
+    return [
+        Table(
+            title="not optimal, the costliest first (gain: if this state alone is corrected)",
+            rows=result["disagreements"],
+            columns={
+                "state": lambda row: (
+                    f"{row['state']}\n{row['learned']}, not {' or '.join(row['optimal_actions'])}"
+                ),
+                "gap": "gap:.6g",
+                "visits": "expected_visits:.6g",
+                "cost": "cost:.6g",
+                "gain": "gain_if_corrected:.6g",
+            },
+            first=SHOWN,
+        ),
+        Table(
+            title="rows of the policy, each changed alone",
+            rows=[vars(change) for change in result["rows"] or ()],
+            columns={"row": "row", "learned": "learned", "better": "best", "gain": "gain"},
+        ),
+        Table(
+            title="the value of remembering more",
+            rows=memory if len(memory) > 1 else (),
+            columns={
+                "reads": lambda row: _read(row["columns"]),
+                "best value": "value",
+                "worth": "worth",
+                "proven": lambda row: row["proven"] or f"at most {cell(row['upper_bound'])}",
+            },
+        ),
+    ]
 
 
-def _grid(
-    title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]], numeric: set[int]
-) -> Grid:
-    return Grid(title=title, headings=headings, rows=rows, numeric=frozenset(numeric))
-
-
-def _short(value: float | None) -> str:
-    return "-" if value is None else f"{value:.6g}"
+def _read(columns: tuple[str, ...]) -> str:
+    return ", ".join(columns) or "nothing"

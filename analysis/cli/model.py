@@ -1,33 +1,27 @@
-"""Commands about a model itself: what it is, and writing it in another format."""
+"""What commands about a model itself do: describe it, and write it in another format."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
-import click
-
-from exact_mdp.analysis.cli.options import model_options
-from exact_mdp.analysis.cli.render import Grid, number, ratio, show
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.chain import Termination
-    from exact_mdp.mdp.model import MDP
+from exact_mdp.analysis.cli.options import given
+from exact_mdp.analysis.cli.render import Report, Table, ratio
+from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
+from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.io.load import load, save_model
+from exact_mdp.mdp.model import MDP
 
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
 
 
-@click.command(short_help="Sizes, discount, whether every policy ends.")
-@click.argument("model")
-@model_options
-def info(model: str, sets: tuple[str, ...], discount: str | None, as_json: bool) -> None:
-    """Describe MODEL: sizes, discount, whether every policy ends, whether it is acyclic."""
-    from exact_mdp.mdp.chain import is_acyclic, reachable, termination
-    from exact_mdp.mdp.fingerprint import fingerprint
-    from exact_mdp.mdp.io.load import load
-
-    loaded = load(model, sets=sets, discount=discount)
+def info(**shared: Any) -> Report:
+    """Describe a model."""
+    loaded = given(**shared).loaded
     mdp, scenario = loaded.mdp, loaded.scenario
     ending = termination(mdp)
+    columns = {column.name: column.size for column in mdp.space.columns}
+    start = [[mdp.space.label(state), weight] for state, weight in mdp.start]
     result: dict[str, Any] = {
         "model": loaded.name,
         "title": scenario.title if scenario else None,
@@ -36,14 +30,14 @@ def info(model: str, sets: tuple[str, ...], discount: str | None, as_json: bool)
         "reachable": int(reachable(mdp).sum()),
         "terminal": int(mdp.terminal.sum()),
         "with_choice": int((~mdp.forced).sum()),
-        "columns": {column.name: column.size for column in mdp.space.columns},
+        "columns": columns,
         "actions": mdp.n_actions,
         "action_names": mdp.actions,
         "pairs": mdp.n_pairs,
         "transitions": mdp.n_transitions,
         "discount": mdp.discount,
         "discount_exact": mdp.discount_exact,
-        "start": [[mdp.space.label(state), weight] for state, weight in mdp.start],
+        "start": start,
         "terminates": ending.proven,
         "never_ends": _counterexample(mdp, ending),
         "acyclic": is_acyclic(mdp),
@@ -52,13 +46,40 @@ def info(model: str, sets: tuple[str, ...], discount: str | None, as_json: bool)
         "events": mdp.events,
         "model_hash": fingerprint(mdp),
     }
+    sizes = " x ".join(f"{name} {size:,}" for name, size in columns.items())
+    facts = {
+        **{key: result[key] or None for key in ("model", "title", "source")},
+        "states": f"{mdp.n_states:,} ({sizes}); {result['reachable']:,} reachable, "
+        f"{result['with_choice']:,} with a choice, {result['terminal']:,} terminal",
+        "actions": f"{mdp.n_actions}: {', '.join(mdp.actions)}",
+        **{key: result[key] for key in ("pairs", "transitions", "discount")},
+        "start": _some([f"{label} ({ratio(weight)})" for label, weight in start[:SHOWN]], start),
+        "every policy ends": _endless(result["never_ends"]),
+        "acyclic": result["acyclic"],
+        "time limit": f"{mdp.time_limit:,} steps, left out without --horizon"
+        if mdp.time_limit is not None
+        else None,
+        "reward components": mdp.component_names,
+    }
+    tables = []
     if scenario:
-        result["statuses"] = scenario.statuses
-        result["tasks"] = scenario.tasks
-        result["max_trial"] = scenario.max_trial
-        result["readings"] = scenario.readings
-        result["parameters"] = scenario.values()
-    show(result, as_json=as_json, facts=_facts(result), grids=_grids(result))
+        result |= {
+            "statuses": scenario.statuses,
+            "tasks": scenario.tasks,
+            "max_trial": scenario.max_trial,
+            "readings": scenario.readings,
+            "parameters": scenario.values(),
+        }
+        facts |= {
+            "statuses": scenario.statuses,
+            "tasks": f"{', '.join(str(count) for count in scenario.tasks)} subtasks",
+            "max_trial": scenario.max_trial,
+        }
+        rows = [{"name": name, "option": option} for name, option in scenario.readings.items()]
+        columns_shown = {"reading": "name", "option": "option"}
+        tables = [Table(title="readings", rows=rows, columns=columns_shown)]
+    facts["model hash"] = result["model_hash"]
+    return Report(result=result, facts=facts, tables=tables)
 
 
 def _counterexample(mdp: MDP, ending: Termination) -> dict[str, Any] | None:
@@ -72,56 +93,21 @@ def _counterexample(mdp: MDP, ending: Termination) -> dict[str, Any] | None:
     return {"states": len(ending.trapped), "policy": policy}
 
 
-def _facts(result: dict[str, Any]) -> dict[str, str]:
-    facts = {"model": result["model"]}
-    facts |= {key: result[key] for key in ("title", "source") if result[key]}
-    columns = " x ".join(f"{name} {size:,}" for name, size in result["columns"].items())
-    facts["states"] = (
-        f"{result['states']:,} ({columns}); {result['reachable']:,} reachable, "
-        f"{result['with_choice']:,} with a choice, {result['terminal']:,} terminal"
-    )
-    facts["actions"] = f"{result['actions']}: {', '.join(result['action_names'])}"
-    facts["pairs"] = f"{result['pairs']:,}"
-    facts["transitions"] = f"{result['transitions']:,}"
-    facts["discount"] = number(result["discount"])
-    first = [f"{label} ({ratio(weight)})" for label, weight in result["start"][:SHOWN]]
-    more = len(result["start"]) - len(first)
-    facts["start"] = "; ".join(first) + (f"; {more} more" if more else "")
-    facts["every policy ends"] = "yes"
-    if result["never_ends"]:
-        shown = [f"{state}: {action}" for state, action in result["never_ends"]["policy"].items()]
-        more = result["never_ends"]["states"] - len(shown)
-        also = f"; {more} more" if more else ""
-        facts["every policy ends"] = f"no; one that stays for ever: {'; '.join(shown)}{also}"
-    facts["acyclic"] = "yes" if result["acyclic"] else "no"
-    if result["time_limit"] is not None:
-        facts["time limit"] = f"{result['time_limit']:,} steps, left out without --horizon"
-    facts["reward components"] = ", ".join(result["reward_components"])
-    if "tasks" in result:
-        facts["statuses"] = ", ".join(result["statuses"])
-        facts["tasks"] = ", ".join(str(count) for count in result["tasks"]) + " subtasks"
-        facts["max_trial"] = str(result["max_trial"])
-    facts["model hash"] = result["model_hash"]
-    return facts
+def _endless(found: dict[str, Any] | None) -> str:
+    if found is None:
+        return "yes"
+    shown = [f"{state}: {action}" for state, action in found["policy"].items()]
+    return f"no; one that stays for ever: {_some(shown, range(found['states']))}"
 
 
-def _grids(result: dict[str, Any]) -> list[Grid]:
-    if "readings" not in result:
-        return []
-    rows = [(name, option) for name, option in result["readings"].items()]
-    return [Grid(title="readings", headings=("reading", "option"), rows=rows)]
+def _some(shown: list[str], of: Sequence[object]) -> str:
+    """Return the texts shown, and how many more there are."""
+    more = len(of) - len(shown)
+    return "; ".join(shown) + (f"; {more} more" if more else "")
 
 
-@click.command(short_help="Write a model in another format.")
-@click.argument("source", metavar="IN")
-@click.argument("target", metavar="OUT")
-@model_options
-def convert(
-    source: str, target: str, sets: tuple[str, ...], discount: str | None, as_json: bool
-) -> None:
-    """Read the model IN and write it to OUT, in the format that OUT's ending names."""
-    from exact_mdp.mdp.io.load import load, save_model
-
+def convert(*, source: str, target: str, sets: tuple[str, ...], discount: str | None) -> Report:
+    """Write a model in another format."""
     loaded = load(source, sets=sets, discount=discount)
     save_model(loaded.mdp, target)
     result = {
@@ -131,5 +117,4 @@ def convert(
         "pairs": loaded.mdp.n_pairs,
         "transitions": loaded.mdp.n_transitions,
     }
-    facts = {"written": target, "model": repr(loaded.mdp)}
-    show(result, as_json=as_json, facts=facts, grids=())
+    return Report(result=result, facts={"written": target, "model": repr(loaded.mdp)})

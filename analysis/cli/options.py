@@ -1,145 +1,170 @@
-"""What the commands share: the options that name a model, and reading model and policy."""
+"""What the texts of options mean: a model, a policy, numbers, files to write."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
-import click
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.io.load import Loaded
-    from exact_mdp.mdp.model import MDP
-    from exact_mdp.mdp.policies.policy import Policy, PolicyLike
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-POLICY_HELP = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
-.csv with the header status,action; .npy or .npz with a Q-table or with probabilities of actions
-(--kind q, --kind policy; auto takes an array for probabilities where every row that counts is a
-distribution, and refuses it where its greedy policy would be another one)."""
-
-
-def model_options(function: Function) -> Function:
-    """Add `--set`, `--discount` and `--json` to a command."""
-    for option in (
-        click.option("--json", "as_json", is_flag=True, help="Print one JSON object."),
-        click.option(
-            "--discount", metavar="G", help="Discount instead of the model's own: 0.95 or 19/20."
-        ),
-        click.option(
-            "--set",
-            "sets",
-            multiple=True,
-            metavar="KEY=VALUE",
-            help="Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION. "
-            "May be repeated.",
-        ),
-    ):
-        function = option(function)
-    return function
-
-
-PERCEPTION_HELP = (
-    "The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity "
-    "and specificity, or labelled examples (.csv true,perceived; .jsonl)."
-)
-
-perception_option = click.option("--perception", metavar="FILE", help=PERCEPTION_HELP)
-
-
-kind_option = click.option(
-    "--kind",
-    default="auto",
-    metavar="q|policy|auto",
-    help="What a .npy or .npz file holds: a Q-table, or probabilities of actions.",
-)
-
-
-horizon_option = click.option(
-    "--horizon", metavar="N", help="Stop every episode after N steps, without a further reward."
-)
+from exact_mdp.analysis.cli.render import Report, Table
+from exact_mdp.mdp.care.perception import perceived, read
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.load import Loaded, load
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import exact
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 MOST_STEPS = 10**9
 
 
-def stopped(loaded: Loaded, horizon: str | None) -> tuple[Loaded, int | None]:
-    """Return the model of episodes that stop after the steps that an option states, and these."""
-    if horizon is None:
-        return loaded, None
-    steps = whole_of(horizon, "--horizon", 1, MOST_STEPS)
-    return replace(loaded, mdp=loaded.mdp.within(steps)), steps
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """The model that a command names, and the policy of a command that takes one.
 
-
-def tell_limit(mdp: MDP, *, option: bool = True) -> None:
-    """Say on standard error that an answer leaves the environment's time limit out, if it does.
-
-    Parameters
+    Attributes
     ----------
-    option : bool
-        Whether the command takes `--horizon`.
+    endless : Loaded
+        The model as it is.
+    loaded : Loaded
+        The model of episodes that stop after the steps of --horizon, where that is given.
+    head, facts : dict
+        How result and facts begin.
+    notes : tuple of str
+        Says where an answer leaves the environment's time limit out.
+    taken : Policy, optional
+        The policy.
     """
-    if mdp.time_limit is not None:
-        also = f": --horizon {mdp.time_limit}" if option else ""
-        print(
-            f"note: the environment stops after {mdp.time_limit:,} steps; this answer is for "
-            f"episodes without a limit{also}",
-            file=sys.stderr,
+
+    endless: Loaded
+    loaded: Loaded
+    steps: int | None
+    head: dict[str, Any]
+    facts: dict[str, Any]
+    notes: tuple[str, ...]
+    taken: Policy | None = None
+
+    @property
+    def mdp(self) -> MDP:
+        """The model."""
+        return self.loaded.mdp
+
+    @property
+    def policy(self) -> Policy:
+        """The policy of a command that takes one."""
+        assert self.taken is not None
+        return self.taken
+
+    def report(
+        self,
+        result: Mapping[str, Any],
+        facts: Mapping[str, Any],
+        tables: Sequence[Table] = (),
+        *,
+        notes: Sequence[str] = (),
+        status: int = 0,
+    ) -> Report:
+        """Return what was found, with how result and facts begin."""
+        return Report(
+            result=self.head | result,
+            facts=self.facts | facts,
+            tables=tables,
+            notes=(*notes, *self.notes),
+            status=status,
         )
 
 
-def policy_of(mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto") -> Policy:
+def given(
+    model: str,
+    sets: Sequence[str],
+    discount: str | None,
+    *,
+    policy: str | None = None,
+    kind: str = "auto",
+    perception: str | None = None,
+    **stopping: str | None,
+) -> Given:
+    """Return the model that a command names, and the policy where it takes one.
+
+    Parameters
+    ----------
+    **stopping : {"horizon": N}, optional
+        The option --horizon of a command that has it.
+    """
+    endless = load(model, sets=sets, discount=discount)
+    loaded, steps = endless, None
+    if stopping.get("horizon") is not None:
+        steps = whole_of(str(stopping["horizon"]), "--horizon", 1, MOST_STEPS)
+        loaded = replace(endless, mdp=endless.mdp.within(steps))
+    mdp, limit = loaded.mdp, loaded.mdp.time_limit
+    also = f": --horizon {limit}" if "horizon" in stopping else ""
+    head: dict[str, Any] = {"model": loaded.name, "discount": mdp.discount}
+    facts: dict[str, Any] = {"model": loaded.name}
+    if stopping:
+        head["horizon"] = steps
+    found = None
+    if policy is not None:
+        found = policy_from(mdp, policy, perception, kind=kind)
+        head |= {"policy": policy, "read_as": found.read_as, "perception": perception}
+        facts = {"read as": found.source or None} | facts
+        facts |= {"policy": policy, "perception": perception}
+    facts |= {"discount": mdp.discount, "horizon": None if steps is None else f"{steps:,} steps"}
+    return Given(
+        endless=endless,
+        loaded=loaded,
+        steps=steps,
+        head=head,
+        facts=facts,
+        notes=()
+        if limit is None
+        else (
+            f"the environment stops after {limit:,} steps; this answer is for episodes without a "
+            f"limit{also}",
+        ),
+        taken=found,
+    )
+
+
+def policy_from(
+    mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto"
+) -> Policy:
     """Return the policy that a command names, acting on what is perceived where that is given.
 
-    The optimum is solved for; under a perception it is the optimum of whoever sees the truth.
+    Under a perception the optimum is that of whoever sees the truth.
     """
-    from exact_mdp.mdp.policies.policy import Policy
-
-    given: PolicyLike = form
-    if form == "optimal":
-        from exact_mdp.solvers import solve
-
-        given = solve(mdp)
-    found = Policy.of(mdp, given, kind=kind)
+    found = policy_of(mdp, form, kind=kind)
     if perception is None:
         return found
-    from exact_mdp.mdp.care.perception import perceived, read
-
     return replace(perceived(mdp, found, read(perception, mdp)), source=found.source)
 
 
-def read_as(found: Policy) -> dict[str, str]:
-    """Return the first line of the output: what an array was taken for, where there was one."""
-    return {"read as": found.source} if found.source else {}
-
-
-def float_of(text: str | None, option: str) -> float | None:
-    """Return the number that an option states, as a float; None where it is left out."""
-    if text is None:
-        return None
-    from exact_mdp.mdp.errors import ModelError
-    from exact_mdp.mdp.table import exact
-
+def number_of(text: str, option: str, *, positive: bool = False) -> float:
+    """Return the number that an option states, as a float."""
     try:
-        return float(exact(text))
+        found = float(exact(text))
     except ModelError as error:
         raise ModelError(error.what, where=option, fix=error.fix) from error
     except OverflowError as error:
         raise ModelError("too large for a float", where=option, fix="choose less") from error
+    if positive and not found > 0:
+        raise ModelError(f"{text} is not positive", where=option, fix="give more than 0")
+    return found
+
+
+def whole_of(text: str, option: str, least: int = 0, most: int = 10**18) -> int:
+    """Return the whole number that an option states."""
+    if text.isascii() and text.isdigit() and len(text) <= 40 and least <= int(text) <= most:
+        return int(text)
+    raise ModelError(
+        f"{text!r} is not a whole number from {least} to {most:,}",
+        where=option,
+        fix="choose one in that range",
+    )
 
 
 def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
-    """Raise ModelError, before any work, where a file could not be written.
-
-    Parameters
-    ----------
-    *files : (path or None, allowed endings)
-    """
-    from exact_mdp.mdp.errors import ModelError
-
+    """Raise ModelError, before any work, where a file (path, allowed endings) cannot be written."""
     taken = []
     for name, endings in files:
         if name is None:
@@ -156,16 +181,3 @@ def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
         if path.resolve() in taken:
             raise ModelError("two results go to one file", where=name, fix="name another file")
         taken.append(path.resolve())
-
-
-def whole_of(text: str, option: str, least: int = 0, most: int = 10**18) -> int:
-    """Return the whole number that an option states."""
-    from exact_mdp.mdp.errors import ModelError
-
-    if text.isascii() and text.isdigit() and len(text) < 20 and least <= int(text) <= most:
-        return int(text)
-    raise ModelError(
-        f"{text!r} is not a whole number from {least} to {most:,}",
-        where=option,
-        fix="choose one in that range",
-    )

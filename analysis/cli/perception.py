@@ -5,20 +5,13 @@ The command that says what acting on a perceived status costs, and what would he
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from exact_mdp.analysis.cli.options import (
-    POLICY_HELP,
-    float_of,
-    model_options,
-    policy_of,
-    tell_limit,
-    whole_of,
-)
-from exact_mdp.analysis.cli.render import Grid, at_most, number, show
+from exact_mdp.analysis.cli.options import given, number_of, policy_from, whole_of
+from exact_mdp.analysis.cli.render import Report, Table, at_most, number
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.column_policies import BestPolicy
@@ -33,6 +26,17 @@ if TYPE_CHECKING:
 
 SHOWN = 12  # confusions listed for people
 READINGS = 64  # perceived statuses listed for people
+
+
+def _grid(
+    *,
+    title: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    numeric: frozenset[int] = frozenset(),
+) -> Table:
+    columns = {heading: itemgetter(place) for place, heading in enumerate(headings)}
+    return Table(title=title, rows=rows, columns=columns)
 
 
 def prices_of(price: PriceOfPerception, mdp: MDP) -> dict[str, Any]:
@@ -113,11 +117,11 @@ def spread_of(spread: UncertainValue, seed: int) -> dict[str, Any]:
     }
 
 
-def _reading_grid(price: PriceOfPerception, mdp: MDP) -> Grid:
+def _reading_grid(price: PriceOfPerception, mdp: MDP) -> Table:
     reading = list(_reading(price, mdp).items())
     more = f", the first {READINGS} of {len(reading)}" if len(reading) > READINGS else ""
     proven = "proven the best" if price.memoryless.proven else "the best found"
-    return Grid(
+    return _grid(
         title=f"best action by the status seen alone ({proven}){more}",
         headings=("status seen", "action"),
         rows=reading[:READINGS],
@@ -130,7 +134,7 @@ def grids_of(
     needed: dict[str, AccuracyNeeded | None],
     spread: UncertainValue | None,
     mdp: MDP,
-) -> list[Grid]:
+) -> list[Table]:
     off = price.taken_as_true.error
     rows = [
         ("the status is known", number(price.perfect.value, price.perfect.error), ""),
@@ -163,7 +167,7 @@ def grids_of(
                 f"{spread.level:.0%} in {low:.5g} to {high:.5g} (estimated)",
             )
         )
-    grids = [Grid(title="value at the start", headings=("", "value", ""), rows=rows)]
+    grids = [_grid(title="value at the start", headings=("", "value", " "), rows=rows)]
     grids.append(_reading_grid(price, mdp))
     rows = [
         (
@@ -174,7 +178,7 @@ def grids_of(
         for name, (missed, seen) in sorted(costs.by_status.items(), key=lambda i: -sum(i[1]))
     ]
     grids.append(
-        Grid(
+        _grid(
             title="what errors cost where the status seen is taken for true (within "
             f"{at_most(costs.error)})",
             headings=(
@@ -191,7 +195,7 @@ def grids_of(
     worst = costs.frame().head(SHOWN)
     rows = [(row[0], row[1], f"{row[2]:.4f}", f"{row[3]:.4f}") for row in worst.values.tolist()]
     grids.append(
-        Grid(
+        _grid(
             title="the costliest confusions",
             headings=("true", "perceived", "loss", "per unit of probability"),
             rows=rows,
@@ -213,57 +217,13 @@ def grids_of(
             f"accuracy that keeps {float(share):.4g} of the value, the others perfect (certified)"
         )
         headings = ("status", "accuracy", "value rises all the way")
-        grids.append(Grid(title=title, headings=headings, rows=rows, numeric=frozenset({1})))
+        grids.append(_grid(title=title, headings=headings, rows=rows, numeric=frozenset({1})))
     return grids
 
 
 SECONDS = "5"
 
 
-@click.command(
-    short_help="What errors of perception cost, and what memory would save.", epilog=POLICY_HELP
-)
-@click.argument("model")
-@click.option(
-    "--perception",
-    metavar="FILE",
-    help="A confusion matrix as .csv; .toml with sensitivity and specificity; labelled examples as "
-    ".csv (true,perceived) or the .jsonl of a recording.",
-)
-@click.option(
-    "--accuracy", metavar="X", help="Each status is read rightly with this probability instead."
-)
-@click.option(
-    "--prior",
-    metavar="X",
-    help="Pseudo-count of each cell, where the file holds examples; adds a credible interval.",
-)
-@click.option("--draws", default="2000", metavar="N", help="Draws for that interval (2000).")
-@click.option("--seed", default="0", metavar="S", help="Seed of the draws (0).")
-@click.option(
-    "--policy",
-    default="optimal",
-    metavar="POLICY",
-    help="What is taken for true perceptions; the optimum unless given.",
-)
-@click.option(
-    "--share", default="19/20", metavar="X", help="Share of the value that is to be kept (19/20)."
-)
-@click.option(
-    "--seconds",
-    metavar="X",
-    help="Limit of each of the two searches with memory (5). Where it ends one, the bounds vary a "
-    "little with the load of the machine; --trials does not have this.",
-)
-@click.option(
-    "--trials",
-    metavar="N",
-    help="Limit of each search in trials, instead of seconds: identical output in every run.",
-)
-@click.option(
-    "--tolerance", default="0.02", metavar="X", help="Gap at which such a search ends (0.02)."
-)
-@model_options
 def perception(
     model: str,
     perception: str | None,
@@ -278,8 +238,7 @@ def perception(
     tolerance: str,
     sets: tuple[str, ...],
     discount: str | None,
-    as_json: bool,
-) -> None:
+) -> Report:
     """Tell what acting on a perceived status costs in MODEL.
 
     Ways to deal with errors: knowing the status, remembering what was seen and done, the best
@@ -289,16 +248,13 @@ def perception(
     from exact_mdp.analysis.perception.cost import price_of_perception, value_under_counts
     from exact_mdp.analysis.perception.errors import error_costs
 
-    # import
-    from exact_mdp.mdp.io.load import load
-
-    loaded = load(model, sets=sets, discount=discount)
-    mdp = loaded.mdp
+    asked = given(model, sets, discount)
+    loaded, mdp = asked.loaded, asked.mdp
     limits = _limits(seconds, trials) | {"tol": _positive(tolerance, "--tolerance")}
     drawn = whole_of(draws, "--draws", least=2, most=10**6)
     seeded = whole_of(seed, "--seed")
     matrix, counts = _confusion(mdp, perception, accuracy, prior)
-    chosen = policy_of(mdp, policy)
+    chosen = policy_from(mdp, policy)
     needed = _needed(mdp, chosen, share)
     price = price_of_perception(mdp, matrix, policy=chosen, **limits)
     costs = error_costs(mdp, chosen, matrix)
@@ -318,8 +274,7 @@ def perception(
         "counted": None if spread is None else spread_of(spread, seeded),
     }
     facts = {"model": loaded.name, "policy": policy, "perception": told}
-    tell_limit(loaded.mdp, option=False)
-    show(result, as_json=as_json, facts=facts, grids=grids_of(price, costs, needed, spread, mdp))
+    return asked.report(result, facts, grids_of(price, costs, needed, spread, mdp))
 
 
 def _limits(seconds: str | None, trials: str | None) -> dict[str, Any]:
@@ -358,8 +313,8 @@ def _confusion(
         raise ModelError("an accuracy takes no prior", where="--prior", fix="leave it out")
     if path is not None:
         return read(path, mdp), None
-    rate = float_of(accuracy, "--accuracy")
-    assert rate is not None
+    assert accuracy is not None
+    rate = number_of(accuracy, "--accuracy")
     try:
         return confusion_at(mdp, rate), None
     except ModelError as error:
@@ -373,7 +328,7 @@ def _needed(mdp: MDP, policy: Policy, share: str) -> dict[str, AccuracyNeeded | 
     from exact_mdp.mdp.errors import ModelError
     from exact_mdp.solvers import evaluate
 
-    float_of(share, "--share")
+    number_of(share, "--share")
     found: dict[str, AccuracyNeeded | None] = {}
     positive = evaluate(mdp, policy).mean > 0
     for name in (ALL, *status_names(mdp)):
@@ -387,9 +342,4 @@ def _needed(mdp: MDP, policy: Policy, share: str) -> dict[str, AccuracyNeeded | 
 
 
 def _positive(text: str, option: str) -> float:
-    from exact_mdp.mdp.errors import ModelError
-
-    found = float_of(text, option)
-    if found is None or not found > 0:
-        raise ModelError(f"{text} is not positive", where=option, fix="give more than 0")
-    return found
+    return number_of(text, option, positive=True)

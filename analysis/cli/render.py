@@ -1,71 +1,249 @@
-"""What the commands print: one JSON object, or plain aligned tables.
+"""What the commands print: one renderer for all of them.
 
-JSON has no NaN (it becomes null) and no infinity (it becomes "inf" or "-inf"); floats are as
-Python's repr gives them, which is exact, and rationals are "p/q". Text never has colours or cut-off
-cells: what is too wide wraps.
+A command gives back a `Report`: its result, the facts and tables that people see of it, notes, and
+its exit status. JSON holds the result; text holds facts and tables. A value is shown by its type:
+
+    type                in JSON                                  in text
+    Certified, Bounded  {"value": x, "error_bound": e}           117.07 (bounded, within 2e-12)
+    Estimated           {"value": x, "standard_error": e, ...}   117.1 ± 0.2 (estimated)
+    Fraction            "p/q"                                    p/q
+    float               as Python's repr, which is exact         ten digits at most
+    NaN, None           null                                     - in a table, no fact
+    infinity            "inf", "-inf"                            inf, -inf
+    bool                true, false                              yes, no
+    dataclass           an object of its fields
+
+A table takes its rows from a result's `.frame()`, or from a list of mappings. Text never has
+colours or cut-off cells: what is too wide wraps.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from decimal import ROUND_UP, Context
 from fractions import Fraction
+from operator import itemgetter
 from typing import Any, Literal
 
-Side = Literal["left", "right"]
+from exact_mdp.mdp.errors import shown_text
+from exact_mdp.mdp.lazy import later
+from exact_mdp.solvers.solution import Bounded, Certified, Estimated
+
+box = later("rich.box")
+console = later("rich.console")
+table = later("rich.table")
+text = later("rich.text")
+
+Row = Mapping[str, Any]
 DIGITS = 10  # significant digits of a number in a table
+SHOWN = 40  # rows of a table
+Claimed = Certified | Bounded | Estimated
+Column = str | Callable[[Any], Any] | tuple[Callable[[Any], Any], str]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
-    """A table of texts; numbers should be formatted already, and stand to the right."""
+class Table:
+    """Rows and what is shown of them.
+
+    Attributes
+    ----------
+    title : str
+    rows : pandas.DataFrame, or sequence of mappings or of anything else
+    columns : mapping
+        {heading: what stands below it}: "key" or "key:format" of a row, with a format as Python's
+        `format` takes it (".4g", ".1%") and possibly a sign before it ("± .2g"); or a function of
+        the row that returns the value, alone or with such a format. Numbers stand to the right.
+    first : int
+        So many rows are shown; the title says where there are more.
+
+    Examples
+    --------
+    >>> rows = [{"name": "a", "share": 0.25}, {"name": "b", "share": None}]
+    >>> found = Table(title="shares", rows=rows, columns={"": "name", "share": "share:.1%"})
+    >>> found.cells()
+    [['a', '25.0%'], ['b', '-']]
+    """
 
     title: str
-    headings: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numeric: frozenset[int] = frozenset()
+    rows: Any
+    columns: Mapping[str, Column]
+    first: int = SHOWN
+
+    def cells(self) -> list[list[str]]:
+        """Return the texts of the rows that are shown."""
+        return [
+            [cell(value, form) for value, (_, form) in zip(row, self._columns, strict=True)]
+            for row in self._values()
+        ]
+
+    def heading(self) -> str:
+        """Return the title, with the number of rows where not all are shown."""
+        more = f" (the first {self.first:,} of {len(self.rows):,}; --json prints all)"
+        return self.title + (more if len(self.rows) > self.first else "")
+
+    def numeric(self) -> list[bool]:
+        """Return which columns hold numbers alone."""
+        kinds = (int, float, Fraction, Certified, Bounded, Estimated)
+        return [
+            all(value is None or isinstance(value, kinds) for value in column)
+            and any(value is not None and not isinstance(value, bool) for value in column)
+            for column in zip(*self._values(), strict=True)
+        ] or [False] * len(self.columns)
+
+    @property
+    def _columns(self) -> list[tuple[Callable[[Any], Any], str]]:
+        found = list[tuple[Callable[[Any], Any], str]]()
+        for said in self.columns.values():
+            if isinstance(said, str):
+                key, _, form = said.partition(":")
+                found.append((itemgetter(key), form))
+            else:
+                found.append(said if isinstance(said, tuple) else (said, ""))
+        return found
+
+    def _values(self) -> list[list[Any]]:
+        rows = self.rows
+        if hasattr(rows, "to_dict"):  # a table of pandas
+            rows = rows.head(self.first).to_dict("records")
+        take = [column for column, _ in self._columns]
+        return [[_scalar(column(row)) for column in take] for row in rows[: self.first]]
 
 
-def show(
-    result: Mapping[str, Any], *, as_json: bool, facts: Mapping[str, str], grids: Iterable[Grid]
-) -> None:
-    """Print a command's result: as JSON, or as its facts and tables for people."""
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What a command found.
+
+    Attributes
+    ----------
+    result : mapping
+        The JSON object.
+    facts : mapping
+        {name: value}, for people; a fact of None is left out.
+    tables : sequence of Table
+        A table without rows is left out.
+    notes : sequence of str
+        Told on standard error.
+    status : int
+        The exit status.
+    """
+
+    result: Row
+    facts: Row
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    status: int = 0
+
+
+def show(report: Report, *, as_json: bool) -> int:
+    """Print a report, as JSON or for people, and return its exit status."""
+    for note in report.notes:
+        print(f"note: {note}", file=sys.stderr)
     if as_json:
-        print(to_json(result))
-        return
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from exact_mdp.mdp.errors import shown_text
-
-    def plain(text: str) -> Text:  # the name of a file may hold what steers a terminal
-        return Text(shown_text(text, lines=True), overflow="fold")
-
-    console = Console(no_color=True, highlight=False, markup=False, emoji=False)
-    with console.capture() as captured:
-        table = Table.grid(padding=(0, 2, 0, 0))
-        for name, value in facts.items():
-            table.add_row(plain(name), plain(value))
-        console.print(table)
-        for grid in grids:
-            table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-            for column, heading in enumerate(grid.headings):
-                side: Side = "right" if column in grid.numeric else "left"
-                table.add_column(plain(heading), overflow="fold", justify=side)
-            for row in grid.rows:
-                table.add_row(*(plain(cell) for cell in row))
-            console.print(plain(f"\n{grid.title}"))
-            console.print(table)
+        print(to_json(report.result))
+        return report.status
+    out = console.Console(no_color=True, highlight=False, markup=False, emoji=False)
+    with out.capture() as captured:
+        facts = table.Table.grid(padding=(0, 2, 0, 0))
+        for name, value in report.facts.items():
+            if value is not None:
+                facts.add_row(_text(name), _text(fact(value)))
+        out.print(facts)
+        for each in report.tables:
+            if not len(each.rows):
+                continue
+            grid = table.Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+            for heading, right in zip(each.columns, each.numeric(), strict=True):
+                side: Literal["left", "right"] = "right" if right else "left"
+                grid.add_column(_text(heading), overflow="fold", justify=side)
+            for row in each.cells():
+                grid.add_row(*(_text(shown) for shown in row))
+            out.print(_text(f"\n{each.heading()}"))
+            out.print(grid)
     for line in captured.get().splitlines():
         print(line.rstrip())
+    return report.status
 
 
-def to_json(result: Mapping[str, Any]) -> str:
+def _text(said: str) -> Any:
+    """Return a text as it is: the name of a file may hold what steers a terminal."""
+    return text.Text(shown_text(said, lines=True), overflow="fold")
+
+
+# ---- one value ---------------------------------------------------------------------------------
+
+
+def cell(value: Any, form: str = "") -> str:
+    """Return a value as a table shows it.
+
+    Examples
+    --------
+    >>> cell(0.5, "± .2f"), cell(True), cell(["a", "b"]), cell(Bounded(value=117.24, error=0.1))
+    ('± 0.50', 'yes', 'a, b', '117.2')
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    if form and not isinstance(value, str):
+        sign, _, form = form.rpartition(" ")
+        shown = format(float(getattr(value, "value", value)), form)
+        return f"{sign} {shown}" if sign else shown
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, Fraction):
+        return ratio(value)
+    if isinstance(value, Estimated):
+        return f"{number(value.value, value.standard_error)} ± {value.standard_error:.1g}"
+    if isinstance(value, Certified | Bounded):
+        return number(float(value.value), error_of(value))
+    if isinstance(value, list | tuple):
+        return ", ".join(cell(each) for each in value)
+    return str(value)
+
+
+def fact(value: Any) -> str:
+    """Return a value as a fact shows it: a number says what it claims.
+
+    Examples
+    --------
+    >>> fact(Bounded(value=117.24, error=0.101)), fact(12345), fact(Certified(value=Fraction(1, 4)))
+    ('117.2 (bounded, within 0.11)', '12,345', '0.25 (certified)')
+    """
+    if isinstance(value, Bounded) and math.isnan(value.value):
+        return "unknown: double precision cannot bound it"
+    if isinstance(value, Bounded):
+        return f"{cell(value)} ({value.claim}, within {at_most(value.error)})"
+    if isinstance(value, Certified | Estimated):
+        return f"{cell(value)} ({value.claim})"
+    return cell(value)
+
+
+def between(low: float, high: float, error: float = 0.0) -> str:
+    """Return both ends of an interval, with the digits that an error leaves."""
+    return f"{number(low, error)} to {number(high, error)}"
+
+
+def error_of(number: Certified | Bounded) -> float:
+    """Return how far the float of a number may be off, rounded up; 0 where it is exact."""
+    if isinstance(number, Bounded):
+        return number.error
+    lost = abs(number.value - Fraction(float(number.value)))
+    return math.nextafter(float(lost), math.inf) if lost else 0.0
+
+
+def claimed(key: str, number: Claimed) -> dict[str, Any]:
+    """Return a number that a result rests on: value, error bound and claim, one key each."""
+    error = {} if isinstance(number, Estimated) else {"error_bound": error_of(number)}
+    return {key: float(number.value), **error, "claim": number.claim}
+
+
+def to_json(result: Row) -> str:
     """Return strict JSON.
 
     Examples
@@ -73,22 +251,33 @@ def to_json(result: Mapping[str, Any]) -> str:
     >>> to_json({"value": Fraction(1, 3), "steps": math.inf, "x": 0.1}).replace(chr(10), "")
     '{  "value": "1/3",  "steps": "inf",  "x": 0.1}'
     """
-    return json.dumps(_plain(result), indent=2, allow_nan=False)
+    return json.dumps(plain(result), indent=2, allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return the same made of what JSON has; NumPy arrays and numbers have `tolist`."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(below) for key, below in value.items()}
+        return {str(key): plain(below) for key, below in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(below) for below in value]
+        return [plain(below) for below in value]
+    if isinstance(value, Certified | Bounded):
+        return plain({"value": float(value.value), "error_bound": error_of(value)})
+    if isinstance(value, Estimated):
+        error = value.standard_error
+        return plain({"value": value.value, "standard_error": error, "interval": value.interval})
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Fraction):
         return ratio(value)
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else f"{value:g}"
     if not isinstance(value, str) and hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     return value
+
+
+def _scalar(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") and getattr(value, "ndim", 1) == 0 else value
 
 
 def number(value: float | None, error: float = 0.0) -> str:

@@ -1,62 +1,32 @@
-"""The command that finds an optimum, and what it shows and saves of it."""
+"""What `exact-mdp solve` does: find an optimum, and write policy, arrays and proof."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+import io
+from typing import Any, cast
 
 import click
+import numpy as np
 
-from exact_mdp.analysis.cli.options import (
-    check_outputs,
-    float_of,
-    horizon_option,
-    model_options,
-    stopped,
-    tell_limit,
-)
-from exact_mdp.analysis.cli.render import Grid, at_most, number, ratio, show
-
-if TYPE_CHECKING:
-    from exact_mdp.analysis.optimum import Optimum
-    from exact_mdp.mdp.io.load import Loaded
-    from exact_mdp.mdp.model import MDP
-    from exact_mdp.mdp.space import StateSpace
+from exact_mdp import solvers
+from exact_mdp.analysis.cli.options import Given, check_outputs, given, number_of
+from exact_mdp.analysis.cli.render import Report, Table, ratio
+from exact_mdp.analysis.optimum import Optimum, optimum, stationary
+from exact_mdp.analysis.record import run_record, write_record
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.io.load import Loaded, load_scenario
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.solvers.solution import Bounded, Certified
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
 
 
-@click.command(short_help="Optimal value and policy, with a bound or a proof.")
-@click.argument("model")
-@model_options
-@horizon_option
-@click.option(
-    "--method",
-    default="auto",
-    metavar="NAME",
-    help="value-iteration, gauss-seidel, modified-policy-iteration, policy-iteration, "
-    "backward-induction, linear-program or auto (the default).",
-)
-@click.option("--tol", metavar="X", help="Greatest absolute error of a value.")
-@click.option("--certify", is_flag=True, help="Compute and prove the exact optimum.")
-@click.option(
-    "--operator",
-    is_flag=True,
-    help="Solve a scenario without its matrix, by backward induction: for large ones.",
-)
-@click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
-@click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
-@click.option(
-    "--certificate",
-    metavar="FILE",
-    help="Write a proof for `verify`: .json; of the exact values with --certify, else of bounds.",
-)
 def solve(
-    model: str,
-    sets: tuple[str, ...],
-    discount: str | None,
-    as_json: bool,
-    horizon: str | None,
+    *,
     method: str,
     tol: str | None,
     certify: bool,
@@ -64,100 +34,92 @@ def solve(
     policy_out: str | None,
     out: str | None,
     certificate: str | None,
-) -> None:
-    """Find an optimal policy of MODEL and its value, with an error bound that is sound.
-
-    With --certify the optimum is also computed in rational arithmetic, and proved. Whether it is
-    stationary is left out where the bounds without it leave that open. With --operator
-    whether the optimum is stationary is left open, and no model hash is recorded. With --horizon
-    the optimum is that of episodes that stop, whose policy depends on the time.
-    """
-    from exact_mdp.analysis.cli.save import save
-    from exact_mdp.analysis.optimum import optimum
-    from exact_mdp.mdp.io.load import load
-    from exact_mdp.mdp.model import MDP
-
-    endings = ((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
-    check_outputs(*endings)
+    **shared: Any,
+) -> Report:
+    """Find an optimum, and write what was asked for."""
+    check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     if operator:
-        others = {"--certify": certify, "--certificate": certificate, "--horizon": horizon}
-        method = _by_operator(method, others)
-        loaded, steps = _as_operator(model, sets, discount), None
+        wanted = {"--certify": certify, "--certificate": certificate}
+        wanted["--horizon"] = shared.pop("horizon")
+        asked = _as_operator(method, wanted, **shared)
+        method = "backward-induction"
     else:
-        loaded, steps = stopped(load(model, sets=sets, discount=discount), horizon)
-    found = optimum(loaded.mdp, method, float_of(tol, "--tol"), certify=certify)
-    written = save(loaded, found, policy_out, out, certificate)
-    result = _result(loaded, found) | {"horizon": steps, "written": written}
-    if isinstance(loaded.mdp, MDP):
-        tell_limit(loaded.mdp)
-    show(result, as_json=as_json, facts=_facts(result), grids=_grids(result, loaded))
-
-
-def _by_operator(method: str, others: dict[str, object]) -> str:
-    """Return the method for an operator; raises ModelError where options ask for a matrix."""
-    from exact_mdp.mdp.errors import ModelError
-    from exact_mdp.solvers import SOLVERS
-
-    wanted = [name for name, value in others.items() if value]
-    if method in SOLVERS and method != "backward-induction":
-        wanted.append(f"--method {method}")
-    if wanted:
-        raise ModelError(
-            f"{wanted[0]} needs the explicit model",
-            where="--operator",
-            fix=f"leave out {wanted[0]}, or --operator",
-        )
-    return "backward-induction" if method == "auto" else method
-
-
-def _as_operator(model: str, sets: tuple[str, ...], discount: str | None) -> Loaded:
-    from exact_mdp.mdp.io.load import Loaded, load_scenario
-
-    scenario = load_scenario(model, sets=sets, discount=discount)
-    # What follows reads of a model only what operators have too.
-    mdp = cast("MDP", scenario.operator())
-    return Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
-
-
-def _result(loaded: Loaded, found: Optimum) -> dict[str, Any]:
-    from exact_mdp.mdp.model import MDP
-
-    mdp, proof, solution = loaded.mdp, found.certificate, found.solution
+        asked = given(**shared)
+    mdp = asked.mdp
+    found = optimum(mdp, method, None if tol is None else number_of(tol, "--tol"), certify=certify)
+    written = _write(asked.loaded, found, policy_out=policy_out, out=out, certificate=certificate)
+    proof, solution = found.certificate, found.solution
     result: dict[str, Any] = {
-        "model": loaded.name,
         "method": found.method,
-        "discount": mdp.discount,
         "claim": found.claim,
         "start_value": found.start_value,
         "error_bound": found.error_bound,
         "exact_start_value": proof.start_value if proof else None,
         "unique": proof.unique if proof else None,
-        "policy": None,
-        "policy_by_state": None,
         "stationary": None,
         "regret_bound": solution.regret_bound if solution and not proof else 0.0,
         "iterations": solution.iterations if solution else None,
         "seconds": solution.seconds if solution else None,
         "status": str(solution.status) if solution else None,
         "solver": solution.solver if solution else None,
+        "written": written,
+        **_policy(mdp, found),
     }
-    names = mdp.space.names
-    if "status" in names and isinstance(mdp, MDP):
-        from exact_mdp.analysis.optimum import stationary
-
+    facts: dict[str, Any] = {"method": found.method}
+    if solution:
+        facts["method"] += f", {solution.iterations:,} iterations, {solution.seconds:.2g} s"
+    facts["start value"] = Bounded(value=found.start_value, error=found.error_bound)
+    if proof:
+        exact = ratio(proof.start_value)
+        long = f"a rational of {len(exact):,} digits; --json prints it"
+        facts["start value"] = Certified(value=proof.start_value)
+        facts["exact start value"] = exact if len(exact) <= SHOWN_DIGITS else long
+        facts["unique optimum"] = proof.unique
+    if "status" in mdp.space.names and isinstance(mdp, MDP):
         result["stationary"] = stationary(mdp, found)
-    if {"subtask", "trial", "status"} <= set(names):
+    facts["stationary"] = {
+        None: None,
+        True: "yes, an optimal policy reads the status alone",
+        False: "no, the best action of a status changes with the rest of the state",
+    }[result["stationary"]]
+    facts["written"] = written or None
+    return asked.report(result, facts, [_table(result, asked.loaded)])
+
+
+def _as_operator(
+    method: str, wanted: dict[str, object], model: str, sets: tuple[str, ...], discount: str | None
+) -> Given:
+    """Return a scenario as an operator; raises ModelError where options ask for a matrix."""
+    others = [name for name, value in wanted.items() if value]
+    if method in solvers.SOLVERS and method != "backward-induction":
+        others.append(f"--method {method}")
+    if others:
+        raise ModelError(
+            f"{others[0]} needs the explicit model",
+            where="--operator",
+            fix=f"leave out {others[0]}, or --operator",
+        )
+    scenario = load_scenario(model, sets=sets, discount=discount)
+    # What follows reads of a model only what operators have too.
+    mdp = cast("MDP", scenario.operator())
+    loaded = Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
+    facts = {"model": scenario.name, "discount": mdp.discount}
+    head = facts | {"horizon": None}
+    return Given(endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=())
+
+
+def _policy(mdp: MDP, found: Optimum) -> dict[str, dict[str, str] | None]:
+    """Return the policy by status at subtask 0, trial 0, or by state where there are few."""
+    names = [mdp.actions[action] for action in found.policy]
+    if {"subtask", "trial", "status"} <= set(mdp.space.names):
         column = mdp.space.column("status")
-        first = [mdp.space.index(status=value) for value in range(column.size)]
-        result["policy"] = {
-            column.label(value): mdp.actions[found.policy[state]]
-            for value, state in enumerate(first)
-        }
-    elif mdp.n_states <= LISTED_STATES:
-        labels = _labels(mdp.space)
-        chosen = [mdp.actions[action] for action in found.policy]
-        result["policy_by_state"] = dict(zip(labels, chosen, strict=True))
-    return result
+        first = {column.label(value): mdp.space.index(status=value) for value in range(column.size)}
+        by_status = {label: names[state] for label, state in first.items()}
+        return {"policy": by_status, "policy_by_state": None}
+    if mdp.n_states > LISTED_STATES:
+        return {"policy": None, "policy_by_state": None}
+    by_state = dict(zip(_labels(mdp.space), names, strict=True))
+    return {"policy": None, "policy_by_state": by_state}
 
 
 def _labels(space: StateSpace) -> list[str]:
@@ -172,42 +134,63 @@ def _labels(space: StateSpace) -> list[str]:
     return [f"{label} (state {state})" for state, label in enumerate(labels)]
 
 
-def _facts(result: dict[str, Any]) -> dict[str, str]:
-    shown = number(result["start_value"], result["error_bound"])
-    facts = {
-        "model": result["model"],
-        "method": result["method"],
-        "discount": number(result["discount"]),
-        **({"horizon": f"{result['horizon']:,} steps"} if result["horizon"] else {}),
-        "start value": f"{shown} ({result['claim']}, within {at_most(result['error_bound'])})",
-    }
-    if result["seconds"] is not None:
-        facts["method"] += f", {result['iterations']:,} iterations, {result['seconds']:.2g} s"
-    if result["exact_start_value"] is not None:
-        exact = ratio(result["exact_start_value"])
-        if len(exact) > SHOWN_DIGITS:
-            exact = f"a rational of {len(exact):,} digits; --json prints it"
-        facts["exact start value"] = exact
-        facts["unique optimum"] = "yes" if result["unique"] else "no"
-    if result["stationary"] is not None:
-        facts["stationary"] = (
-            "yes, an optimal policy reads the status alone"
-            if result["stationary"]
-            else "no, the best action of a status changes with the rest of the state"
-        )
-    facts |= {"written": ", ".join(result["written"])} if result["written"] else {}
-    return facts
-
-
-def _grids(result: dict[str, Any], loaded: Loaded) -> list[Grid]:
-    if len(result["policy"] or ()) > LISTED_STATES:
-        return []
+def _table(result: dict[str, Any], loaded: Loaded) -> Table:
+    policy, reads, title = result["policy_by_state"] or {}, "state", "optimal policy"
     if result["policy"] is not None:
+        policy, reads = result["policy"], "status"
         digits = f" (digits: {', '.join(loaded.scenario.statuses)})" if loaded.scenario else ""
         title = f"optimal action at subtask 0, trial 0, by status{digits}"
-        rows = list(result["policy"].items())
-        return [Grid(title=title, headings=("status", "action"), rows=rows)]
-    if result["policy_by_state"] is not None:
-        rows = list(result["policy_by_state"].items())
-        return [Grid(title="optimal policy", headings=("state", "action"), rows=rows)]
-    return []
+    rows = [{"reads": label, "action": action} for label, action in policy.items()]
+    shown = rows if len(rows) <= LISTED_STATES else []
+    return Table(
+        title=title, rows=shown, columns={reads: "reads", "action": "action"}, first=LISTED_STATES
+    )
+
+
+def _write(
+    loaded: Loaded,
+    found: Optimum,
+    *,
+    policy_out: str | None,
+    out: str | None,
+    certificate: str | None,
+) -> list[str]:
+    """Write what was asked for, each with the record of its making, and return the paths."""
+    written = [path for path in (policy_out, out, certificate) if path]
+    if not written:
+        return []
+    mdp = loaded.mdp
+    if certificate:
+        proof = found.certificate or solvers.certify(mdp, bounded=True, solution=found.solution)
+        proof.save(certificate)
+    if policy_out:
+        Policy.from_choices(mdp, found.policy).write(policy_out)
+    if out:
+        _save_arrays(mdp, found, out)
+    solver = found.solution.solver if found.solution else found.method
+    words = click.get_current_context().find_root().obj
+    record = run_record(mdp, model=loaded.name, solver=solver, command=words)
+    for path in written:
+        write_record(path, record)
+    return written
+
+
+def _save_arrays(mdp: MDP, found: Optimum, path: str) -> None:
+    """Write arrays; `q` is (S, A), NaN where an action is not available, and reads as a policy."""
+    q = np.full((mdp.n_states, mdp.n_actions), np.nan)
+    q[mdp.pair_state, mdp.pair_action] = mdp.backup(found.value)
+    optimal = np.zeros(q.shape, dtype=bool)
+    optimal[mdp.pair_state, mdp.pair_action] = found.optimal
+    content = io.BytesIO()
+    np.savez(
+        content,
+        value=found.value,
+        state_error=found.state_error,
+        policy=found.policy,
+        q=q,
+        optimal=optimal,
+        start_value=np.float64(found.start_value),
+        error_bound=np.float64(found.error_bound),
+        claim=np.array(str(found.claim)),
+    )
+    write_atomically(path, content.getvalue())

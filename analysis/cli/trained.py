@@ -8,13 +8,14 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from exact_mdp.analysis.cli.render import Grid, number, to_json
+from exact_mdp.analysis.cli.render import Table, number, to_json
 from exact_mdp.analysis.learning.instability import compare, predict
 from exact_mdp.analysis.learning.outcomes import (
     CANDIDATES,
@@ -212,6 +213,17 @@ def save(
     return written
 
 
+def _grid(
+    *,
+    title: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    numeric: frozenset[int] = frozenset(),
+) -> Table:
+    columns = {heading: itemgetter(place) for place, heading in enumerate(headings)}
+    return Table(title=title, rows=rows, columns=columns)
+
+
 SHOWN = 10  # policies in the table
 
 
@@ -251,7 +263,7 @@ def _with_interval(value: float, interval: Interval | None) -> str:
     return f"{number(value)} (95 %: {interval[0]:.4g} to {interval[1]:.4g})"
 
 
-def grids(result: dict[str, Any]) -> list[Grid]:
+def grids(result: dict[str, Any]) -> list[Table]:
     most = result["policies"][0]["policy"]
     rows = []
     for entry in result["policies"][:SHOWN]:
@@ -266,13 +278,13 @@ def grids(result: dict[str, Any]) -> list[Grid]:
     more = len(result["policies"]) - len(rows)
     title = "final greedy policies, and where they differ from the first"
     found = [
-        Grid(
+        _grid(
             title=f"{title} ({more} more)" if more else title,
             headings=("runs", "value", "regret", "policy"),
             rows=rows,
             numeric=frozenset({0, 1, 2}),
         ),
-        Grid(
+        _grid(
             title="how many policies are greedy in the last episodes of a run",
             headings=("policies", "runs", "share", "95 %"),
             rows=[
@@ -290,7 +302,7 @@ def grids(result: dict[str, Any]) -> list[Grid]:
     changed = sorted(result["changed_in_last"].items(), key=lambda item: -item[1]["fraction"])
     if changed:
         found.append(
-            Grid(
+            _grid(
                 title="where these policies differ",
                 headings=("row", "share of runs", "95 %"),
                 rows=[
@@ -305,7 +317,7 @@ def grids(result: dict[str, Any]) -> list[Grid]:
     return found
 
 
-def _theory(found: dict[str, Any]) -> Grid:
+def _theory(found: dict[str, Any]) -> Table:
     rows = [
         (
             name,
@@ -319,7 +331,7 @@ def _theory(found: dict[str, Any]) -> Grid:
         )
         for name, entry in found["actions"].items()
     ]
-    return Grid(
+    return _grid(
         title=f"{found['row']}: fixed point of the learner, noise at rate {found['rate']:g}, and "
         "predicted and observed shares of final policies",
         headings=("action", "Q", "gap", "noise", "linear", "switching", "observed", "95 %"),

@@ -126,7 +126,7 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
     def fail(*_: object, **__: object) -> None:
         raise fault
 
-    monkeypatch.setattr("exact_mdp.mdp.io.load.load", fail)
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", fail)
     done = run("check", "yuan2025", "optimal")
     assert (done.status, done.out) == (3, "")
     told(done.err)

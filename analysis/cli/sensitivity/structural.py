@@ -1,14 +1,11 @@
-"""What `exact-mdp sensitivity MODEL structural` tells."""
+"""Readings of the text: the kind structural."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from exact_mdp.analysis.cli.render import Grid, number
-from exact_mdp.analysis.cli.sensitivity.options import SHOWN, Report, any_range, work_from, written
+from exact_mdp.analysis.cli.render import Report, Table, claimed
+from exact_mdp.analysis.cli.sensitivity.options import Asked
 from exact_mdp.analysis.sensitivity.structural import (
     CARRIED,
     Reading,
@@ -17,119 +14,83 @@ from exact_mdp.analysis.sensitivity.structural import (
     one_at_a_time,
     structural,
 )
+from exact_mdp.mdp.care.perception import read
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats
-
-if TYPE_CHECKING:
-    from exact_mdp.mdp.io.load import Loaded
 
 
-def structural_report(loaded: Loaded, options: Mapping[str, Any]) -> Report:
+def structural_report(asked: Asked) -> Report:
     """Return the same outputs under every reading of the scenario."""
-    scenario = loaded.scenario
+    scenario, combined, seen = asked.loaded.scenario, asked["combined"], asked["perception"]
     if scenario is None:
         raise ModelError(
             "readings belong to care scenarios, not to this model",
-            where=loaded.name,
+            where=asked.loaded.name,
             fix="name a scenario, or a scenario file",
         )
-    if options["parameters"] or any_range(options):
-        raise ModelError(
-            "readings have no ranges", where="sensitivity structural", fix="leave them out"
-        )
-    combined = options["combined"]
-    form = options["policy"]
+    form = asked.form
     found = structural(
         scenario,
         combinations(scenario) if combined else one_at_a_time(scenario),
         policies={} if form == "optimal" else {form: form},
-        perception=_confusion(loaded, options),
+        perception=None if seen is None else read(seen, asked.loaded.mdp),
         elasticities=not combined,  # the rest is five times as fast
-        **work_from(options),
+        **asked.work,
     )
-    present = found.present
-    result = {
-        "start_value": present.optimal.value,
-        "error_bound": present.optimal.error,
-        "claim": "bounded",
-        "policy": form,
-        "readings": [_reading(found, number) for number in range(len(found.readings))],
-    }
     held = CARRIED if form == "optimal" else form
-    regrets = [each.regret(held).value for each in found.readings]
-    shown = range(len(found.readings))
-    if combined:  # too many to read: those where holding the policy costs most
-        shown = sorted(shown, key=lambda place: -regrets[place])
-    rows = [
-        (
-            found.readings[place].label.replace(", ", "\n"),
-            f"{found.readings[place].optimal.value:.6g}",
-            f"{found.readings[place].sd:.5g}",
-            _changes(found.readings[place]),
-            f"{regrets[place]:.4g}",
-            found.readings[place].top or "-",
-        )
-        for place in shown[:SHOWN]
-    ]
-    more = f", {SHOWN} of {len(found.readings)}" if len(found.readings) > SHOWN else ""
-    headings = ["reading", "start value", "sd", "optimum", "regret", "weighs most"]
-    if combined:
-        headings, rows = headings[:-1], [row[:-1] for row in rows]
-    grid = Grid(
-        title=f"policy re-optimised under each reading{more}; where it changes at subtask 0, "
-        f"trial 0; regret of: {held}",
-        headings=headings,
-        rows=rows,
-        numeric=frozenset({1, 2, 4}),
-    )
+    present, readings = found.present, found.readings
+    rows = [_reading(found, each) for each in readings]
+    result = claimed("start_value", present.optimal) | {"policy": form, "readings": rows}
+    costliest = max(readings, key=lambda each: each.regret(held).value)
     facts = {
-        "start value": f"{number(present.optimal.value, present.optimal.error)} (bounded)",
-        "readings": str(len(found.readings)),
-        "optimum changes in": str(sum(each.optimum_changes for each in found.readings)),
-        "largest regret": f"{max(regrets):.4g}, {found.readings[int(np.argmax(regrets))].label}",
+        "start value": present.optimal,
+        "readings": len(readings),
+        "optimum changes in": sum(each.optimum_changes for each in readings),
+        "largest regret": f"{costliest.regret(held).value:.4g}, {costliest.label}",
     }
-    return written(loaded, options, result, "structural"), facts, [grid]
+    if combined:  # too many to read: those where holding the policy costs most
+        rows = sorted(rows, key=lambda row: -row["policies"][held]["regret"])
+    table = Table(
+        title="policy re-optimised under each reading; where it changes at subtask 0, trial 0; "
+        f"regret of: {held}",
+        rows=rows,
+        columns={
+            "reading": lambda row: row["reading"].replace(", ", "\n"),
+            "start value": "start_value:.6g",
+            "sd": "sd:.5g",
+            "optimum": _changes,
+            "regret": (lambda row: row["policies"][held]["regret"], ".4g"),
+            **({} if combined else {"weighs most": "top_parameter"}),
+        },
+    )
+    return Report(result=result, facts=facts, tables=[table])
 
 
-def _confusion(loaded: Loaded, options: Mapping[str, Any]) -> Floats | None:
-    from exact_mdp.mdp.care.perception import read
-
-    path = options.get("perception")
-    return None if path is None else read(path, loaded.mdp)
-
-
-def _reading(found: Structural, place: int) -> dict[str, Any]:
-    each = found.readings[place]
-    held = {
-        name: {
-            "value": value.value,
-            "error_bound": value.error,
-            "regret": each.regret(name).value,
-        }
-        for name, value in each.policies.items()
-    }
+def _reading(found: Structural, each: Reading) -> dict[str, Any]:
     return {
         "reading": each.label,
-        "settings": {name: _plain(option) for name, option in each.settings.items()},
+        "settings": each.settings,
         "states": each.states,
         "start_value": each.optimal.value,
         "error_bound": each.optimal.error,
         "sd": each.sd,
         "optimum_changes": each.optimum_changes,
-        "changed_at_subtask_0_trial_0": list(each.changed),
+        "changed_at_subtask_0_trial_0": each.changed,
         "actions": dict(zip(found.statuses, each.actions, strict=True)),
-        "policies": held,
+        "policies": {
+            name: {
+                "value": value.value,
+                "error_bound": value.error,
+                "regret": each.regret(name).value,
+            }
+            for name, value in each.policies.items()
+        },
         "top_parameter": each.top or None,
         "elasticity": each.elasticity,
         "stability": each.stability,
     }
 
 
-def _changes(each: Reading) -> str:
-    if not each.optimum_changes:
+def _changes(row: Any) -> str:
+    if not row["optimum_changes"]:
         return "same"
-    return " ".join(each.changed) or "changes later"
-
-
-def _plain(option: object) -> object:
-    return list(option) if isinstance(option, tuple) else option
+    return " ".join(row["changed_at_subtask_0_trial_0"]) or "changes later"

@@ -1,0 +1,468 @@
+"""What can be typed after `exact-mdp`: each command with its arguments, options and help text.
+
+Nothing heavy is imported here, so that help comes at once. To add a command, declare it here and
+write the function that `does` names, which takes the options by name and returns a `Report`
+(`exact_mdp.analysis.cli.render`); its module is imported when the command runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
+from typing import Any
+
+import click
+
+from exact_mdp.analysis.cli.sensitivity import KINDS
+
+Function = Callable[..., Any]
+Options = Callable[[Function], Function]
+Declare = Callable[[Function], click.Command]
+
+HERE = "exact_mdp.analysis.cli"
+
+POLICY_HELP = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
+.csv with the header status,action; .npy or .npz with a Q-table or with probabilities of actions
+(--kind q, --kind policy; auto takes an array for probabilities where every row that counts is a
+distribution, and refuses it where its greedy policy would be another one)."""
+
+PERCEPTION_HELP = (
+    "The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity "
+    "and specificity, or labelled examples (.csv true,perceived; .jsonl)."
+)
+
+
+def command(
+    does: str, help_line: str, *, epilog: str | None = None
+) -> Callable[..., click.Command]:
+    """Make a command of a function that holds only its help text.
+
+    Parameters
+    ----------
+    does : str
+        "module:function" of this package: what the command does.
+    help_line : str
+        Its line in the list of commands.
+    """
+    module, _, name = does.partition(":")
+
+    def declare(function: Function) -> click.Command:
+        @wraps(function)
+        def work(*, as_json: bool, **options: Any) -> int:
+            report = getattr(import_module(f"{HERE}.{module}"), name)(**options)
+            status: int = import_module(f"{HERE}.render").show(report, as_json=as_json)
+            return status
+
+        return click.command(short_help=help_line, epilog=epilog)(work)
+
+    return declare
+
+
+def together(*options: Options) -> Options:
+    """Return several options as one decorator."""
+
+    def add(function: Function) -> Function:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return add
+
+
+# ---- options that commands share ---------------------------------------------------------------
+
+of_model = together(
+    click.option(
+        "--set",
+        "sets",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION. "
+        "May be repeated.",
+    ),
+    click.option(
+        "--discount", metavar="G", help="Discount instead of the model's own: 0.95 or 19/20."
+    ),
+    click.option("--json", "as_json", is_flag=True, help="Print one JSON object."),
+)
+horizon = click.option(
+    "--horizon", metavar="N", help="Stop every episode after N steps, without a further reward."
+)
+of_policy = together(
+    click.option(
+        "--kind",
+        default="auto",
+        metavar="q|policy|auto",
+        help="What a .npy or .npz file holds: a Q-table, or probabilities of actions.",
+    ),
+    click.option("--perception", metavar="FILE", help=PERCEPTION_HELP),
+    horizon,
+)
+model = click.argument("model")
+policy = click.argument("policy")
+
+
+# ---- the model itself --------------------------------------------------------------------------
+
+
+@command("model:info", "Sizes, discount, whether every policy ends.")
+@model
+@of_model
+def info() -> None:
+    """Describe MODEL: sizes, discount, whether every policy ends, whether it is acyclic."""
+
+
+@command("model:convert", "Write a model in another format.")
+@click.argument("source", metavar="IN")
+@click.argument("target", metavar="OUT")
+@of_model
+def convert() -> None:
+    """Read the model IN and write it to OUT, in the format that OUT's ending names."""
+
+
+# ---- its optimum -------------------------------------------------------------------------------
+
+
+@command("solve:solve", "Optimal value and policy, with a bound or a proof.")
+@model
+@of_model
+@horizon
+@click.option(
+    "--method",
+    default="auto",
+    metavar="NAME",
+    help="value-iteration, gauss-seidel, modified-policy-iteration, policy-iteration, "
+    "backward-induction, linear-program or auto (the default).",
+)
+@click.option("--tol", metavar="X", help="Greatest absolute error of a value.")
+@click.option("--certify", is_flag=True, help="Compute and prove the exact optimum.")
+@click.option(
+    "--operator",
+    is_flag=True,
+    help="Solve a scenario without its matrix, by backward induction: for large ones.",
+)
+@click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
+@click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
+@click.option(
+    "--certificate",
+    metavar="FILE",
+    help="Write a proof for `verify`: .json; of the exact values with --certify, else of bounds.",
+)
+def solve() -> None:
+    """Find an optimal policy of MODEL and its value, with an error bound that is sound.
+
+    With --certify the optimum is also computed in rational arithmetic, and proved. The result says
+    whether an optimal policy needs the status alone, unless bounds without a proof leave that open.
+    With --operator it does not say so, and it records no hash of the model. With --horizon episodes
+    stop, and the optimal policy depends on the time.
+    """
+
+
+@command("verify:verify", "Check a certificate of a model's optimum.")
+@click.argument("certificate")
+@model
+@horizon
+@of_model
+def verify() -> None:
+    """Check that CERTIFICATE proves the optimum of MODEL; exit status 1 where it does not.
+
+    The checker imports no solver.
+    """
+
+
+# ---- one policy --------------------------------------------------------------------------------
+
+
+@command(
+    "evaluate:evaluate",
+    "Mean, spread, steps, reward components and quantiles of a policy.",
+    epilog=POLICY_HELP,
+)
+@model
+@policy
+@click.option(
+    "--quantiles/--no-quantiles",
+    default=True,
+    help="Whether to compute the quantiles, which can take long in large models.",
+)
+@of_policy
+@of_model
+def evaluate() -> None:
+    """Compute the mean return of POLICY in MODEL, its spread, and what it is made of."""
+
+
+@command(
+    "evaluate:returns",
+    "The exact distribution of a policy's return, at discount 1.",
+    epilog=POLICY_HELP,
+)
+@model
+@policy
+@click.option("--exact", is_flag=True, help="Give the probabilities as rationals, too.")
+@of_policy
+@of_model
+def returns() -> None:
+    """Compute the probability of every return that POLICY can have in MODEL, at discount 1."""
+
+
+@command(
+    "evaluate:simulate",
+    "An estimate of a policy's mean return by simulation.",
+    epilog=POLICY_HELP,
+)
+@model
+@policy
+@click.option("--episodes", required=True, metavar="N", help="Number of episodes.")
+@click.option("--seed", default="0", metavar="S", help="Seed of the random numbers (0).")
+@of_policy
+@of_model
+def simulate() -> None:
+    """Estimate the mean return of POLICY in MODEL from N episodes."""
+
+
+@command(
+    "check:check",
+    "Audit a learned policy or Q-table; exit status 1 where it loses too much.",
+    epilog=POLICY_HELP,
+)
+@model
+@click.argument("learned")
+@click.option("--max-regret", metavar="X", help="Greatest regret at the start: 0.1 or 1/10.")
+@click.option(
+    "--max-relative-regret", metavar="X", help="Greatest regret over the absolute optimal value."
+)
+@click.option("--junit", metavar="FILE", help="Write a JUnit report: .xml.")
+@click.option("--certify", is_flag=True, help="Use rational arithmetic, however long it takes.")
+@click.option(
+    "--no-explain", is_flag=True, help="Leave out what the policy's columns cannot express."
+)
+@of_policy
+@of_model
+def check() -> None:
+    """Compare LEARNED, a policy or Q-table, with the exact optimum of MODEL.
+
+    The check passes where the regret at the start is within the limits; what bounds leave open does
+    not pass. Without a limit it passes where the regret is zero: exactly, but for what half a unit
+    in the last place of the model's floats can move. --max-regret 0 forgives nothing. LEARNED is a
+    POLICY; of a Q-table the greedy policy counts.
+    """
+
+
+@command("train:train", "Q-learning by sampling, judged by exact values.")
+@model
+@click.option(
+    "--epsilon",
+    default="constant",
+    metavar="SCHEDULE",
+    help="constant (0.1, the default), decaying (0.03 + 0.97 exp(-λt), 0.8 at epoch 300), or a "
+    "number from 0 to 1.",
+)
+@click.option("--seeds", default="40", metavar="N", help="Number of runs (40).")
+@click.option("--seed", default="0", metavar="S", help="Seed of all runs together (0).")
+@click.option(
+    "--out", metavar="DIR", help="Keep runs there as they finish, and go on from those it holds."
+)
+@click.option(
+    "--method",
+    default="q-learning",
+    metavar="NAME",
+    help="q-learning (the default), sarsa, expected-sarsa or double-q-learning.",
+)
+@click.option("--epochs", default="6000", metavar="N", help="Epochs of a run (6000).")
+@click.option("--episodes", default="30", metavar="N", help="Episodes of an epoch (30).")
+@click.option("--rate", default="0.05", metavar="X", help="Learning rate (0.05).")
+@click.option(
+    "--rate-power", default="0", metavar="X", help="Rate of the n-th update: rate · n^-X (0)."
+)
+@click.option(
+    "--learning-discount", default="0.95", metavar="G", help="The learner's discount (0.95)."
+)
+@click.option(
+    "--columns",
+    metavar="NAMES",
+    help="What the learner reads: all, or columns with commas, such as trial,status. Unless given, "
+    "the status alone where there is one.",
+)
+@click.option("--initial", default="0", metavar="X", help="First value of every entry (0).")
+@click.option("--ties", default="first", metavar="RULE", help="first (the default), last, random.")
+@click.option("--bootstrap-end", is_flag=True, help="Look beyond the end as if it went on.")
+@click.option("--max-steps", default="10000", metavar="N", help="Cut longer episodes (10000).")
+@click.option("--jobs", metavar="N", help="Threads; all cores unless given. Changes no result.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Train on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
+)
+@click.option(
+    "--explain", is_flag=True, help="Predict how unstable the least stable status is, and why."
+)
+@of_model
+def train() -> None:
+    """Train on MODEL as Yuan et al. (2025) do, and compute the exact values of the policies.
+
+    Regret is that of the final greedy policies, at the model's discount, over the seeds.
+    """
+
+
+# ---- its parameters ----------------------------------------------------------------------------
+
+
+@command("sensitivity.run:sensitivity", "Which numbers of the model decide.", epilog=POLICY_HELP)
+@model
+@click.argument("kind", type=click.Choice(list(KINDS)))
+@click.option(
+    "--parameter",
+    "parameters",
+    multiple=True,
+    metavar="NAME",
+    help="Only this parameter. May be repeated; all of them unless given, for sobol and morris all "
+    "but the discount.",
+)
+@click.option(
+    "--range",
+    "ranges",
+    multiple=True,
+    metavar="NAME=LOW:HIGH",
+    help="Vary a parameter from LOW to HIGH. May be repeated.",
+)
+@click.option(
+    "--ranges",
+    "range_file",
+    metavar="FILE",
+    help="A .toml file. Ranges: NAME = [low, high]. psa: what is known of each probability.",
+)
+@click.option(
+    "--relative", metavar="X", help="Other ranges: today's value ± this share of it (0.2)."
+)
+@click.option("--whole", is_flag=True, help="Other ranges: everything that a parameter may be.")
+@click.option(
+    "--policy",
+    metavar="POLICY",
+    help="The policy held fixed, whose regret is shown; the optimum unless given. The derivatives "
+    "of a gradient are then those of this policy's value.",
+)
+@click.option(
+    "--samples",
+    metavar="N",
+    help="psa: draws (10000; 500 of slow models). sobol: points of the sequence, a power of 2 "
+    "(1024). morris: trajectories (64).",
+)
+@click.option("--seed", metavar="S", help="Seed of the draws (0).")
+@click.option("--n-jobs", metavar="N", help="Processes; all cores unless given. Changes no result.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Work on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
+)
+@click.option(
+    "--out",
+    metavar="DIR",
+    help="Keep finished work and the result there, and go on from what it holds.",
+)
+@click.option(
+    "--effective-sample-size",
+    metavar="X",
+    help="psa: how many observations stand behind each probability (100), or a .toml file that "
+    "states this by name.",
+)
+@click.option(
+    "--set-kind",
+    type=click.Choice(["interval", "absolute", "l1", "kl", "entropy", "box"]),
+    help="robust: what may move (interval): each probability by a share or an absolute amount, "
+    "each row within a distance (l1, kl, entropy), or the tables' numbers (box).",
+)
+@click.option("--radius", metavar="X", help="robust: how far it may move; at most 2 for l1.")
+@click.option(
+    "--combined",
+    is_flag=True,
+    help="structural: every combination of the readings, not one change at a time.",
+)
+@click.option(
+    "--perception",
+    metavar="FILE",
+    help=f"{PERCEPTION_HELP} This is the policy held fixed; the optimum it is compared with knows "
+    "the status. Exact for the probabilities as rounded to floats.",
+)
+@of_model
+def sensitivity() -> None:
+    """Compute how MODEL's optimum depends on its parameters.
+
+    gradient: derivatives and elasticities. tornado: values at both ends of each range, and the
+    regret of a policy held fixed. threshold: every value at which an optimal action changes.
+    psa: value, regret and optimal actions over random draws around the tables. sobol, morris:
+    which parameters decide, alone and together. robust: the worst case within sets around the
+    tables. structural: the same outputs under each reading of the text.
+
+    An option that a kind does not use is refused.
+    """
+
+
+@command(
+    "perception:perception",
+    "What errors of perception cost, and what memory would save.",
+    epilog=POLICY_HELP,
+)
+@model
+@click.option(
+    "--perception",
+    metavar="FILE",
+    help="A confusion matrix as .csv; .toml with sensitivity and specificity; labelled examples as "
+    ".csv (true,perceived) or the .jsonl of a recording.",
+)
+@click.option(
+    "--accuracy", metavar="X", help="Each status is read correctly with this probability instead."
+)
+@click.option(
+    "--prior",
+    metavar="X",
+    help="Pseudo-count of each cell, where the file holds examples; adds a credible interval.",
+)
+@click.option("--draws", default="2000", metavar="N", help="Draws for that interval (2000).")
+@click.option("--seed", default="0", metavar="S", help="Seed of the draws (0).")
+@click.option(
+    "--policy",
+    default="optimal",
+    metavar="POLICY",
+    help="The policy that takes what is perceived for true; the optimum unless given.",
+)
+@click.option(
+    "--share", default="19/20", metavar="X", help="Share of the value that is to be kept (19/20)."
+)
+@click.option(
+    "--seconds",
+    metavar="X",
+    help="Limit of each of the two searches with memory (5). Where it ends one, the bounds vary a "
+    "little with the load of the machine; with --trials they do not.",
+)
+@click.option(
+    "--trials",
+    metavar="N",
+    help="Limit of each search in trials, instead of seconds: identical output in every run.",
+)
+@click.option(
+    "--tolerance", default="0.02", metavar="X", help="Gap at which such a search ends (0.02)."
+)
+@of_model
+def perception() -> None:
+    """Compute what acting on a perceived status costs in MODEL.
+
+    Ways to deal with errors: knowing the status, remembering what was seen and done, the best
+    fixed response to what is seen, and taking it for true. Then which errors cost most, and the
+    accuracy that keeps a share of the value.
+    """
+
+
+COMMANDS = (
+    info,
+    solve,
+    evaluate,
+    returns,
+    simulate,
+    verify,
+    convert,
+    check,
+    train,
+    sensitivity,
+    perception,
+)
