@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from exact_mdp.analysis.exit_status import FAILED, Program
+from exact_mdp.mdp import ModelError
 
 
 @click.command(cls=Program)
@@ -40,11 +41,20 @@ def main(
     Exit status: 0 done, 1 a number differs from the pinned one, 2 bad input, 3 anything else.
     """
     started = time.perf_counter()
+    if name is not None and candidates:
+        raise ModelError(
+            "--claim prints one claim and --candidates all of them",
+            where="--candidates",
+            fix="leave one of the two out",
+        )
+    if name is not None and not name.strip():
+        raise ModelError(
+            "the name of the claim is empty",
+            where="--claim",
+            fix="give one, such as return.random; claims.json and the report list them",
+        )
     try:
-        if name is None:
-            failed = _all(quick, out, scheduler, candidates)
-        else:
-            failed = _one(name, quick, out, scheduler, candidates)
+        failed = _work(quick, out, scheduler, name, candidates)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):
             stop.add_note(f"what is finished is kept in {out}, and the same command goes on")
@@ -53,45 +63,33 @@ def main(
     return FAILED if failed else None
 
 
-def _one(name: str, quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
-    from exact_mdp.mdp import ModelError
+def _work(
+    quick: bool, out: Path, scheduler: str | None, name: str | None, candidates: bool
+) -> bool:
+    """Print one claim or all of them; say whether a number differs from the pinned one.
+
+    What this takes is loaded here, so that the help is not kept waiting for it.
+    """
+    from exact_mdp.paper_repro import run
     from exact_mdp.paper_repro.claims import chosen
-    from exact_mdp.paper_repro.report.output import print_claim
-    from exact_mdp.paper_repro.run import run_claims
-    from exact_mdp.paper_repro.store import Store
-    from exact_mdp.paper_repro.view import FULL, QUICK
+    from exact_mdp.paper_repro.claims.judge import candidates as entries
+    from exact_mdp.paper_repro.reading import FULL, QUICK, Store
+    from exact_mdp.paper_repro.report import output
 
-    if candidates:
-        raise ModelError(
-            "--claim prints one claim and --candidates all of them",
-            where="--candidates",
-            fix="leave one of the two out",
+    sizes = QUICK if quick else FULL
+    if name is not None:
+        claim = chosen(name)
+        (found,) = run.run_claims(
+            [claim], sizes, Store.under(out), quick=quick, scheduler=scheduler
         )
-    if not name.strip():
-        raise ModelError(
-            "the name of the claim is empty",
-            where="--claim",
-            fix="give one, such as return.random; claims.json and the report list them",
-        )
-    claim = chosen(name)
-    sizes, store = QUICK if quick else FULL, Store.under(out)
-    (judged,) = run_claims([claim], sizes, store, quick=quick, scheduler=scheduler)
-    print_claim(judged)
-    return False
-
-
-def _all(quick: bool, out: Path, scheduler: str | None, candidates: bool) -> bool:
-    from exact_mdp.paper_repro import expected
-    from exact_mdp.paper_repro.report.output import print_places, print_table
-    from exact_mdp.paper_repro.run import run
-    from exact_mdp.paper_repro.view import FULL, QUICK
-
-    judged, off = run(out, sizes=QUICK if quick else FULL, quick=quick, scheduler=scheduler)
-    if candidates:
-        click.echo(expected.candidates(judged))
+        output.print_claim(found)
         return False
-    print_table(judged)
-    print_places(out)
+    judged, off = run.run(out, sizes=sizes, quick=quick, scheduler=scheduler)
+    if candidates:
+        click.echo(entries(judged))
+        return False
+    output.print_table(judged)
+    output.print_places(out)
     for line in off:
         click.echo(f"differs from expected.toml: {line}", err=True)
     return bool(off)

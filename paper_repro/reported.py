@@ -4,16 +4,26 @@ The policies are stated in Section 4.1: every status with anger gets verbal supp
 forgetful and confused gets directive; forgetful only and confused only get "directive or
 non-directive, respectively", which can be read in two orders; three variants differ in status 0000.
 The actions in the four remaining statuses (disengaged, not angry) are shown only in the paper's
-figure of the learned policies, which its source does not include. `completions` lists every way to
+figure of the learned policies, which its source does not include. `COMPLETIONS` lists every way to
 fill in what is open, so that the spread over it can be stated beside each number.
+
+`PLACES` names the sections, tables, equations and figures of the paper's source, titles shortened:
+every claim is taken from some of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 
+import numpy as np
+
+from exact_mdp.mdp.table import Integers
+
 ACTIONS = ("none", "supportive", "non-directive", "directive")  # Table 2: a0 to a3
+NUMBER = {action: number for number, action in enumerate(ACTIONS)}
+STATUSES = tuple(map("".join, product("01", repeat=4)))  # forgetful, confused, angry, disengaged
+ANGRY = tuple(status for status in STATUSES if status[2] == "1")
 
 # Table 3, in per cent: base, then influence on forgetful, confused, angry, disengaged at t+1.
 # The diagonal holds the persistence.
@@ -59,6 +69,8 @@ EXPERIMENTS = 1_000  # Section 4.1: runs behind each of the three averages
 AVERAGE_RETURN = {"non-directive": 144.3, "directive": 139.2, "supportive": 133.5}  # Section 4.1
 CONVERGED_RETURN = 140  # Section 4.1: "approximately", read off a plot
 RANDOM_RETURN = 70  # Section 4.1: "around", read off a plot
+STARTS = tuple(AVERAGE_RETURN)  # the action in 0000 of each of the three policies, best first
+FINAL = STARTS[0]  # that of the paper's final policy
 UNIQUE_POLICIES = {"constant": 3, "decaying": 2}  # Section 4.1: over the last 100 episodes
 
 STATED = {"1000": "directive", "0100": "non-directive", "1100": "directive"}  # Section 4.1
@@ -68,58 +80,134 @@ ORDERS = {  # "directive or non-directive, respectively"
     "swapped": {"1000": STATED["0100"], "0100": STATED["1000"]},
 }
 
-
-def completions() -> list[dict[str, str]]:
-    """Return the actions that the paper's text leaves open, in every way that it can be read.
-
-    Both orders of "respectively", the one as written first, with all actions in `UNSTATED`.
-
-    Examples
-    --------
-    >>> len(completions()), completions()[0]["1000"], completions()[256]["1000"]
-    (512, 'directive', 'non-directive')
-    """
-    return [
-        {**order, **dict(zip(UNSTATED, chosen, strict=True))}
-        for order in ORDERS.values()
-        for chosen in product(ACTIONS, repeat=4)
-    ]
+# What the text leaves open, in every way that it can be read: both orders of "respectively", the
+# one as written first, with all actions in `UNSTATED`.
+COMPLETIONS: tuple[Mapping[str, str], ...] = tuple(
+    {**order, **dict(zip(UNSTATED, chosen, strict=True))}
+    for order in ORDERS.values()
+    for chosen in product(ACTIONS, repeat=4)
+)
 
 
 def order(completion: Mapping[str, str]) -> str:
     """Return which order of "respectively" a completion follows.
 
-    Examples
-    --------
-    >>> order(completions()[0]), order(completions()[511])
-    ('as written', 'swapped')
+    >>> len(COMPLETIONS), order(COMPLETIONS[0]), order(COMPLETIONS[511])
+    (512, 'as written', 'swapped')
     """
-    return next(
-        name for name, pair in ORDERS.items() if all(completion[s] == a for s, a in pair.items())
-    )
+    return next(name for name, pair in ORDERS.items() if pair.items() <= completion.items())
 
 
 def told(completion: Mapping[str, str]) -> str:
     """Return a completion in one line, as its order and the actions in `UNSTATED`.
 
-    Examples
-    --------
-    >>> told(completions()[0])
+    >>> told(COMPLETIONS[0])
     'as written; 0001 none, 0101 none, 1001 none, 1101 none'
     """
     actions = ", ".join(f"{status} {completion[status]}" for status in UNSTATED)
     return f"{order(completion)}; {actions}"
 
 
-def policy(start: str, completion: dict[str, str]) -> dict[str, str]:
+def policy(start: str, completion: Mapping[str, str]) -> dict[str, str]:
     """Return the reported policy with action `start` in status 0000, by status.
 
-    Examples
-    --------
-    >>> policy("non-directive", completions()[0])["0010"]
+    >>> policy("non-directive", COMPLETIONS[0])["0010"]
     'supportive'
     """
-    angry = {
-        label: "supportive" for label in map("".join, product("01", repeat=4)) if label[2] == "1"
-    }
+    angry = dict.fromkeys(ANGRY, "supportive")
     return dict(sorted({"0000": start, **STATED, **completion, **angry}.items()))
+
+
+def policies(completions: Sequence[Mapping[str, str]] = COMPLETIONS) -> Integers:
+    """Return (C · 3, 16) action numbers by status vector, the action in 0000 moving fastest.
+
+    >>> policies(COMPLETIONS[:1]).tolist()[0]
+    [2, 0, 1, 1, 2, 0, 1, 1, 3, 0, 1, 1, 3, 0, 1, 1]
+    """
+    found = [policy(start, each).values() for each in completions for start in STARTS]
+    return np.array([[NUMBER[action] for action in actions] for actions in found], dtype=np.int64)
+
+
+def states(policy: Integers, orders: Sequence[str] = tuple(ORDERS)) -> bool:
+    """Return whether a policy (16,) has the actions stated for 1100, 1000 and 0100.
+
+    >>> swapped = policies()[-1]
+    >>> states(swapped), states(swapped, ["as written"])
+    (True, False)
+    """
+    taken = dict(zip(STATUSES, (ACTIONS[number] for number in policy), strict=True))
+    pairs = (ORDERS[order] for order in orders)
+    return taken["1100"] == STATED["1100"] and any(p.items() <= taken.items() for p in pairs)
+
+
+def compatible(policy: Integers) -> bool:
+    """Return whether a policy (16,) can be one that the paper describes.
+
+    >>> compatible(policies()[-1]), compatible(np.zeros(16, dtype=int))
+    (True, False)
+    """
+    angry = policy[[int(status, 2) for status in ANGRY]]
+    start = ACTIONS[policy[0]]
+    return bool((angry == NUMBER["supportive"]).all()) and states(policy) and start in STARTS
+
+
+# ---- the paper's sections, and what else it numbers --------------------------------------------
+
+SECTIONS = {
+    "Abstract": "Abstract",
+    "Section 1": "Introduction",
+    "Section 2": "Agent PLWD",
+    "Section 2.1": "Probabilistic model of PLWD states",
+    "Section 2.1.1": "Without external assistance",
+    "Section 2.1.2": "With external assistance",
+    "Section 2.1.3": "Subtask skipping",
+    "Section 2.2": "LLM-based PLWD behavior simulation",
+    "Section 3": "RL-based agent Robot Caregiver",
+    "Section 3.1": "LLM-based robot perception",
+    "Section 3.2": "RL-based robot action selection module",
+    "Section 3.2.1": "State space",
+    "Section 3.2.2": "Action space",
+    "Section 3.2.3": "Immediate reward",
+    "Section 3.2.4": "Learning algorithm design and training",
+    "Section 3.2.5": "Evaluation metrics",
+    "Section 3.3": "LLM-based robot action execution module",
+    "Section 4": "Results and discussion",
+    "Section 4.1": "RL-based action selection strategy",
+    "Section 4.2": "Agent PLWD-robot interaction",
+    "Section 4.3": "Limitations and future work",
+    "Section 5": "Conclusion",
+}
+
+# Tables, equations and figures: the section that each stands in, and what it shows.
+NUMBERED = {
+    "Table 1": ("Section 2", "Terms and definitions"),
+    "Table 2": ("Section 2.1", "Assistance types"),
+    "Table 3": ("Section 2.1.1", "Transition probabilities without assistance"),
+    "Table 4": ("Section 3.2.3", "Weights of the reward components"),
+    "Equation 1": ("Section 3.2.3", "Immediate reward"),
+    "Equation 2": ("Section 3.2.4", "Decaying exploration"),
+    "Figure 1": ("Section 2", "Architecture of the two agents"),
+    "Figure 2": ("Section 2", "Flowchart of their interaction"),
+    "Figure 3": ("Section 2.1", "State transition model of the agent PLWD"),
+    "Figure 4": ("Section 2.1", "Mechanism of a status's dynamics"),
+    "Figure 5": ("Section 2.2", "Prompt of the behavior simulation"),
+    "Figure 6": ("Section 3.1", "Prompt of the perception module"),
+    "Figure 7": ("Section 3.3", "Prompt of action execution, brief guidance, without status"),
+    "Figure 8": ("Section 3.3", "Prompt of action execution, detailed guidance, with status"),
+    "Figure 9": ("Section 4.1", "Average return during training, three strategies"),
+    "Figure 10": ("Section 4.1", "Learned policies of the two exploration schedules"),
+    "Figure 11": ("Section 4.2", "Screenshot of a recorded experiment"),
+    "Figure 12": ("Section 4.2", "Example of an interaction"),
+}
+
+PLACES = SECTIONS | {place: title for place, (_, title) in NUMBERED.items()}
+FIGURES = {place: title for place, title in PLACES.items() if place.startswith("Figure")}
+
+
+def section_of(place: str) -> str:
+    """Return the section that a place stands in.
+
+    >>> section_of("Table 3"), section_of("Section 4.1")
+    ('Section 2.1.1', 'Section 4.1')
+    """
+    return NUMBERED[place][0] if place in NUMBERED else place

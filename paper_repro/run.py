@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -13,20 +13,32 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
+from matplotlib.figure import Figure
 
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro.claims import Judged, PaperClaim, all_claims, judge
-from exact_mdp.paper_repro.claims.judge import tried_again, verdicts
-from exact_mdp.paper_repro.claims.under import Readings
-from exact_mdp.paper_repro.expected import disagreements, expected
-from exact_mdp.paper_repro.readings.study import reading_study
-from exact_mdp.paper_repro.report.output import entry_of, numbers_of
-from exact_mdp.paper_repro.store import Store
-from exact_mdp.paper_repro.view import SEED, Sizes, View, alternatives, default_view
+from exact_mdp.paper_repro.claims.judge import (
+    best_supported,
+    disagreements,
+    expected,
+    tried_again,
+    verdicts,
+)
+from exact_mdp.paper_repro.reading import SEED, Reading, Sizes, Store, alternatives, default
+from exact_mdp.paper_repro.readings.evidence import Evidence, evidence
+from exact_mdp.paper_repro.readings.findings import reading_study
+from exact_mdp.paper_repro.readings.search import search
+from exact_mdp.paper_repro.report import agents, readings
+from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
+from exact_mdp.paper_repro.report.output import entry_of
+from exact_mdp.paper_repro.report.report import render
+from exact_mdp.paper_repro.report.tables import all_tables
 
-ALTERNATIVES = 16
+joblib = later("joblib")
+tqdm = later("tqdm")
+Work = Callable[[], object]
 
 
 def run(
@@ -46,23 +58,11 @@ def run(
     judged : every claim
     off : what differs from the pinned values; nothing where all agree
     """
-    from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
-    from exact_mdp.paper_repro.report.parts import agents_part, readings_part
-    from exact_mdp.paper_repro.report.report import Shown, render
-    from exact_mdp.paper_repro.report.tables import all_tables
-
     started = time.perf_counter()
     store = Store.under(out)
     store.clear_others()
-    reused = store.used
-    view = default_view(sizes, store)
-    claims = all_claims()
-    figures = [
-        Shown(name=p.name, title=p.title, caption=p.caption, alt=p.alt, place=p.place)
-        for p in PICTURES
-    ]
-    agents, drawn = agents_part()
-    with _bar(len(claims) + ALTERNATIVES + sizes.supported + len(PICTURES) + 3) as bar:
+    reused, reading, claims = store.used, default(sizes, store), all_claims()
+    with tqdm.tqdm(disable=not sys.stderr.isatty(), leave=False) as bar:
         tick = partial(_tick, bar)
         tick("all readings of the text")
         study = reading_study(
@@ -72,32 +72,50 @@ def run(
             scheduler=scheduler,
             progress=True,
         )
-        readings = Readings.of(study)
-        others = list(_others(view, sizes, readings))
+        others = list(_others(reading, sizes, study.main))
+        bar.total = bar.n + len(claims) + len(others) + len(readings.PICTURES) + len(PICTURES)
+        again, draw = tried_again(claims, study.main), partial(draw_all, folder=out / "figures")
+        draw = partial(draw, dpi=sizes.dpi)
         # Other processes take what needs no training: other readings, and most of the figures.
-        apart = replace(view)
-        drawn |= {p.name: partial(p.draw, apart) for p in PICTURES if not p.learns}
-        again = tried_again(claims, readings)
-        draw = partial(draw_all, folder=out / "figures", dpi=sizes.dpi)
-        work = [partial(draw, part) for part in _parts(drawn)]
-        work += [partial(verdicts, other, again) for other in others]
+        # The figures of the agents share what they show.
+        apart = replace(reading)
+        still: dict[str, Callable[[], Figure]] = {
+            p.name: partial(p.draw, apart) for p in PICTURES if not p.learns
+        }
+        work: list[Work] = [
+            partial(draw, {p.name: p.draw for p in agents.PICTURES}),
+            partial(draw, still),
+            *(partial(verdicts, other, again) for other in others),
+        ]
         with _beside(work) as finished:
             judged = judge(
-                claims, view, others=_after(finished, others), readings=readings, progress=tick
+                claims,
+                reading,
+                others=_after(finished, others),
+                evidence=study.main,
+                progress=tick,
             )
-        part, more = readings_part(study)
-        draw(more, progress=tick)
-        draw({p.name: partial(p.draw, view) for p in PICTURES if p.learns}, progress=tick)
-        parts = [part, agents]
+        draw({p.name: partial(p.draw, study) for p in readings.PICTURES}, progress=tick)
+        draw({p.name: partial(p.draw, reading) for p in PICTURES if p.learns}, progress=tick)
     off = disagreements(judged, expected())
-    record = _record(view, sizes, quick, time.perf_counter() - started, reused)
+    record = _record(reading, sizes, quick)
+    record |= {
+        "seconds": round(time.perf_counter() - started, 2),
+        "reused": "with finished parts of an earlier run" if reused else "from nothing",
+    }
     markdown, page = render(
-        out, judged=judged, view=view, tables=all_tables(view), figures=figures, parts=parts,
-        record=record, pinned=off,
-    )  # fmt: skip
-    record.pop("shown")
-    _write(out / "numbers.json", numbers_of(judged))
-    _write(out / "claims.json", [entry_of(each) for each in judged])
+        out,
+        judged=judged,
+        reading=reading,
+        tables=all_tables(reading),
+        figures=PICTURES,
+        parts=[readings.readings_part(study), agents.agents_part()],
+        record=record,
+        pinned=off,
+    )
+    entries = [entry_of(each) for each in judged]
+    _write(out / "numbers.json", [each for each in entries if each["exact"] is not None])
+    _write(out / "claims.json", entries)
     write_atomically(out / "report.md", markdown)
     write_atomically(out / "report.html", page)
     _write(out / "run.json", record)
@@ -117,44 +135,32 @@ def run_claims(
     A quick run tries readings that differ from the default in one point; a full one searches all
     readings, which takes a minute or two unless `store` holds the search.
     """
-    view = default_view(sizes, store)
+    reading = default(sizes, store)
     if quick or not any(claim.open for claim in claims):
-        return judge(claims, view, others=alternatives(view, sizes))
-    readings = Readings.run(store.folder("readings"), scheduler=scheduler, progress=True)
-    return judge(claims, view, others=_others(view, sizes, readings), readings=readings)
+        return judge(claims, reading, others=alternatives(reading, sizes))
+    folder = store.folder("readings")
+    found = search(scheduler=scheduler, out=folder and folder / "search", progress=True)
+    weighed = evidence(found)
+    return judge(claims, reading, others=_others(reading, sizes, weighed), evidence=weighed)
 
 
-def _others(view: View, sizes: Sizes, readings: Readings) -> Iterator[View]:
-    return chain(alternatives(view, sizes), readings.best(view, sizes))
+def _others(reading: Reading, sizes: Sizes, found: Evidence) -> Iterator[Reading]:
+    return chain(alternatives(reading, sizes), best_supported(found, reading, sizes))
 
 
 @contextmanager
-def _beside(work: Sequence[Callable[[], object]]) -> Iterator[Iterator[object]]:
+def _beside(work: Sequence[Work]) -> Iterator[Iterator[object]]:
     """Start work in other processes, one for each core; give what they return, in order."""
-    from joblib import Parallel, delayed
-
-    parallel = Parallel(n_jobs=-1, return_as="generator", batch_size=1)
-    with closing(parallel(delayed(each)() for each in work)) as finished:
+    parallel = joblib.Parallel(n_jobs=-1, return_as="generator", batch_size=1)
+    with closing(parallel(joblib.delayed(each)() for each in work)) as finished:
         yield finished
 
 
-def _after(finished: Iterator[object], views: Sequence[View]) -> Iterator[View]:
-    """Yield views once the work on them is done, so that it is found in the store."""
+def _after(finished: Iterator[object], others: Sequence[Reading]) -> Iterator[Reading]:
+    """Yield readings once the work on them is done, so that it is found in the store."""
     for _ in finished:
         pass
-    yield from views
-
-
-def _parts(drawn: Mapping[str, Callable[[], Any]]) -> list[dict[str, Callable[[], Any]]]:
-    """Return figures in two parts: those of the agents, which share what they show, and others."""
-    parts: list[dict[str, Callable[[], Any]]] = [{}, {}]
-    for name, draw in drawn.items():
-        parts[not name.startswith("agents_")][name] = draw
-    return parts
-
-
-def _bar(total: int) -> Any:
-    return tqdm(total=total, disable=not sys.stderr.isatty(), leave=False)
+    yield from others
 
 
 def _tick(bar: Any, what: str) -> None:
@@ -166,13 +172,11 @@ def _write(path: Path, data: object) -> None:
     write_atomically(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
 
 
-def _record(view: View, sizes: Sizes, quick: bool, seconds: float, reused: bool) -> dict[str, Any]:
-    scenario = view.scenario
-    record = run_record(view.mdp, model=scenario.name, solver="auto", seed=SEED)
-    record |= {
-        "seconds": round(seconds, 2),
+def _record(reading: Reading, sizes: Sizes, quick: bool) -> dict[str, Any]:
+    scenario = reading.scenario
+    record = run_record(reading.mdp, model=scenario.name, solver="auto", seed=SEED)
+    return record | {
         "quick": quick,
-        "reused": "with finished parts of an earlier run" if reused else "from nothing",
         "episodes": sizes.episodes,
         "training_runs": sizes.runs,
         "readings": dict(scenario.readings),
@@ -180,14 +184,3 @@ def _record(view: View, sizes: Sizes, quick: bool, seconds: float, reused: bool)
         "max_trial": scenario.max_trial,
         "discount": str(scenario.discount),
     }
-    shown = {
-        "model": f"{record['model']}, {record['model_hash']}",
-        "seed": SEED,
-        "training runs of each schedule": sizes.runs,
-        "simulated episodes behind each check": f"{sizes.episodes:,}",
-        "versions": ", ".join(f"{name} {v}" for name, v in record["versions"].items()),
-        "platform": record["platform"],
-        "commit": record["commit"] or "not a checkout",
-        "date": record["date"],
-    }
-    return record | {"shown": shown}

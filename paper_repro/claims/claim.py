@@ -1,9 +1,9 @@
 """What a claim of the paper is, what is found about it, and the rules that decide.
 
-A claim is one statement of the paper with its place and a function that works out, for a view of
-the model (one reading), what is true there. An *input* is a number or a definition that the model
-was built from: that it is the same shows a faithful transcription, no more. A *finding* is what the
-paper concludes. The verdict follows one of seven rules:
+A claim is one statement of the paper with its place and a function that works out, for one reading
+of the text, what is true there. An *input* is a number or a definition that the model was built
+from: that it is the same shows a faithful transcription, no more. A *finding* is what the paper
+concludes. The verdict follows one of seven rules:
 
 entry       a number of a table or of the text: reproduced where the model's is the same rational.
 average     a mean of n experiments: reproduced where it is within three exact standard errors
@@ -27,14 +27,15 @@ from enum import StrEnum
 from fractions import Fraction
 from math import erfc, sqrt
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, TypeVar
 
+from exact_mdp.analysis.learning.outcomes import share_interval
+from exact_mdp.paper_repro.reading import Reading
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, Estimated
 
-if TYPE_CHECKING:
-    from exact_mdp.paper_repro.view import View
-
 Kind = Literal["input", "finding"]
+Number = Certified | Bounded | Estimated
+Work = TypeVar("Work", bound=Callable[..., object])
 STANDARD_ERRORS = 3.0
 JOINT_LIMIT = erfc(STANDARD_ERRORS / sqrt(2))  # chance of a normal number further off than that
 READ_OFF_A_PLOT = 5.0
@@ -66,7 +67,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What a claim comes to in one view.
+    """What a claim comes to under one reading.
 
     Attributes
     ----------
@@ -85,7 +86,7 @@ class Finding:
 
     verdict: Verdict
     why: str
-    number: Certified | Bounded | Estimated | None = None
+    number: Number | None = None
     shown: str = ""
     difference: float | None = None
     standard_error: float | None = None
@@ -117,13 +118,14 @@ class PaperClaim:
     ----------
     id : str
         Its name in `numbers.json` and on the command line.
-    places : tuple of str
-        Keys of `paper_repro.report.places.PLACES`.
+    source : str
+        The places that it is taken from, keys of `reported.PLACES`, separated by ", ".
     says : str
         The claim in our words.
     rule : str
         Key of `RULES`.
-    find : function of a View
+    work : function of a Reading
+        Returns a Finding, or under the rule "entry" the exact number of the model.
     kind : "input" or "finding"
         Whether the model was built from it.
     paper : float or Fraction, optional
@@ -137,10 +139,10 @@ class PaperClaim:
     """
 
     id: str
-    places: tuple[str, ...]
+    source: str
     says: str
     rule: str
-    find: Callable[[View], Finding]
+    work: Callable[[Reading], Finding | Fraction]
     kind: Kind = "finding"
     paper: float | Fraction | None = None
     unit: str = ""
@@ -148,67 +150,106 @@ class PaperClaim:
     learns: bool = False
 
     @property
-    def source(self) -> str:
-        """The places in one line."""
-        return ", ".join(self.places)
+    def places(self) -> list[str]:
+        """The places that it is taken from, one by one."""
+        return self.source.split(", ")
 
     @property
     def rerun(self) -> str:
         """The command that works out this claim alone."""
         return f"python -m paper_repro --claim {self.id}"
 
+    def find(self, reading: Reading) -> Finding:
+        """Work the claim out under a reading."""
+        found = self.work(reading)
+        if isinstance(found, Finding):
+            return found
+        assert isinstance(self.paper, Fraction), self.id
+        return entry(self.paper, found)
+
+
+class Claims(list[PaperClaim]):
+    """The claims of one part of the paper, in its order; `add` puts one in."""
+
+    def add(
+        self, name: str, source: str, says: str, rule: str = "statement", **more: Any
+    ) -> Callable[[Work], Work]:
+        """Return a decorator that adds a claim which the function works out."""
+
+        def keep(work: Work) -> Work:
+            self.append(PaperClaim(id=name, source=source, says=says, rule=rule, work=work, **more))
+            return work
+
+        return keep
+
+    def entry(
+        self,
+        name: str,
+        source: str,
+        says: str,
+        paper: Fraction | int | str,
+        exact: Callable[[Reading], Finding | Fraction],
+        **more: Any,
+    ) -> None:
+        """Add an input: a number of the paper that the model has to hold exactly."""
+        self.add(name, source, says, "entry", kind="input", paper=Fraction(paper), **more)(exact)
+
 
 # ---- the rules ---------------------------------------------------------------------------------
+
+
+def statement(
+    holds: bool,
+    why: str,
+    number: Number | None = None,
+    shown: str = "",
+    *,
+    difference: float | None = None,
+    standard_error: float | None = None,
+    **details: Any,
+) -> Finding:
+    """Judge by a predicate that `why` tells."""
+    return Finding(
+        verdict=Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
+        why=why,
+        number=number,
+        shown=shown,
+        difference=difference,
+        standard_error=standard_error,
+        details=details,
+    )
 
 
 def entry(paper: Fraction, exact: Fraction, why: str = "") -> Finding:
     """Hold a number of the paper against the model's, both exact.
 
-    Examples
-    --------
     >>> entry(Fraction(3, 10), Fraction(3, 10)).verdict.value
     'reproduced'
     """
     same = paper == exact
-    return Finding(
-        verdict=Verdict.REPRODUCED if same else Verdict.NOT_REPRODUCED,
-        why=why or ("the same number" if same else f"the model has {exact}"),
-        number=Certified(value=exact),
-        difference=float(exact - paper),
-    )
+    why = why or ("the same number" if same else f"the model has {exact}")
+    return statement(same, why, Certified(value=exact), difference=float(exact - paper))
 
 
 def plotted(paper: float, number: Bounded | Estimated, why: str = "", **details: Any) -> Finding:
     """Hold a number that the authors read off a plot against ours.
 
-    Examples
-    --------
     >>> plotted(140, Bounded(value=143.2, error=0)).verdict.value
     'reproduced'
     """
     difference = number.value - paper
     near = abs(difference) <= READ_OFF_A_PLOT
-    where = "within" if near else "more than"
-    away = "of" if near else "away from"
-    return Finding(
-        verdict=Verdict.REPRODUCED if near else Verdict.NOT_REPRODUCED,
-        why=why or f"{where} {READ_OFF_A_PLOT:g} {away} a number that was read off a plot",
-        number=number,
-        difference=difference,
-        details=details,
-    )
+    where, away = ("within", "of") if near else ("more than", "away from")
+    why = why or f"{where} {READ_OFF_A_PLOT:g} {away} a number that was read off a plot"
+    return statement(near, why, number, difference=difference, **details)
 
 
 def event(count: int, total: int, why: str, *, limit: float = RARE, **details: Any) -> Finding:
     """Judge an outcome of learning by how often our own runs end with it, one or more of them.
 
-    Examples
-    --------
     >>> event(40, 100, "of 100 runs").verdict.value, event(0, 500, "").verdict.value
     ('reproduced', 'not reproduced')
     """
-    from exact_mdp.analysis.learning.outcomes import share_interval
-
     low, high = share_interval(count, total)
     verdict = Verdict.NOT_DETERMINED
     if low >= limit:
@@ -228,31 +269,12 @@ def event(count: int, total: int, why: str, *, limit: float = RARE, **details: A
 def usual(count: int, total: int, why: str, **details: Any) -> Finding:
     """Judge what learning is said to lead to by whether most of our own runs do so.
 
-    Examples
-    --------
     >>> usual(45, 100, "of 100 runs").verdict.value, usual(90, 100, "").verdict.value
     ('not determined', 'reproduced')
     """
     return event(count, total, why, limit=0.5, **details)
 
 
-def statement(
-    holds: bool,
-    why: str,
-    number: Certified | Bounded | Estimated | None = None,
-    shown: str = "",
-    **details: Any,
-) -> Finding:
-    """Judge a statement by a predicate that `why` tells."""
-    return Finding(
-        verdict=Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
-        why=why,
-        number=number,
-        shown=shown,
-        details=details,
-    )
-
-
-def undecided(why: str, shown: str = "") -> Finding:
+def undecided(why: str) -> Finding:
     """Say what would decide a claim that nothing here can decide."""
-    return Finding(verdict=Verdict.NOT_DETERMINED, why=why, shown=shown)
+    return Finding(verdict=Verdict.NOT_DETERMINED, why=why)

@@ -1,4 +1,4 @@
-"""How likely each reading makes what the paper reports.
+"""How likely each reading makes what the paper reports, and what cannot hold together.
 
 An average over n independent experiments is N(m, v / n), with the exact mean m and variance v of
 the return, and is reported rounded to one decimal: its likelihood is
@@ -9,17 +9,29 @@ Numbers read off a plot ("around 70", "approximately 140") are taken as N(m, d²
 tolerance d. Rounding to the nearest ten alone has a standard deviation of 10/√12 = 2.9; the eye's
 average over a noisy curve comes on top: d = 5 unless asked otherwise, and `variants` show what
 hangs on it. The learned strategy's curve is set against the mean of the three learned policies.
-The statuses that the text leaves open are a nuisance: `profile` takes the completion that fits
-best, `marginal` the average over all of them. Source: Yuan et al. (2025), Sections 3.2 and 4.1.
+The statuses that the text leaves open are a nuisance: `completion` is the one that fits best,
+`marginal` the average over all of them.
+
+Statements can contradict each other. Each is a distance from what a reading and a completion imply,
+in standard deviations of the number that is reported. Statements can hold together where some
+reading and completion leaves none of them further off than three:
+
+    score(set) = min over readings and completions of the max over the set of the distance.
+
+A set that cannot is a contradiction; the smallest ones are those without a smaller one inside.
+
+Source: Yuan et al. (2025), Sections 3.2 and 4.1.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log, pi, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.analysis.readings import (
     OptionSupport,
@@ -30,10 +42,13 @@ from exact_mdp.analysis.readings import (
     support,
 )
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.paper_repro import reported
-from exact_mdp.paper_repro.readings.search import STARTS, ReadingSearch
+from exact_mdp.paper_repro.readings.search import REPORTED, ReadingSearch
+from exact_mdp.paper_repro.reported import AVERAGE_RETURN, NUMBER, ORDERS, STARTS
 
+special = later("scipy.special")
 ROUNDING = 0.05  # the averages are reported with one decimal
 TOLERANCE = 5.0  # standard deviation of a number read off a plot
 EXPERIMENTS = (reported.EXPERIMENTS, 10_000)  # Section 4.1 says 1,000, Section 3.2 10,000
@@ -84,11 +99,6 @@ class Evidence:
         return self.averages + self.converged + self.random[:, None]
 
     @cached_property
-    def profile(self) -> Floats:
-        """(R,) log likelihood with the completion that fits best."""
-        return np.asarray(self.total.max(axis=1))
-
-    @cached_property
     def completion(self) -> Integers:
         """(R,) the completion that fits best."""
         return np.asarray(self.total.argmax(axis=1))
@@ -96,9 +106,7 @@ class Evidence:
     @cached_property
     def marginal(self) -> Floats:
         """(R,) log likelihood averaged over the completions."""
-        from scipy.special import logsumexp
-
-        return np.asarray(logsumexp(self.total, axis=1) - log(self.total.shape[1]))
+        return np.asarray(special.logsumexp(self.total, axis=1) - log(self.total.shape[1]))
 
     @cached_property
     def weights(self) -> Floats:
@@ -124,26 +132,13 @@ class Evidence:
         """Support of each option with the other readings and completions averaged out."""
         return support(self.search.space, self.marginal)
 
-    @cached_property
-    def profile_support(self) -> list[OptionSupport]:
-        """The same from `profile`."""
-        return support(self.search.space, self.profile)
-
-    def scores(self, reading: int, completion: int) -> Floats:
-        """Return (3,) the reported averages' distances from the exact means, in standard errors."""
-        mean = self.search.mean[reading, completion]
-        spread = spread_of_average(self.search.variance[reading, completion], self.experiments)
-        return np.asarray((reported_averages() - mean) / spread)
-
     def completion_support(self) -> list[OptionSupport]:
         """Support of the actions in statuses that the text leaves open, readings averaged out.
 
         With it, under the name `respectively`, that of the two orders of the actions in 1000 and
         0100: "as written" (directive, non-directive), or "swapped".
         """
-        from scipy.special import logsumexp
-
-        logs = logsumexp(self.total, axis=0) - log(len(self.total))
+        logs = special.logsumexp(self.total, axis=0) - log(len(self.total))
         options: dict[str, tuple[object, ...]] = {"respectively": ("as written", "swapped")}
         options |= dict.fromkeys(reported.UNSTATED, reported.ACTIONS)
         return support(ReadingSpace(options=options), logs)
@@ -160,7 +155,7 @@ def evidence(
     if experiments < 1:
         raise ModelError(f"{experiments} experiments", where="evidence", fix="give 1 or more")
     averages = np.zeros(search.mean.shape[:2])
-    for place, average in enumerate(reported_averages()):
+    for place, average in enumerate(REPORTED.tolist()):
         spread = np.sqrt(search.variance[:, :, place] / experiments)
         averages += _rounded(average, search.mean[:, :, place], spread)
     return Evidence(
@@ -172,11 +167,6 @@ def evidence(
     )
 
 
-def reported_averages() -> Floats:
-    """Return (3,) the averages that the paper reports, in the order of `STARTS`."""
-    return np.array([reported.AVERAGE_RETURN[start] for start in STARTS])
-
-
 def spread_of_average(variance: Floats, experiments: int) -> Floats:
     """Return the standard deviation of a reported average: of n runs, and of the rounding."""
     return np.asarray(np.sqrt(variance / experiments + (2 * ROUNDING) ** 2 / 12))
@@ -184,12 +174,10 @@ def spread_of_average(variance: Floats, experiments: int) -> Floats:
 
 def _rounded(average: float, mean: Floats, spread: Floats) -> Floats:
     """Return log of P(average ± 0.05) / 0.1 under N(mean, spread²), far out in the tails too."""
-    from scipy.special import log_ndtr
-
     near = np.abs(average - mean)  # the density is symmetric: the interval is put above the mean
     # P(low < Z < high) = Φ(-low) - Φ(-high)
     low, high = (near - ROUNDING) / spread, (near + ROUNDING) / spread
-    outer, inner = log_ndtr(-high), log_ndtr(-low)
+    outer, inner = special.log_ndtr(-high), special.log_ndtr(-low)
     return np.asarray(inner + np.log1p(-np.exp(outer - inner)) - log(2 * ROUNDING))
 
 
@@ -221,3 +209,157 @@ def variants(search: ReadingSearch) -> dict[str, Evidence]:
         name: replace(known[experiments], random_tolerance=random, converged_tolerance=converged)
         for name, (experiments, random, converged) in VARIANTS.items()
     }
+
+
+# ---- what can hold together --------------------------------------------------------------------
+
+TOGETHER = 3.0  # standard deviations
+PART = 128  # readings at a time
+SHORT = {start: f"a{NUMBER[start]}" for start in STARTS}
+Singles = NDArray[np.float32]
+
+# What the paper says, by a short name: in a sentence, and on an axis.
+STATEMENTS = {
+    **{
+        SHORT[start]: (
+            f"{SHORT[start]} in 0000 returned {average} on average",
+            f"{SHORT[start]} in 0000 returns {average}",
+        )
+        for start, average in AVERAGE_RETURN.items()
+    },
+    "converged": (
+        f"the learned policies return about {reported.CONVERGED_RETURN}",
+        f"learned policies: about {reported.CONVERGED_RETURN}",
+    ),
+    "random": (
+        f"the random strategy returns around {reported.RANDOM_RETURN}",
+        f"random strategy: around {reported.RANDOM_RETURN}",
+    ),
+    "ranking": ("a2 in 0000 is better than a3, and a3 than a1", "a2 above a3 above a1"),
+    "respectively": (
+        "1000 gets directive and 0100 non-directive, in the order of the sentence",
+        "1000: a3 and 0100: a2, as written",
+    ),
+    "optimal": (
+        "the final policy is optimal, as far as its experiments can tell",
+        "the final policy is optimal",
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """How well some statements can hold together under one reading and completion.
+
+    Attributes
+    ----------
+    statements : tuple of str
+        Keys of `STATEMENTS`.
+    score : float
+        The least over readings and completions of the largest distance among the statements, in
+        standard deviations.
+    reading, completion : int
+        Where it is least.
+    readings : int
+        Number of readings under which they hold together with some completion.
+    """
+
+    statements: tuple[str, ...]
+    score: float
+    reading: int
+    completion: int
+    readings: int
+
+    @property
+    def possible(self) -> bool:
+        """Whether each statement can be within three standard deviations at once."""
+        return self.score <= TOGETHER
+
+
+def distances(found: Evidence) -> dict[str, Floats]:
+    """Return (R, C) the distance of every statement, in standard deviations; 0 where it holds.
+
+    The ranking is off by what it lacks, in standard errors of the difference of two averages; the
+    final policy by its regret, in standard errors of its average: an optimum that the experiments
+    could not tell from it counts as reached. The order of a sentence holds (0) or does not (∞).
+    """
+    search = found.search
+    error = search.variance / found.experiments
+    spread = spread_of_average(search.variance, found.experiments)
+    scores = np.abs(search.mean - REPORTED) / spread
+    gaps = np.diff(search.mean, axis=2) / np.sqrt(error[:, :, :-1] + error[:, :, 1:])
+    written = [
+        0.0 if ORDERS["as written"].items() <= each.items() else np.inf
+        for each in search.completions
+    ]
+    shape = scores.shape[:2]
+    random = np.abs(search.random_mean - reported.RANDOM_RETURN)
+    converged = np.abs(search.mean.mean(axis=2) - reported.CONVERGED_RETURN)
+    return {
+        **{SHORT[start]: scores[:, :, place] for place, start in enumerate(STARTS)},
+        "converged": converged / (found.converged_tolerance or TOLERANCE),
+        "random": np.broadcast_to((random / (found.random_tolerance or TOLERANCE))[:, None], shape),
+        "ranking": np.maximum(gaps.max(axis=2), 0.0),
+        "respectively": np.broadcast_to(np.array(written), shape),
+        "optimal": np.maximum(search.regret, 0.0) / np.sqrt(error[:, :, 0]),
+    }
+
+
+def joint(found: Evidence) -> list[Joint]:
+    """Return how well every set of statements can hold together, small sets first."""
+    # Single precision: half the memory.
+    single = {name: each.astype(np.float32) for name, each in distances(found).items()}
+    merged: dict[tuple[str, ...], Joint] = {}
+    # A part of the readings at a time, so that the arrays stay near the processor.
+    for first in range(0, len(found.search.space), PART):
+        part = {name: array[first : first + PART] for name, array in single.items()}
+        for each in _sets(part, (), np.zeros(1, dtype=np.float32)):
+            moved = replace(each, reading=each.reading + first)
+            merged[each.statements] = _better(merged.get(each.statements), moved)
+    order = list(STATEMENTS)
+    return sorted(
+        merged.values(),
+        key=lambda each: (len(each.statements), [order.index(name) for name in each.statements]),
+    )
+
+
+def _better(known: Joint | None, other: Joint) -> Joint:
+    """Return the nearer of two, the first where they are alike, with the readings of both."""
+    if known is None:
+        return other
+    nearer = other if other.score < known.score else known
+    return replace(nearer, readings=known.readings + other.readings)
+
+
+def _sets(parts: Mapping[str, Singles], names: tuple[str, ...], worst: Singles) -> Iterator[Joint]:
+    """Yield every set that adds statements behind the last one of `names`, depth first."""
+    left = list(parts)
+    behind = left.index(names[-1]) + 1 if names else 0
+    for name in left[behind:]:
+        both = np.maximum(worst, parts[name])
+        nearest = both.min(axis=1)
+        reading = int(nearest.argmin())
+        yield Joint(
+            statements=(*names, name),
+            score=float(nearest[reading]),
+            reading=reading,
+            completion=int(both[reading].argmin()),
+            readings=int((nearest <= TOGETHER).sum()),
+        )
+        yield from _sets(parts, (*names, name), both)
+
+
+def contradictions(found: Sequence[Joint]) -> list[Joint]:
+    """Return the smallest sets of statements that cannot hold together under any reading."""
+    cannot = [each for each in found if not each.possible]
+    return [each for each in cannot if not any(_inside(other, each) for other in cannot)]
+
+
+def largest_possible(found: Sequence[Joint]) -> list[Joint]:
+    """Return the largest sets of statements that can hold together under some reading."""
+    can = sorted((each for each in found if each.possible), key=lambda each: -len(each.statements))
+    return [each for each in can if not any(_inside(each, other) for other in can)]
+
+
+def _inside(small: Joint, large: Joint) -> bool:
+    return set(small.statements) < set(large.statements)

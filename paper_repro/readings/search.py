@@ -1,11 +1,20 @@
 """Every reading of the paper's text, with every policy that it may mean: exact mean and variance.
 
-The readings are all combinations of `mdp.care.scenario.READINGS`, of the tasks that the experiments
+The readings are all combinations of `mdp.care.tables.READINGS`, of the tasks that the experiments
 may have run, and of how the reported returns may be discounted: 6,912. What the paper says of its
 three learned policies (Yuan et al. 2025, Section 4.1) leaves 512 completions: the actions in four
 statuses, and which of 1000 and 0100 gets "directive or non-directive, respectively". For each of
 these 3 · 512 · 6,912 the first two moments of the return are those of `solvers.care`: dynamic
 programming in double precision, no sampling.
+
+Three completions are named. With the order as written the open statuses are filled in so that the
+final policy has its highest exact value: this is the policy that "reported" names. The same with
+the order swapped is the second. The third is the one that fits the three reported averages best,
+which judges them:
+
+    χ²(completion) = Σ (mean - reported average)² / (variance / n) over the three policies.
+
+The range over all completions stands beside every number that depends on them.
 """
 
 from __future__ import annotations
@@ -14,8 +23,9 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,25 +33,23 @@ from numpy.typing import NDArray
 from exact_mdp.analysis.readings import ReadingSpace, equivalent
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.care.tables import READINGS
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.reported import COMPLETIONS, NUMBER, STARTS
+from exact_mdp.solvers.care import optimal, policy_values, policy_values_of_last
 from exact_mdp.solvers.parallel.many import many
 
+stats = later("scipy.stats")
+REPORTED = np.array(list(reported.AVERAGE_RETURN.values()))
 TASKS = ((3,), (3, 1), (2,), (4,), (1, 1, 1), (6,))
 DISCOUNTS = (Fraction(1), Fraction(19, 20))
-STARTS = tuple(reported.AVERAGE_RETURN)
 BLOCK = 48  # scenarios in a piece of work
-FIGURES = (
-    "mean",
-    "variance",
-    "error",
-    "variance_error",
-    "random_mean",
-    "random_variance",
-    "optimum",
+ARRAYS = (
+    "mean", "variance", "error", "variance_error", "random_mean", "random_variance", "optimum",
     "gaps",
-)
+)  # fmt: skip
 
 PAPER_READINGS = ReadingSpace(
     options={**READINGS, "tasks": TASKS, "evaluation_discount": DISCOUNTS}
@@ -49,34 +57,76 @@ PAPER_READINGS = ReadingSpace(
 """The readings of the paper, the evaluation discount moving fastest."""
 
 
-def completions() -> tuple[Mapping[str, str], ...]:
-    """Return the actions that the paper's text leaves open, in every way that it can be read.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Averages:
+    """Exact moments of the return under every completion, of one reading or of R readings.
 
-    Examples
-    --------
-    >>> len(completions()), completions()[0]["1000"], completions()[256]["1000"]
-    (512, 'directive', 'non-directive')
+    Attributes
+    ----------
+    mean, variance : (C, 3) or (R, C, 3)
+        Last axis: the action in 0000, in the order of `reported.STARTS`.
+    error : float or (R,)
+        How far a mean may be from the exact one.
     """
-    return tuple(reported.completions())
+
+    mean: Floats
+    variance: Floats
+    error: float | Floats
+
+    @cached_property
+    def score(self) -> Floats:
+        """(…, C, 3) exact less reported, in exact standard errors of the reported average."""
+        return np.asarray((self.mean - REPORTED) / np.sqrt(self.variance / reported.EXPERIMENTS))
+
+    @cached_property
+    def chi_squared(self) -> Floats:
+        """(…, C) sum of the three squared scores."""
+        return np.asarray((self.score**2).sum(axis=-1))
+
+    @cached_property
+    def fitting(self) -> Integers:
+        """(…) the completion that fits the three reported averages best, taken together."""
+        return np.asarray(self.chi_squared.argmin(axis=-1))
+
+    def at_fitting(self, values: Floats) -> Floats:
+        """Return (…, 3) those of values (…, C, 3) that belong to the best fit."""
+        return np.take_along_axis(values, self.fitting[..., None, None], axis=-2)[..., 0, :]
+
+    @cached_property
+    def probability(self) -> Floats:
+        """(…) chance of a χ² on three degrees of freedom above that of the best fit."""
+        return np.asarray(stats.chi2.sf(self.chi_squared.min(axis=-1), len(STARTS)))
+
+    # ---- of one reading ----
+
+    def best(self, order: str = "as written") -> int:
+        """Return the completion of an order that gives the final policy its highest value."""
+        return max(of_order(order), key=lambda number: float(self.mean[number, 0]))
+
+    @property
+    def named(self) -> dict[str, int]:
+        """The three completions that numbers are given for."""
+        fitting = int(self.fitting)
+        return {"as written": self.best(), "swapped": self.best("swapped"), "best fit": fitting}
+
+    def range(self, start: str) -> tuple[float, float]:
+        """Return the lowest and highest mean of the policy with an action in 0000."""
+        mean = self.mean[:, STARTS.index(start)]
+        return float(mean.min()), float(mean.max())
 
 
-def policies(filled: Sequence[Mapping[str, str]], starts: Sequence[str] = STARTS) -> Integers:
-    """Return (C · starts, 16) action numbers by status vector, the action in 0000 moving fastest.
+def of_order(order: str) -> Sequence[int]:
+    """Return the completions that follow an order of "respectively"."""
+    return [n for n, each in enumerate(COMPLETIONS) if reported.order(each) == order]
 
-    Examples
-    --------
-    >>> policies(completions()[:1]).tolist()[0]
-    [2, 0, 1, 1, 2, 0, 1, 1, 3, 0, 1, 1, 3, 0, 1, 1]
-    """
-    number = {action: place for place, action in enumerate(reported.ACTIONS)}
-    return np.array(
-        [
-            [number[action] for _, action in sorted(reported.policy(start, dict(each)).items())]
-            for each in filled
-            for start in starts
-        ],
-        dtype=np.int64,
-    )
+
+def averages(scenario: Scenario) -> Averages:
+    """Evaluate the three reported policies under every completion, side by side."""
+    rate, policies = [[float(as_discount(scenario.discount))]], reported.policies()
+    found = policy_values(scenario, ["discount"], rate, policies, second_moment=True, threads=1)
+    assert found.variance is not None
+    mean, variance = (x[0].reshape(-1, len(STARTS)) for x in (found.mean, found.variance))
+    return Averages(mean=mean, variance=variance, error=float(found.error[0]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +142,7 @@ class ReadingSearch:
     completions : tuple of mapping
         Actions by status, for the statuses whose action the text leaves open.
     mean, variance : (R, C, 3)
-        Of the return; last axis: the action in 0000, in the order of `STARTS`.
+        Of the return; last axis: the action in 0000, in the order of `reported.STARTS`.
     random_mean, random_variance : (R,)
         The same of the random strategy.
     optimum : (R,)
@@ -121,7 +171,7 @@ class ReadingSearch:
     seconds: float
 
     def __post_init__(self) -> None:
-        for name in FIGURES:
+        for name in ARRAYS:
             getattr(self, name).setflags(write=False)
 
     @property
@@ -129,9 +179,19 @@ class ReadingSearch:
         """Number of policies evaluated, the random strategy once in each reading."""
         return int(self.mean.size + self.random_mean.size)
 
+    @cached_property
+    def averages(self) -> Averages:
+        """The three averages under every completion of each reading, beside the reported ones."""
+        return Averages(mean=self.mean, variance=self.variance, error=self.error)
+
+    @cached_property
+    def regret(self) -> Floats:
+        """(R, C) what the final policy loses against the optimum."""
+        return np.asarray(self.optimum[:, None] - self.mean[:, :, 0])
+
     def policy(self, completion: int, start: str) -> dict[str, str]:
         """Return a reported policy by status, completed in one way."""
-        return reported.policy(start, dict(self.completions[completion]))
+        return reported.policy(start, self.completions[completion])
 
     def reading(self, number: int) -> Scenario:
         """Return the scenario under one reading, at its evaluation discount."""
@@ -142,8 +202,8 @@ class ReadingSearch:
 
         Where it loses less than twice the bound on the errors, it counts as optimal.
         """
-        number = reported.ACTIONS.index(action)
-        return np.asarray(self.gaps[:, int(status, 2), number] <= 2 * self.error)
+        gaps = self.gaps[:, int(status, 2), NUMBER[action]]
+        return np.asarray(gaps <= 2 * self.error)
 
     def equivalent(self) -> Integers:
         """Return (R,) for each reading the first one whose figures are all the same.
@@ -154,10 +214,8 @@ class ReadingSearch:
         means = [self.mean.reshape(size, -1), self.random_mean[:, None], self.optimum[:, None]]
         spreads = [self.variance.reshape(size, -1), self.random_variance[:, None]]
         same = equivalent(np.concatenate(means, axis=1), 2 * float(self.error.max()))
-        first = equivalent(
-            np.concatenate([same[:, None], *spreads], axis=1), 2 * float(self.variance_error.max())
-        )
-        return first
+        whole = np.concatenate([same[:, None], *spreads], axis=1)
+        return equivalent(whole, 2 * float(self.variance_error.max()))
 
 
 def search(
@@ -197,18 +255,17 @@ def search(
         )
     started = time.perf_counter()
     base = Scenario.load("yuan2025") if scenario is None else scenario
-    filled = completions()
-    chosen = policies(filled)
+    policies = reported.policies()
     scenarios = range(0, len(space), len(space.options["evaluation_discount"]))
     pieces = [list(scenarios[i : i + BLOCK]) for i in range(0, len(scenarios), BLOCK)]
     found = many(
-        partial(_evaluate, base, space, chosen),
+        partial(_evaluate, base, space, policies),
         pieces,
         key={
             "readings": {name: [str(o) for o in values] for name, values in space.options.items()},
             "parameters": {name: str(value) for name, value in base.values().items()},
             "max_trial": base.max_trial,
-            "policies": [int(number) for number in _code(chosen)],
+            "policies": (policies @ (4 ** np.arange(16))).tolist(),
             "block": BLOCK,
         },
         n_jobs=n_jobs,
@@ -217,59 +274,49 @@ def search(
         progress=progress,
         what="readings",
     )
-    joined = {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
-    shape = (len(space), len(filled), len(STARTS))
-    joined["mean"] = joined["mean"].reshape(shape)
-    joined["variance"] = joined["variance"].reshape(shape)
+    joined: dict[str, Any] = {
+        name: np.concatenate([piece[name] for piece in found]) for name in ARRAYS
+    }
+    for name in ("mean", "variance"):
+        joined[name] = joined[name].reshape(len(space), len(COMPLETIONS), len(STARTS))
     return ReadingSearch(
         scenario=base,
         space=space,
-        completions=filled,
+        completions=COMPLETIONS,
         **joined,
         seconds=time.perf_counter() - started,
     )
 
 
-def _code(chosen: Integers) -> Integers:
-    """Return each policy as one number."""
-    return np.asarray(chosen @ (4 ** np.arange(16)))
-
-
 def _evaluate(
-    base: Scenario, space: ReadingSpace, chosen: Integers, numbers: Sequence[int]
+    base: Scenario, space: ReadingSpace, policies: Integers, numbers: Sequence[int]
 ) -> dict[str, Numbers]:
     """Return the figures of some scenarios, at every evaluation discount.
 
-    Where chances pass 1 under a reading nothing is told here, for thousands of them; whoever
-    compiles one is told.
+    A probability above 1 under a reading is not warned of here, for thousands of readings; it is
+    when one of them is compiled.
     """
-    from exact_mdp.solvers.care import optimal, policy_values_of_last
-
     draws = np.array([[float(as_discount(rate))] for rate in space.options["evaluation_discount"]])
-    anything = np.full((1, 16, len(reported.ACTIONS)), 1 / len(reported.ACTIONS))
-    found: dict[int, dict[str, Floats]] = {}
-    for longest, others in _on_the_way(base, space, numbers).items():
+    anything = np.full((1, 16, len(NUMBER)), 1 / len(NUMBER))
+    found: dict[int, dict[str, Any]] = {}
+    for longest, ends in _ends_of(base, space, numbers).items():
         scenario = space.apply(base, longest)
-        lengths = list(others.values())
         given, random = (
             policy_values_of_last(
                 scenario,
                 ["discount"],
                 draws,
                 each,
-                lengths,
+                list(ends.values()),
                 second_moment=True,
                 threads=1,
                 warn=False,
             )
-            for each in (chosen, anything)
+            for each in (policies, anything)
         )
-        for number, of_given, of_random in zip(others, given, random, strict=True):
+        for number, of_given, of_random in zip(ends, given, random, strict=True):
             there = space.apply(base, number)
             best = optimal(there, ["discount"], draws, gaps=True, threads=1, warn=False)
-            assert best.gaps is not None
-            assert of_given.variance is not None
-            assert of_given.variance_error is not None
             assert of_random.variance is not None
             found[number] = {
                 "mean": of_given.mean,
@@ -281,20 +328,20 @@ def _evaluate(
                 "optimum": best.start,
                 "gaps": best.gaps,
             }
-    return {name: np.concatenate([found[number][name] for number in numbers]) for name in FIGURES}
+    return {name: np.concatenate([found[number][name] for number in numbers]) for name in ARRAYS}
 
 
-def _on_the_way(
+def _ends_of(
     base: Scenario, space: ReadingSpace, numbers: Sequence[int]
 ) -> dict[int, dict[int, int]]:
-    """Return which scenarios backward induction of others comes by.
+    """Return which scenarios are the end of a longer one, so that one backward induction does both.
 
     Keys are scenarios to evaluate; values say which scenarios are their last so many subtasks. The
     tasks [2] and [3] are the end of [6], [1] of [3, 1]; only where all other readings agree.
     """
     alike: dict[tuple[object, ...], list[tuple[list[bool], int]]] = {}
     for number in numbers:
-        settings = space.settings(number)
+        settings: dict[str, Any] = space.settings(number)
         tasks: Sequence[int] = settings.pop("tasks", base.tasks)
         # Whether a subtask is the last one of its task, from the end.
         ends = [i == 0 for size in reversed(tasks) for i in range(size)]

@@ -1,4 +1,4 @@
-"""What a run writes and prints of its claims: `numbers.json`, `claims.json` and the table."""
+"""How a claim is shown: the cells of a table, an entry of `numbers.json`, lines in the terminal."""
 
 from __future__ import annotations
 
@@ -6,19 +6,65 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro import reported
-from exact_mdp.paper_repro.claims import Judged
-from exact_mdp.paper_repro.report.report import row
-from exact_mdp.paper_repro.report.summary import counted
-from exact_mdp.solvers.solution import Bounded, Estimated
+from exact_mdp.paper_repro.claims import Judged, Verdict
+from exact_mdp.paper_repro.claims.claim import Kind
+from exact_mdp.solvers.solution import Bounded, Certified, Estimated
+
+console = later("rich.console")
+rich = later("rich.table")
+
+
+def number(value: float, *, unit: str = "") -> str:
+    """Return a number for reading: few digits, and a true minus sign.
+
+    >>> number(0.3, unit="%"), number(-2.2253931), number(6000.0)
+    ('30 %', '−2.225', '6,000')
+    """
+    if unit == "%":
+        text = f"{100 * value:.4g} %"
+    elif value == int(value) and abs(value) < 1e9:
+        text = f"{value:,.0f}"
+    else:
+        text = f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.2g}"
+    return text.replace("-", "−")
+
+
+def cells(each: Judged) -> dict[str, str]:
+    """Return the cells of a claim by name."""
+    claim, found = each.claim, each.finding
+    difference, errors = "", found.standard_errors
+    if found.difference is not None:
+        sign = "+" if found.difference > 0 else ""
+        difference = sign + number(found.difference, unit=claim.unit if found.difference else "")
+    plotted = "≈ " if claim.rule == "plotted" or claim.id == "return.optimal" else ""
+    return {
+        "id": claim.id,
+        "source": claim.source,
+        "says": claim.says,
+        "paper": ""
+        if claim.paper is None
+        else plotted + number(float(claim.paper), unit=claim.unit),
+        "exact": found.shown
+        or ("" if found.exact is None else number(found.exact, unit=claim.unit)),
+        "kind": str(found.claim or ""),
+        "difference": difference,
+        "errors": "" if errors is None else f"{errors:+.1f}".replace("-", "−"),
+        "verdict": str(found.verdict),
+        "why": found.why,
+        "others": "" if each.others is None else each.others.text,
+        "rerun": claim.rerun,
+        "rule": claim.rule,
+        "sort": claim.kind,
+    }
 
 
 def entry_of(each: Judged) -> dict[str, Any]:
     """Return a claim with all that was found of it, as JSON."""
-    claim, found = each.claim, each.finding
-    number = found.number
+    claim, found, value = each.claim, each.finding, each.finding.number
     return {
         "name": claim.id,
         "kind": claim.kind,
@@ -26,99 +72,129 @@ def entry_of(each: Judged) -> dict[str, Any]:
         "says": claim.says,
         "paper": None if claim.paper is None else float(claim.paper),
         "exact": found.exact,
-        "exact_rational": str(number.value) if found.claim == "certified" and number else None,
+        "exact_rational": str(value.value) if isinstance(value, Certified) else None,
         "difference": found.difference,
         "claim": None if found.claim is None else str(found.claim),
-        "error_bound": number.error if isinstance(number, Bounded) else None,
-        "estimate_standard_error": number.standard_error if isinstance(number, Estimated) else None,
+        "error_bound": value.error if isinstance(value, Bounded) else None,
+        "estimate_standard_error": value.standard_error if isinstance(value, Estimated) else None,
         "standard_error": found.standard_error,
         "difference_in_standard_errors": found.standard_errors,
         "approximate": claim.rule == "plotted",
         "rule": claim.rule,
         "verdict": str(found.verdict),
         "why": found.why,
-        "under_other_readings": None if each.under is None else asdict(each.under),
+        "under_other_readings": None if each.others is None else asdict(each.others),
         "rerun": claim.rerun,
-        **dict(found.details),
+        **found.details,
     }
 
 
-def numbers_of(judged: Sequence[Judged]) -> list[dict[str, Any]]:
-    """Return the claims with a number of the paper or of the exact model, for `numbers.json`."""
-    return [entry_of(each) for each in judged if each.finding.exact is not None]
+def counts(judged: Sequence[Judged], kind: Kind) -> dict[str, int]:
+    """Return how many inputs, or findings, have each verdict."""
+    listed = [each.verdict for each in judged if each.claim.kind == kind]
+    return {str(v): listed.count(v) for v in Verdict}
+
+
+def counted(judged: Sequence[Judged]) -> str:
+    """Return the counts in words: inputs first, then findings."""
+    inputs, findings = counts(judged, "input"), counts(judged, "finding")
+    same, apart, unsettled = inputs.values()
+    rest = [f"{apart} differ" if apart else "", f"{unsettled} stay open" if unsettled else ""]
+    more = "".join(f", {text}" for text in rest if text)
+    yes, no, unknown = findings.values()
+    return (
+        f"{sum(inputs.values())} inputs (numbers, settings and definitions) were transcribed into "
+        f"the model: {same} are the paper's{more}. Of {sum(findings.values())} findings {yes} are "
+        f"reproduced, {no} are not, and {unknown} cannot be decided here."
+    )
+
+
+# ---- in the terminal ---------------------------------------------------------------------------
+
+# Headings, the cells that stand below them, and the side that they are set to.
+Columns = Sequence[tuple[str, str, Literal["left", "right"]]]
+STATEMENTS: Columns = (
+    ("statement", "id", "left"),
+    ("verdict", "verdict", "left"),
+    ("why", "why", "left"),
+)
+NUMBERS: Columns = (
+    ("claim", "id", "left"),
+    ("paper", "paper", "right"),
+    ("exact or estimate", "exact", "right"),
+    ("difference", "difference", "right"),
+    ("in s.e.", "errors", "right"),
+    ("kind", "kind", "left"),
+    ("verdict", "verdict", "left"),
+)
+WIDE = {"statement": 20, "verdict": len("not determined")}  # at least, in a table of statements
+LINES = {
+    "paper": "paper",
+    "exact": "exact",
+    "kind": "kind",
+    "difference": "difference",
+    "errors": "in s.e.",
+    "verdict": "verdict",
+    "why": "why",
+    "others": "other readings",
+    "rule": "rule",
+}
+
+
+def _console(width: int) -> Any:
+    """Return a console as wide as the terminal, or so wide where there is none."""
+    shown = None if sys.stdout.isatty() else width
+    return console.Console(width=shown, highlight=False, markup=False)
 
 
 def print_table(judged: Sequence[Judged]) -> None:
     """Print statements with their verdicts, and paper, exact and difference: inputs, findings."""
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=None if sys.stdout.isatty() else 132, highlight=False)
+    screen = _console(132)
     for kind in ("input", "finding"):
         listed = [each for each in judged if each.claim.kind == kind]
-        told = Table(title=f"{kind}s: statements", title_justify="left", box=None, pad_edge=False)
-        table = Table(
-            title=f"{kind}s: paper / exact / difference",
-            title_justify="left",
-            box=None,
-            pad_edge=False,
-        )
-        for heading in ("statement", "verdict", "why"):
-            wide = {"statement": 20, "verdict": len("not determined")}.get(heading)
-            told.add_column(heading, no_wrap=True, overflow="ellipsis", min_width=wide)
-        for heading in HEADINGS:
-            side = "left" if heading in LEFT else "right"
-            table.add_column(heading, justify=side, no_wrap=True)
-        for each in listed:
-            cells = row(each)
-            if each.finding.exact is None:
-                told.add_row(cells["id"], cells["verdict"], cells["why"])
+        for title, columns, numbered in (
+            ("statements", STATEMENTS, False),
+            ("paper / exact / difference", NUMBERS, True),
+        ):
+            rows = [each for each in listed if (each.finding.exact is not None) == numbered]
+            if not rows:
                 continue
-            exact = cells["exact"] if len(cells["exact"]) <= 16 else f"{each.finding.exact:.4g}"
-            table.add_row(
-                cells["id"], cells["paper"], exact, cells["difference"], cells["errors"],
-                cells["kind"], cells["verdict"],
-            )  # fmt: skip
-        for part in (told, table):
-            if part.row_count:
-                console.print(part)
-                console.print()
-    console.print(counted(judged), soft_wrap=True)
-    console.print(
+            table = rich.Table(
+                title=f"{kind}s: {title}", title_justify="left", box=None, pad_edge=False
+            )
+            for heading, _, side in columns:
+                wide = None if numbered else WIDE.get(heading)
+                table.add_column(
+                    heading, justify=side, no_wrap=True, overflow="ellipsis", min_width=wide
+                )
+            for each in rows:
+                found = cells(each)
+                if numbered and len(found["exact"]) > 16:
+                    found["exact"] = f"{each.finding.exact:.4g}"
+                table.add_row(*(found[name] for _, name, _ in columns))
+            screen.print(table)
+            screen.print()
+    screen.print(counted(judged), soft_wrap=True)
+    screen.print(
         f"in s.e.: exact standard errors of an average over {reported.EXPERIMENTS:,} "
         "experiments; ≈: read off a plot by the authors.\nThe averages are shown with "
         "“respectively” as written, and judged by the best joint fit of all completions."
     )
 
 
-HEADINGS = (
-    "claim", "paper", "exact or estimate", "difference", "in s.e.", "kind", "verdict"
-)  # fmt: skip
-LEFT = ("claim", "kind", "verdict")
-
-
 def print_claim(each: Judged) -> None:
     """Print one claim with everything that was found of it."""
-    from rich.console import Console
-
-    console = Console(width=None if sys.stdout.isatty() else 100, highlight=False, markup=False)
-    cells = row(each)
-    found = "estimate" if cells["kind"] == "estimated" else "exact"
-    console.print(f"{cells['id']} ({cells['source']})")
-    console.print(cells["says"])
-    for label, name in (
-        ("paper", "paper"), (found, "exact"), ("kind", "kind"), ("difference", "difference"),
-        ("in s.e.", "errors"), ("verdict", "verdict"), ("why", "why"),
-        ("other readings", "under"), ("rule", "rule"),
-    ):  # fmt: skip
-        if cells[name]:
-            console.print(f"  {label + ':':16}{cells[name]}", soft_wrap=True)
+    screen, found = _console(100), cells(each)
+    screen.print(f"{found['id']} ({found['source']})")
+    screen.print(found["says"])
+    exact = "estimate" if found["kind"] == "estimated" else "exact"
+    for name, label in (LINES | {"exact": exact}).items():
+        if found[name]:
+            screen.print(f"  {label + ':':16}{found[name]}", soft_wrap=True)
 
 
 def print_places(out: Path) -> None:
     """Say where the files are."""
-    from rich.console import Console
-
-    console = Console(width=None if sys.stdout.isatty() else 132, highlight=False)
-    console.print(f"Figures: {out / 'figures'} (SVG and PNG); numbers: {out / 'numbers.json'}")
-    console.print(f"Report: {out / 'report.html'} and {out / 'report.md'}")
+    screen = _console(132)
+    screen.print(f"Figures: {out / 'figures'} (SVG and PNG); numbers: {out / 'numbers.json'}")
+    screen.print(f"Report: {out / 'report.html'} and {out / 'report.md'}")

@@ -1,7 +1,11 @@
-"""What Q-learning ends with under the best supported readings, and how well that fits.
+"""Training as the paper describes it, many times over, and what Q-learning ends with.
+
+Section 3.2.4 of Yuan et al. (2025): Q-learning over the 16 statuses, learning rate 0.05, discount
+0.95, 6,000 epochs of 30 episodes, ε constant at 0.1 or decaying (Equation 2). The paper trains once
+with each; here each is trained with many seeds, so that what one run shows can be told from chance.
 
 The paper counts the greedy policies of the last 100 episodes: three with constant exploration, two
-with decaying exploration (Yuan et al. 2025, Section 4.1). Whether a reading makes that likely is
+with decaying exploration (Section 4.1). Whether a reading makes that likely is
 found by training with the paper's settings (Section 3.2) from many seeds: among S runs, k show the
 reported number, and the likelihood is estimated by (k + 1) / (S + 2), the posterior mean under a
 uniform prior; shares come with Wilson's interval. Training uses its own discount, so readings that
@@ -11,33 +15,97 @@ differ in the evaluation discount alone share their runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.learning.outcomes import Interval, share_interval
+from exact_mdp.analysis.learning.curves import (
+    LearningCurve,
+    exact_curves,
+    learning_curve,
+    random_curve,
+)
+from exact_mdp.analysis.learning.outcomes import Interval, Outcomes, outcomes, share_interval
 from exact_mdp.analysis.readings import ReadingSpace, posterior
-from exact_mdp.mdp import Scenario
+from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import Evidence
-from exact_mdp.paper_repro.readings.search import STARTS, ReadingSearch
-from exact_mdp.solvers.learning.q_learning import QLearning, Trainer
-from exact_mdp.solvers.learning.sampler import as_sequence, child
+from exact_mdp.paper_repro.readings.search import ReadingSearch
+from exact_mdp.paper_repro.reported import ANGRY, NUMBER, STARTS, UNIQUE_POLICIES
+from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
+from exact_mdp.solvers.learning.sampler import child
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.parallel.many import many
 
 SETTINGS = {
-    "constant": QLearning(exploration=PAPER_CONSTANT, snapshot_episode=0),
-    "decaying": QLearning(exploration=PAPER_DECAYING, snapshot_episode=0),
+    "constant": QLearning(exploration=PAPER_CONSTANT),
+    "decaying": QLearning(exploration=PAPER_DECAYING),
 }
-ANGRY = 0b0010
+SHOWN = {"constant": "constant ε", "decaying": "decaying ε"}
+CONVERGED = 1000  # last epochs, over which a curve is averaged
+CURVES = 2**20  # the child of the seed that curves are drawn from
 SEEDS = 100
 TRAINED = 40  # readings
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Learned:
+    """Training runs under one exploration schedule, with the exact values of final policies."""
+
+    schedule: str
+    runs: list[TrainingRun]
+    outcomes: Outcomes
+    seed: int
+
+    @cached_property
+    def values(self) -> Floats:
+        """(R, E) exact value of the greedy policy of every epoch of every run."""
+        return exact_curves(self.outcomes.mdp, self.runs)
+
+    @cached_property
+    def converged(self) -> Floats:
+        """(R,) each run's mean over the last `CONVERGED` epochs."""
+        return np.asarray(self.values[:, -CONVERGED:].mean(axis=1))
+
+    @cached_property
+    def drawn(self) -> LearningCurve:
+        """The first run's curve as the paper draws it: 40 experiments each epoch."""
+        number = list(SETTINGS).index(self.schedule)
+        seed = child(child(self.seed, CURVES), number)
+        return learning_curve(self.outcomes.mdp, self.runs[0], rng=seed)
+
+    @property
+    def final(self) -> Integers:
+        """(R, 16) final greedy policies, an action number for each status."""
+        return np.asarray(self.outcomes.policies[self.outcomes.final])
+
+    def common(self) -> tuple[Integers, Floats]:
+        """Return (16,) the most frequent final action of each status, and its share of runs."""
+        actions = self.outcomes.mdp.n_actions
+        share = np.stack([(self.final == a).mean(axis=0) for a in range(actions)], axis=1)
+        return share.argmax(axis=1), share.max(axis=1)
+
+
+def learn(mdp: MDP, schedule: str, *, runs: int, seed: int, folder: Path | None = None) -> Learned:
+    """Train with so many seeds; runs that the folder holds are not done again."""
+    source = child(seed, list(SETTINGS).index(schedule))
+    trained = train_many(mdp, SETTINGS[schedule], runs, rng=source, n_jobs=None, out=folder)
+    found = outcomes(mdp, trained, bound=False)
+    return Learned(schedule=schedule, runs=trained, outcomes=found, seed=seed)
+
+
+def random_baseline(mdp: MDP, seed: int) -> LearningCurve:
+    """Return the random strategy's curve: 40 experiments each epoch."""
+    return random_curve(mdp, QLearning().epochs, rng=child(child(seed, CURVES), len(SETTINGS)))
+
+
+# ---- under many readings -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +138,7 @@ class LearningEvidence:
     @property
     def hits(self) -> Integers:
         """(T, 2) runs with the reported number of unique policies."""
-        wanted = np.array([reported.UNIQUE_POLICIES[schedule] for schedule in SETTINGS])
+        wanted = np.array([UNIQUE_POLICIES[schedule] for schedule in SETTINGS])
         return np.asarray((self.unique == wanted[:, None]).sum(axis=2))
 
     @property
@@ -83,13 +151,13 @@ class LearningEvidence:
 
         In 0000 each of a1, a2, a3 counts; 1000 and 0100 are taken as the sentence orders them.
         """
-        number = {action: place for place, action in enumerate(reported.ACTIONS)}
-        stated = {"0000": [number[start] for start in STARTS]}
-        stated |= {status: [number[action]] for status, action in reported.STATED.items()}
-        angry = [format(status, "04b") for status in range(16) if status & ANGRY]
-        stated |= {status: [number["supportive"]] for status in angry}
+        stated: dict[str, Sequence[str]] = {"0000": STARTS}
+        stated |= {status: [action] for status, action in reported.STATED.items()}
+        stated |= {status: ["supportive"] for status in ANGRY}
         return {
-            status: np.isin(self.final[:, :, :, int(status, 2)], actions).mean(axis=2)
+            status: np.isin(
+                self.final[:, :, :, int(status, 2)], [NUMBER[action] for action in actions]
+            ).mean(axis=2)
             for status, actions in stated.items()
         }
 
@@ -122,28 +190,11 @@ def learning(
     out: str | Path | None = None,
     progress: bool = False,
 ) -> LearningEvidence:
-    """Train under some readings; the same seeds under each.
+    """Train under some readings, as `to_train` gives them; the same seeds under each.
 
-    Parameters
-    ----------
-    readings : ints
-        As `to_train` gives them.
-    seeds : int
-        Runs of each schedule under each reading.
-    seed : int
-    n_jobs : int, optional
-        Processes; all cores where None. The result does not depend on it.
-    scheduler : str, optional
-        A Dask cluster instead, "tcp://host:port" or "local"; see `solvers.parallel.many.many`.
-    out : path, optional
-        Folder for finished readings; with the same seeds, they are used again, and others added.
-    progress : bool
-        Show a bar on standard error where that is a terminal.
-
-    Raises
-    ------
-    ModelError
-        For no seeds, or a folder that holds another training.
+    `seeds` runs of each schedule; the other arguments are those of `search`. The result does not
+    depend on the number of processes. Raises ModelError for no seeds, or a folder that holds
+    another training.
     """
     if seeds < 1:
         raise ModelError(f"{seeds} seeds", where="learning", fix="give 1 or more")
@@ -154,7 +205,7 @@ def learning(
         key={
             "parameters": {name: str(value) for name, value in search.scenario.values().items()},
             "max_trial": search.scenario.max_trial,
-            "settings": {name: repr(each) for name, each in SETTINGS.items()},
+            "settings": {name: repr(_unseen(each)) for name, each in SETTINGS.items()},
             "readings": [search.space.label(number) for number in numbers],
             "seeds": seeds,
             "seed": seed,
@@ -176,71 +227,36 @@ def _train(
 ) -> dict[str, Numbers]:
     """Return what the runs of one reading end with, for both schedules."""
     mdp = space.apply(base, number).compile()
-    root = as_sequence(seed)
     shape = (len(SETTINGS), seeds)
     unique, final = np.zeros(shape, dtype=np.int64), np.zeros((*shape, 16), dtype=np.int8)
     fits = np.zeros(shape, dtype=bool)
     for place, settings in enumerate(SETTINGS.values()):
-        trainer = Trainer(settings, mdp)
+        trainer = Trainer(_unseen(settings), mdp)
         for run in range(seeds):
-            done = trainer.run(child(root, run))
+            done = trainer.run(child(seed, run))
             last = done.policies[np.unique(done.last)]
             unique[place, run] = len(last)
-            fits[place, run] = all(compatible(policy) for policy in last)
+            fits[place, run] = all(reported.compatible(policy) for policy in last)
             final[place, run] = done.final
     return {"unique": unique, "compatible": fits, "final": final}
 
 
-def compatible(policy: Numbers) -> bool:
-    """Return whether a policy (16,) over the statuses can be one that the paper describes.
-
-    Examples
-    --------
-    >>> from exact_mdp.paper_repro.readings.search import completions, policies
-    >>> compatible(policies(completions()[-1:])[0]), compatible(np.zeros(16, dtype=int))
-    (True, False)
-    """
-    number = {action: place for place, action in enumerate(reported.ACTIONS)}
-    anger = [status for status in range(16) if status & ANGRY]
-    return bool(
-        (policy[anger] == number["supportive"]).all()
-        and stated(policy)
-        and policy[0] in {number[start] for start in STARTS}
-    )
+def _unseen(settings: QLearning) -> QLearning:
+    """Return the settings without snapshots, which nothing reads here."""
+    return replace(settings, snapshot_episode=0)
 
 
-def stated(policy: Numbers, orders: Sequence[str] = tuple(reported.ORDERS)) -> bool:
-    """Return whether a policy (16,) has the actions stated for 1100, 1000 and 0100.
-
-    Examples
-    --------
-    >>> from exact_mdp.paper_repro.readings.search import completions, policies
-    >>> swapped = policies(completions()[-1:])[0]
-    >>> stated(swapped), stated(swapped, ["as written"])
-    (True, False)
-    """
-    number = {action: place for place, action in enumerate(reported.ACTIONS)}
-    pairs = (reported.ORDERS[order] for order in orders)
-    return bool(
-        policy[0b1100] == number[reported.STATED["1100"]]
-        and any(
-            all(policy[int(status, 2)] == number[action] for status, action in pair.items())
-            for pair in pairs
-        )
-    )
-
-
-def combined(found: Evidence, learned: LearningEvidence) -> tuple[Integers, Floats, float]:
+def combined(found: Evidence, trained: LearningEvidence) -> tuple[Integers, Floats, float]:
     """Return readings with weights from all the evidence, and the weight of those left out.
 
     Only trained readings take part; the third number is the weight of all others by the exact
     evidence alone, which says how much the restriction may matter.
     """
     space = found.search.space
-    place = {int(number): at for at, number in enumerate(learned.readings)}
-    trained = [place.get(training_reading(space, number), -1) for number in range(len(space))]
-    numbers = np.flatnonzero(np.array(trained) >= 0)
-    logs = learned.log_likelihood[np.array(trained)[numbers]]
-    weights = posterior(found.marginal[numbers] + logs)
+    place = {int(number): at for at, number in enumerate(trained.readings)}
+    listed = [place.get(training_reading(space, number), -1) for number in range(len(space))]
+    at = np.array(listed)
+    numbers = np.flatnonzero(at >= 0)
+    weights = posterior(found.marginal[numbers] + trained.log_likelihood[at[numbers]])
     order = np.argsort(-weights, kind="stable")
     return numbers[order], weights[order], float(1 - found.weights[numbers].sum())

@@ -1,0 +1,391 @@
+"""All that is found about the readings, in one call and in plain sentences.
+
+`reading_study(seed=0)` searches all readings, weighs them by the evidence, asks which statements
+can hold together, trains under the best supported ones, and audits the reported policy. The exact
+part takes under a minute on two cores; the training adds a few minutes (fewer with `quick`). With a
+folder, what is finished is kept there, and the next call goes on from it.
+
+Each sentence is worked out from the numbers in it; the thresholds are those of
+`analysis.readings` (Bayes factors of 3, 20 and 150) and `paper_repro.readings.evidence`
+(three standard deviations).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from exact_mdp.analysis.readings import (
+    EXCLUDED,
+    FAVOURED,
+    IDENTIFIED,
+    OptionSupport,
+    ReadingSpace,
+    option_label,
+)
+from exact_mdp.mdp.lazy import later
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.evidence import (
+    EXPERIMENTS,
+    ROUNDING,
+    STATEMENTS,
+    TOGETHER,
+    TOLERANCE,
+    Evidence,
+    Joint,
+    contradictions,
+    joint,
+    variants,
+)
+from exact_mdp.paper_repro.readings.reported_policy import PolicyUnderReading, under_best_readings
+from exact_mdp.paper_repro.readings.search import PAPER_READINGS, ReadingSearch, search
+from exact_mdp.paper_repro.readings.training import (
+    SEEDS,
+    SETTINGS,
+    TRAINED,
+    LearningEvidence,
+    combined,
+    learning,
+    to_train,
+)
+
+special = later("scipy.special")
+QUICK = {"trained": 5, "seeds": 20, "judged": 2}
+FULL = {"trained": TRAINED, "seeds": SEEDS, "judged": 5}
+WITHOUT_RANDOM = "without the random strategy"  # the variant that leaves that curve out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReadingStudy:
+    """Which reading it is, as far as the paper's numbers tell.
+
+    Attributes
+    ----------
+    search : ReadingSearch
+    evidence : mapping
+        By the name of the variant; the first is the main one.
+    joints : mapping
+        How well every set of statements can hold together, for 1,000 and 10,000 experiments.
+    learned : LearningEvidence
+    policies : tuple of PolicyUnderReading
+        The reported policies under the default and the best supported readings.
+    """
+
+    search: ReadingSearch
+    evidence: Mapping[str, Evidence]
+    joints: Mapping[int, Sequence[Joint]]
+    learned: LearningEvidence
+    policies: Sequence[PolicyUnderReading]
+
+    @property
+    def main(self) -> Evidence:
+        """The evidence with 1,000 experiments and tolerances of 5."""
+        return next(iter(self.evidence.values()))
+
+    @property
+    def sentences(self) -> list[Sentence]:
+        """The findings in plain English."""
+        return sentences(self.evidence, self.joints, self.learned)
+
+
+def reading_study(
+    *,
+    seed: int,
+    space: ReadingSpace = PAPER_READINGS,
+    out: str | Path | None = None,
+    quick: bool = False,
+    sizes: Mapping[str, int] | None = None,
+    n_jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: bool = False,
+) -> ReadingStudy:
+    """Return the whole study.
+
+    Parameters
+    ----------
+    seed : int
+        Of the learning runs; everything else is exact.
+    space : ReadingSpace
+        The readings to search.
+    out : path, optional
+        Folder for finished pieces.
+    quick : bool
+        Train and audit less; the search over the readings stays whole.
+    sizes : mapping, optional
+        Readings to train under, runs of each schedule, and best supported readings under which the
+        policies are audited, named as in `QUICK`.
+    n_jobs, scheduler, progress
+        As for `search`.
+    """
+    size, folder = sizes or (QUICK if quick else FULL), None if out is None else Path(out)
+    found = search(
+        space=space,
+        n_jobs=n_jobs,
+        scheduler=scheduler,
+        out=folder and folder / "search",
+        progress=progress,
+    )
+    evidence = variants(found)
+    main, *others = evidence.values()
+    by_experiments = {each.experiments: each for each in (*reversed(others), main)}
+    learned = learning(
+        found,
+        to_train(main, size["trained"]),
+        seeds=size["seeds"],
+        seed=seed,
+        n_jobs=n_jobs,
+        scheduler=scheduler,
+        out=folder and folder / ("learning-quick" if quick else "learning"),
+        progress=progress,
+    )
+    return ReadingStudy(
+        search=found,
+        evidence=evidence,
+        joints={n: joint(by_experiments[n]) for n in EXPERIMENTS},
+        learned=learned,
+        policies=under_best_readings(main, size["judged"]),
+    )
+
+
+# ---- in plain sentences ------------------------------------------------------------------------
+
+
+class Sentence(NamedTuple):
+    """One finding.
+
+    Its kind is identified, favoured, not identified, fit, cannot hold together, equivalent,
+    optimal, or learning; method for those that say how the others come about.
+    """
+
+    kind: str
+    text: str
+
+
+def sentences(
+    found: Mapping[str, Evidence],
+    joints: Mapping[int, Sequence[Joint]],
+    learned: LearningEvidence | None = None,
+) -> list[Sentence]:
+    """Return what is identified, what is not, and what cannot hold together.
+
+    Parameters
+    ----------
+    found : mapping
+        As `variants` gives it, the main one first.
+    joints : {experiments: sets}
+        As `joint` gives them.
+    learned : LearningEvidence, optional
+    """
+    main = next(iter(found.values()))
+    return [
+        *_fit(main),
+        *_options(main.support, "reading", found.get(WITHOUT_RANDOM)),
+        *_options(main.completion_support(), "the policy's"),
+        *_variants(found),
+        *_together(main, joints),
+        *_optimal(main.search),
+        _equivalent(main.search),
+        *(_learning(main, learned) if learned is not None else ()),
+    ]
+
+
+def method(main: Evidence) -> list[Sentence]:
+    """Return how the other sentences come about, with the limits that they use."""
+    space, options = main.search.space, len(main.search.completions)
+    texts = (
+        f"How it is done: each of {len(space):,} readings with each of {options} completions of "
+        "the policies gives exact means and variances. A reported average is taken as normal about "
+        "its exact mean with the exact standard error; its likelihood is the probability of the "
+        f"interval ± {ROUNDING:g} that is rounded to it. The numbers read off the plot are taken "
+        f"as normal with a standard deviation of {TOLERANCE:g}.",
+        "Weights follow from a uniform prior over the readings, completions averaged out. An "
+        f"option is identified where every other has a Bayes factor of at least {IDENTIFIED:g} "
+        f"against it, favoured from {FAVOURED:g}, and excluded where the factor against it is "
+        f"{EXCLUDED:g} or more.",
+        "Statements can hold together where some reading and completion leaves none of them "
+        f"further off than {TOGETHER:g} standard deviations: for a number read off the plot "
+        f"{TOGETHER * TOLERANCE:g}, three times the hard limit of the claims.",
+        "Sentences that begin with “Variant” repeat the whole with another number of experiments, "
+        "other standard deviations for the numbers read off the plot, or without them, and name "
+        "the verdicts that change.",
+    )
+    return [Sentence("method", text) for text in texts]
+
+
+def _fit(found: Evidence) -> Iterator[Sentence]:
+    space = found.search.space
+    first, second = found.ranking[:2].tolist()
+    ratio, default = np.exp(found.marginal[first] - found.marginal[[second, 0]]).tolist()
+    place = int(np.flatnonzero(found.ranking == 0)[0]) + 1
+    yield Sentence(
+        "fit",
+        f"No single reading wins: the best supported one ({space.label(first)}) has "
+        f"{found.weights[first]:.1%} of the weight and is {ratio:.2f} times as likely as the "
+        f"second; {len(found.credible())} of {len(space):,} readings are needed for 95 % of the "
+        f"weight, and the weights are as spread as {found.effective_number:.0f} equal ones.",
+    )
+    yield Sentence(
+        "fit",
+        f"The default reading is number {place:,} in the order, with {found.weights[0]:.3%} "
+        f"of the weight; the best supported reading makes the reported numbers {default:.0f} "
+        "times as likely.",
+    )
+
+
+def _options(
+    listed: Sequence[OptionSupport], what: str, without: Evidence | None = None
+) -> Iterator[Sentence]:
+    """Say what is found of each reading, and what of it depends on the random strategy's curve."""
+    others = {} if without is None else _best(without.support)
+    for name, verdict in _best(listed).items():
+        options = [each for each in listed if each.reading == name]
+        best = min(options, key=lambda each: each.log10_against)
+        weights = ", ".join(f"{option_label(each.option)} {each.weight:.1%}" for each in options)
+        out = [option_label(each.option) for each in options if each.verdict == "excluded"]
+        also = f"; excluded: {', '.join(out)}" if out and len(out) < len(options) - 1 else ""
+        title = f"{what} {name.replace('_', ' ')}"
+        if best.verdict == "not identified":
+            text = f"{title} is not identified ({weights}){also}."
+        else:
+            text = f"{title}: {option_label(best.option)} is {best.verdict} ({weights}){also}."
+            if others.get(name, verdict) != verdict:
+                wholly = " wholly" if others[name] == "not identified" else ""
+                text += (
+                    f" This rests{wholly} on the number read off the random strategy's curve: "
+                    f"without it, {others[name]}."
+                )
+        yield Sentence(best.verdict, text[0].upper() + text[1:])
+
+
+def _best(support: Sequence[OptionSupport]) -> dict[str, str]:
+    """Return for each reading what is said of its best option."""
+    return {
+        each.reading: each.verdict
+        if each.verdict == "not identified"
+        else f"{each.verdict} {option_label(each.option)}"
+        for each in support
+        if each.log10_against == 0
+    }
+
+
+def _variants(found: Mapping[str, Evidence]) -> Iterator[Sentence]:
+    main = next(iter(found.values()))
+    whole, best = float(special.logsumexp(main.marginal)), _best(main.support)
+    for other in found.values():
+        if other.experiments != main.experiments:
+            factor = float(np.exp(special.logsumexp(other.marginal) - whole))
+            yield Sentence(
+                "fit",
+                f"That the averages are over {other.experiments:,} runs and not "
+                f"{main.experiments:,}: Bayes factor {factor:.2g}, all readings averaged out.",
+            )
+    for name, other in list(found.items())[1:]:
+        changed = [
+            f"{reading.replace('_', ' ')} (now {verdict})"
+            for reading, verdict in _best(other.support).items()
+            if verdict != best[reading]
+        ]
+        told = "no verdict on a reading changes"
+        if changed:
+            told = f"the verdicts change for {', '.join(changed)}"
+        yield Sentence(
+            "fit",
+            f"Variant: {name}. {len(other.credible())} readings hold 95 % of the weight; {told}.",
+        )
+
+
+def _together(found: Evidence, joints: Mapping[int, Sequence[Joint]]) -> Iterator[Sentence]:
+    returns = set(STATEMENTS) - {"respectively", "optimal"}
+    for experiments, sets in joints.items():
+        start = f"With {experiments:,} experiments, "
+        (every,) = (each for each in sets if set(each.statements) == returns)
+        yield Sentence(
+            "fit" if every.possible else "cannot hold together",
+            f"{start}all reported returns and their ranking can be within "
+            f"{max(every.score, 0.01):.2f} standard deviations at once; {every.readings} readings "
+            f"allow {TOGETHER:g}.",
+        )
+        smallest = contradictions(sets)
+        if not smallest:
+            yield Sentence(
+                "fit", f"{start}every set of statements can hold together under some reading."
+            )
+        for each in smallest:
+            listed = "; ".join(STATEMENTS[name][0] for name in each.statements)
+            yield Sentence(
+                "cannot hold together",
+                f"{start}under no reading: {listed}. At best {each.score:.1f} standard deviations "
+                f"({found.search.space.label(each.reading)}).",
+            )
+
+
+def _optimal(search: ReadingSearch) -> Iterator[Sentence]:
+    regret = search.regret
+    reading, completion = np.unravel_index(int(regret.argmin()), regret.shape)
+    least = float(regret[reading, completion])
+    told = "There is a reading under which the final policy is optimal up to rounding"
+    if least > 2 * float(search.error.max()):
+        told = (
+            "The final policy, as the text states it, is optimal under no reading, however it is "
+            "completed, against the best policy that knows subtask and trial, which the paper's "
+            f"policies do not: its least regret is {least:.3f} points of return"
+        )
+    filled = reported.told(search.completions[int(completion)])
+    yield Sentence("optimal", f"{told} ({search.space.label(int(reading))}; {filled}).")
+    for status, action in reported.STATED.items():
+        for other in dict.fromkeys((action, reported.STATED["0100"], reported.STATED["1000"])):
+            count = int(search.optimal_under(status, other).sum())
+            yield Sentence(
+                "optimal",
+                f"In {status}, {other} is optimal under {count:,} of {len(search.space):,} "
+                "readings (first trial of the first subtask)"
+                + (", as the text states." if other == action else "."),
+            )
+
+
+def _equivalent(search: ReadingSearch) -> Sentence:
+    first = search.equivalent()
+    count = len(np.unique(first))
+    return Sentence(
+        "equivalent",
+        f"{len(first) - count:,} of {len(first):,} readings give every policy of the search "
+        f"the same mean and variance as an earlier one: no reported return can tell them apart; "
+        f"{count:,} differ.",
+    )
+
+
+def _learning(found: Evidence, learned: LearningEvidence) -> Iterator[Sentence]:
+    shares = learned.hits / learned.seeds
+    for column, schedule in enumerate(SETTINGS):
+        wanted, share = reported.UNIQUE_POLICIES[schedule], shares[:, column]
+        low, high = learned.interval(int(share.argmax()), column)
+        yield Sentence(
+            "learning",
+            f"{wanted} unique policies under {schedule} exploration appear in "
+            f"{share.min():.0%} to {share.max():.0%} of {learned.seeds} runs "
+            f"under the {len(learned.readings)} readings trained (95 % interval of the largest: "
+            f"{low:.0%} to {high:.0%}).",
+        )
+    fits = learned.compatible.mean(axis=2)
+    agreement = {status: float(share.mean()) for status, share in learned.agreement().items()}
+    least = sorted(agreement, key=agreement.__getitem__)[:3]
+    worst = ", ".join(f"{status} ({agreement[status]:.0%})" for status in least)
+    yield Sentence(
+        "learning",
+        "Runs whose last policies all do what the text states are at most "
+        f"{fits.max():.0%} of any reading's; final policies agree least with the text, 1000 and "
+        f"0100 as written, in {worst}.",
+    )
+    numbers, weights, left = combined(found, learned)
+    apart = float(np.exp(np.ptp(learned.log_likelihood)))
+    yield Sentence(
+        "learning",
+        f"These counts make the trained readings differ by a factor of {apart:.1f} at most, "
+        f"sampling included. With them, the best supported of the trained readings "
+        f"({found.search.space.label(int(numbers[0]))}) has {weights[0]:.1%} of their weight; "
+        f"readings that were not trained hold {left:.0%} by the returns alone.",
+    )
