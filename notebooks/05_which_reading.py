@@ -34,11 +34,11 @@ from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.readings import ReadingSpace
 from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.paper_repro import reported
-from exact_mdp.paper_repro.readings.evidence import evidence
-from exact_mdp.paper_repro.readings.joint import contradictions, joint
-from exact_mdp.paper_repro.readings.search import STARTS, search
-from exact_mdp.paper_repro.readings.statements import statements
-from exact_mdp.paper_repro.readings.verdict import verdict
+from exact_mdp.paper_repro.readings.evidence import contradictions, evidence, joint
+from exact_mdp.paper_repro.readings.findings import sentences
+from exact_mdp.paper_repro.readings.reported_policy import under_reading
+from exact_mdp.paper_repro.readings.search import search
+from exact_mdp.paper_repro.reported import STARTS
 
 space = ReadingSpace(options={**READINGS, "tasks": ((3,),), "evaluation_discount": (1,)})
 for name, options in space.options.items():
@@ -109,7 +109,7 @@ with style():
 
 # %%
 joints = {judged.experiments: joint(judged)}
-for sentence in statements({"main": judged}, joints):
+for sentence in sentences({"main": judged}, joints):
     print(fill(f"[{sentence.kind}] {sentence.text}", width=100, subsequent_indent="    "))
 print(len(contradictions(joints[judged.experiments])), "sets of statements contradict each other")
 
@@ -120,7 +120,7 @@ print(len(contradictions(joints[judged.experiments])), "sets of statements contr
 # costs.
 
 # %%
-result = verdict(found, 0, int(judged.completion[0]))
+result = under_reading(found, 0, int(judged.completion[0]))
 print(f"value {float(result.value.value):.4f} of {float(result.optimal.value):.4f}")
 print(f"regret {float(result.regret.value):.4f} ({result.regret.claim})")
 for each in result.ranking:

@@ -13,8 +13,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.lazy import later
@@ -79,7 +77,7 @@ def run(
         # Other processes take what needs no training: other readings, and most of the figures.
         # The figures of the agents share what they show.
         apart = replace(reading)
-        still: dict[str, Callable[[], Figure]] = {
+        still: dict[str, Callable[[], Any]] = {
             p.name: partial(p.draw, apart) for p in PICTURES if not p.learns
         }
         work: list[Work] = [

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 from exact_mdp.analysis.readings import ReadingSpace
+from exact_mdp.paper_repro.readings.findings import ReadingStudy, reading_study
 from exact_mdp.paper_repro.readings.search import DISCOUNTS, ReadingSearch, search
-from exact_mdp.paper_repro.readings.study import ReadingStudy, reading_study
 
 SMALL = ReadingSpace(
     options={
@@ -27,4 +27,6 @@ def small_search() -> ReadingSearch:
 
 @lru_cache
 def small_study() -> ReadingStudy:
-    return reading_study(seed=3, space=SMALL, trained=3, seeds=4, judged=1, n_jobs=1)
+    return reading_study(
+        seed=3, space=SMALL, sizes={"trained": 3, "seeds": 4, "judged": 1}, n_jobs=1
+    )

@@ -33,7 +33,7 @@ LAZY = {
     "jupyter": [],
     "jupyter_client": [],
     "jupytext": [],
-    "matplotlib": ["analysis/plots/*.py", "paper_repro/report/figures.py"],
+    "matplotlib": ["analysis/plots/*.py", "paper_repro/report/*.py"],
     "mdpsolver": [],
     "nbclient": [],
     "nbconvert": [],

@@ -16,12 +16,11 @@ from exact_mdp.mdp import ModelError, Policy, Scenario
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, chosen, judge
 from exact_mdp.paper_repro.claims.claim import RULES, event, usual
-from exact_mdp.paper_repro.expected import disagreements, expected
-from exact_mdp.paper_repro.numbers import study
-from exact_mdp.paper_repro.report.figures import status_law
-from exact_mdp.paper_repro.report.places import PLACES, SECTIONS, section_of
-from exact_mdp.paper_repro.store import Store
-from exact_mdp.paper_repro.view import QUICK, View, alternatives, default_view
+from exact_mdp.paper_repro.claims.judge import disagreements, expected
+from exact_mdp.paper_repro.reading import QUICK, Reading, Store, alternatives, default
+from exact_mdp.paper_repro.readings.search import averages
+from exact_mdp.paper_repro.report.figures import choice_losses, status_law, trial_flow
+from exact_mdp.paper_repro.reported import COMPLETIONS, PLACES, SECTIONS, STARTS, section_of
 from exact_mdp.solvers import evaluate
 
 ANGRY = [s for s in map("".join, itertools.product("01", repeat=4)) if s[2] == "1"]
@@ -29,12 +28,12 @@ EXACT = [claim for claim in all_claims() if not claim.learns]
 
 
 @pytest.fixture(scope="module")
-def view() -> View:
-    return default_view(replace(QUICK, episodes=1000))
+def view() -> Reading:
+    return default(replace(QUICK, episodes=1000))
 
 
 @pytest.fixture(scope="module")
-def judged(view: View) -> dict[str, Judged]:
+def judged(view: Reading) -> dict[str, Judged]:
     return {each.claim.id: each for each in judge(EXACT, view)}
 
 
@@ -73,7 +72,7 @@ def test_the_exact_claims_agree_with_the_pinned_ones(judged: dict[str, Judged]) 
     ("status", "action"), [("base.anger", "1/10"), ("reward.subtask-complete", "51")]
 )
 def test_a_change_of_the_model_fails_and_names_the_claims(status: str, action: str) -> None:
-    changed = View(scenario=Scenario.load("yuan2025").with_(parameters={status: action}))
+    changed = Reading(scenario=Scenario.load("yuan2025").with_(parameters={status: action}))
     claims = [claim for claim in EXACT if not claim.id.startswith(("agents.", "return.ranking."))]
     off = disagreements(judge(claims, changed), expected())
     table = "table3" if status.startswith("base") else "table4"
@@ -103,7 +102,7 @@ def test_an_unknown_claim_is_refused_with_the_nearest_one() -> None:
 @pytest.mark.slow
 def test_the_learned_claims_agree_with_the_pinned_ones() -> None:
     learned = [claim for claim in all_claims() if claim.learns]
-    assert disagreements(judge(learned, default_view(QUICK)), expected()) == []
+    assert disagreements(judge(learned, default(QUICK)), expected()) == []
 
 
 # ---- against the independent model -------------------------------------------------------------
@@ -129,9 +128,9 @@ def test_probabilities_against_the_independent_model(
 
 @pytest.mark.parametrize("start", reported.AVERAGE_RETURN)
 def test_reported_policies_against_the_independent_model(
-    view: View, judged: dict[str, Judged], oracle: Oracle, start: str
+    view: Reading, judged: dict[str, Judged], oracle: Oracle, start: str
 ) -> None:
-    actions = reported.policy(start, view.study.completion)
+    actions = reported.policy(start, view.completion)
     exact = oracle.evaluate(
         lambda state: {actions["".join(map(str, state[3]))]: Fraction(1)}, distribution=False
     )
@@ -143,12 +142,12 @@ def test_reported_policies_against_the_independent_model(
 
 
 def test_optimum_random_and_regret_against_the_independent_model(
-    view: View, judged: dict[str, Judged], oracle: Oracle
+    view: Reading, judged: dict[str, Judged], oracle: Oracle
 ) -> None:
     best = oracle.value(oracle.start)
     quarter = dict.fromkeys(ACTIONS, Fraction(1, 4))
     random = oracle.evaluate(lambda state: quarter, distribution=False)["mean"]
-    final = reported.policy("non-directive", view.study.completion)
+    final = reported.policy("non-directive", view.completion)
     worth = oracle.evaluate(
         lambda state: {final["".join(map(str, state[3]))]: Fraction(1)}, distribution=False
     )["mean"]
@@ -178,38 +177,38 @@ def test_best_actions_against_the_independent_model(
     assert (judged[name].verdict is Verdict.REPRODUCED) == all(right)
 
 
-def test_the_range_holds_every_completion_and_is_reached(view: View) -> None:
-    completions = view.study.completions
-    for start in reported.AVERAGE_RETURN:
+def test_the_range_holds_every_completion_and_is_reached(view: Reading) -> None:
+    completions = view.averages
+    for number, start in enumerate(STARTS):
         for place in (0, 77, 150, 255, 300, 511):
-            policy = reported.policy(start, completions.choices[place])
+            policy = reported.policy(start, COMPLETIONS[place])
             found = evaluate(view.mdp, policy)
-            assert completions.mean[start][place] == pytest.approx(found.mean, rel=1e-12)
-            assert completions.variance[start][place] == pytest.approx(found.sd**2, rel=1e-9)
-    assert len(completions.choices) == 512
+            assert completions.mean[place, number] == pytest.approx(found.mean, rel=1e-12)
+            assert completions.variance[place, number] == pytest.approx(found.sd**2, rel=1e-9)
+    assert len(COMPLETIONS) == len(completions.mean) == 512
     written, swapped = completions.best(), completions.best("swapped")
-    final = completions.mean["non-directive"]
+    final = completions.mean[:, 0]
     assert (final[:256].argmax(), final[256:].argmax() + 256) == (written, swapped)
-    assert view.study.completion == completions.choices[written]
-    exact = view.study.evaluations["reported.non-directive"].mean
+    assert view.completion == COMPLETIONS[written]
+    exact = view.evaluations["reported.non-directive"].mean
     assert exact == pytest.approx(final[written], rel=1e-12)
 
 
 def test_the_averages_are_judged_by_the_completion_that_fits_all_three_best(
-    view: View, judged: dict[str, Judged]
+    view: Reading, judged: dict[str, Judged]
 ) -> None:
     far = {}
-    for place, filled in enumerate(reported.completions()[250:350], start=250):
+    for place, filled in enumerate(COMPLETIONS[250:350], start=250):
         far[place] = 0.0
         for start, paper in reported.AVERAGE_RETURN.items():
             found = evaluate(view.mdp, reported.policy(start, filled))
             far[place] += (found.mean - paper) ** 2 / (found.sd**2 / reported.EXPERIMENTS)
-    completions = view.study.completions
+    completions = view.averages
     best = min(far, key=far.__getitem__)  # the best of all is among these
     assert completions.fitting == best
     assert completions.chi_squared[best] == pytest.approx(far[best], rel=1e-9)
     assert completions.chi_squared.min() == pytest.approx(1.0082, abs=1e-4)
-    assert reported.order(completions.choices[best]) == "swapped"
+    assert reported.order(COMPLETIONS[best]) == "swapped"
     for start in reported.AVERAGE_RETURN:
         found = judged[f"return.reported.{start}"].finding
         near = abs(found.details["best_fit_in_standard_errors"]) <= 3
@@ -224,17 +223,17 @@ def test_the_averages_are_judged_by_the_completion_that_fits_all_three_best(
     [{}, {"influence_orientation": "column-to-row"}, {"tasks": (2,)}],
     ids=["default", "turned", "two subtasks"],
 )
-def test_a_reading_is_counted_as_it_is_judged(view: View, change: dict[str, object]) -> None:
+def test_a_reading_is_counted_as_it_is_judged(view: Reading, change: dict[str, object]) -> None:
     from exact_mdp.analysis.readings import ReadingSpace
-    from exact_mdp.paper_repro.claims.under import Readings, search_support
+    from exact_mdp.paper_repro.claims.judge import agreeing
     from exact_mdp.paper_repro.readings.evidence import evidence
     from exact_mdp.paper_repro.readings.search import PAPER_READINGS, search
 
     one = {name: options[:1] for name, options in PAPER_READINGS.options.items()}
     one |= {name: (option,) for name, option in change.items()}
     found = search(space=ReadingSpace(options=one), n_jobs=1)
-    counted = search_support(Readings(search=found, evidence=evidence(found)))
-    same = view if not change else View(scenario=found.reading(0), label="another")
+    counted = agreeing(evidence(found))
+    same = view if not change else Reading(scenario=found.reading(0), label="another")
     listed = [claim for claim in EXACT if claim.id in counted]
     assert len(listed) == len(counted) == 8
     for each in judge(listed, same):
@@ -243,13 +242,15 @@ def test_a_reading_is_counted_as_it_is_judged(view: View, change: dict[str, obje
 
 
 def test_variances_hold_at_a_discount_too() -> None:
-    found = study(Scenario.load("yuan2025").with_(discount="19/20")).completions
-    mdp = Scenario.load("yuan2025").with_(discount="19/20").compile()
-    policy = reported.policy("directive", found.choices[9])
-    assert found.variance["directive"][9] == pytest.approx(evaluate(mdp, policy).sd ** 2, rel=1e-9)
+    scenario = Scenario.load("yuan2025").with_(discount="19/20")
+    found, mdp = averages(scenario), scenario.compile()
+    policy = reported.policy("directive", COMPLETIONS[9])
+    assert found.variance[9, STARTS.index("directive")] == pytest.approx(
+        evaluate(mdp, policy).sd ** 2, rel=1e-9
+    )
 
 
-def test_the_drawn_law_is_that_of_independent_statuses(view: View) -> None:
+def test_the_drawn_law_is_that_of_independent_statuses(view: Reading) -> None:
     law = status_law(view.mdp, view.mdp.action("directive"))
     assert law.sum(axis=1) == pytest.approx(1)
     # 1100 under a3: forgetfulness and confusion 1/20 each, anger 5+6+8 %, disengagement 20+2+2 %.
@@ -257,9 +258,7 @@ def test_the_drawn_law_is_that_of_independent_statuses(view: View) -> None:
     assert law[0b1100, 0b1011] == pytest.approx(0.05 * 0.95 * 0.19 * 0.24)
 
 
-def test_the_flow_of_trials_against_the_independent_model(view: View, oracle: Oracle) -> None:
-    from exact_mdp.paper_repro.report.figures import trial_flow
-
+def test_the_flow_of_trials_against_the_independent_model(view: Reading, oracle: Oracle) -> None:
     made, ends = trial_flow(view.mdp, "always:directive", view.scenario.trials)
     reached = {CLEAR: Fraction(1)}
     for trial in range(5):
@@ -283,31 +282,31 @@ def test_the_flow_of_trials_against_the_independent_model(view: View, oracle: Or
 # ---- readings ----------------------------------------------------------------------------------
 
 
-def test_what_the_prose_says_of_anger_holds_the_other_way_round(view: View) -> None:
+def test_what_the_prose_says_of_anger_holds_the_other_way_round(view: Reading) -> None:
     names = ("prose.anger-weighs-most-on-forgetfulness", "prose.anger-contributes-most")
     (turned,) = (v for v in alternatives(view, QUICK) if "column-to-row" in v.label)
     for name in names:
         (each,) = judge([chosen(name)], view, others=[turned])
         assert each.verdict is Verdict.NOT_REPRODUCED
-        assert each.under is not None
-        assert (each.under.tried, each.under.reproduced) == (2, 1)
-        assert each.under.example == "influence_orientation = column-to-row"
+        assert each.others is not None
+        assert (each.others.tried, each.others.reproduced) == (2, 1)
+        assert each.others.example == "influence_orientation = column-to-row"
 
 
-def test_a_skip_with_a_timestep_of_its_own_breaks_table_1(view: View) -> None:
+def test_a_skip_with_a_timestep_of_its_own_breaks_table_1(view: Reading) -> None:
     others = [v for v in alternatives(view, QUICK) if v.label == "skip_timestep = own"]
     (each,) = judge([chosen("table1.timesteps")], view, others=others)
     assert each.verdict is Verdict.REPRODUCED
-    assert each.under is not None
-    assert each.under.reproduced == 1
+    assert each.others is not None
+    assert each.others.reproduced == 1
 
 
-def test_the_readings_tried_are_named_as_they_are_and_counted_once(view: View) -> None:
+def test_the_readings_tried_are_named_as_they_are_and_counted_once(view: Reading) -> None:
     others = [v for v in alternatives(view, QUICK) if v.label == "tasks = [2]"]
     (each,) = judge([chosen("policy.1100")], view, others=[*others, *others])
-    assert each.under is not None
-    assert each.under.tried == 2
-    assert "best supported" not in each.under.scope  # no search was made
+    assert each.others is not None
+    assert each.others.tried == 2
+    assert "best supported" not in each.others.scope  # no search was made
 
 
 def test_inputs_and_findings_are_told_apart(judged: dict[str, Judged]) -> None:
@@ -318,21 +317,18 @@ def test_inputs_and_findings_are_told_apart(judged: dict[str, Judged]) -> None:
 
 
 def test_a_policy_may_follow_either_order_of_the_sentence() -> None:
-    from exact_mdp.paper_repro.readings.learning import stated
-    from exact_mdp.paper_repro.readings.search import policies
-
     for place in (0, 511):
-        policy = policies(reported.completions()[place : place + 1])[0]
-        order = reported.order(reported.completions()[place])
-        assert stated(policy)
-        assert stated(policy, [order])
-        assert not stated(policy, [other for other in reported.ORDERS if other != order])
+        policy = reported.policies(COMPLETIONS[place : place + 1])[0]
+        order = reported.order(COMPLETIONS[place])
+        assert reported.states(policy)
+        assert reported.states(policy, [order])
+        assert not reported.states(policy, [other for other in reported.ORDERS if other != order])
 
 
-def test_claims_that_no_reading_touches_try_none(view: View) -> None:
+def test_claims_that_no_reading_touches_try_none(view: Reading) -> None:
     others = [v for v in alternatives(view, QUICK) if v.label == "tasks = [2]"]
     (each,) = judge([chosen("table3.base.anger")], view, others=others)
-    assert each.under is None
+    assert each.others is None
 
 
 # ---- rules and store ---------------------------------------------------------------------------
@@ -366,21 +362,19 @@ def test_finished_parts_are_read_again_and_a_damaged_one_is_named(tmp_path: Path
         store.json("part", work)
 
 
-def test_a_policy_by_status_is_complete(view: View) -> None:
-    policy = reported.policy("directive", reported.completions()[0])
+def test_a_policy_by_status_is_complete(view: Reading) -> None:
+    policy = reported.policy("directive", COMPLETIONS[0])
     assert len(policy) == 16
     assert policy["0000"] == "directive"
     assert policy["1111"] == "supportive"
     assert Policy.of(view.mdp, policy).deterministic
 
 
-def test_losses_of_choices_are_those_of_single_changes(view: View) -> None:
-    from exact_mdp.paper_repro.report.figures import choice_losses
-
+def test_losses_of_choices_are_those_of_single_changes(view: Reading) -> None:
     losses = choice_losses(view)
     assert (losses >= 0).all()
     assert ((losses == 0).sum(axis=1) == 1).all()
-    final = view.study.evaluations["reported.non-directive"].mean  # as written: 0100 alone errs
-    best = view.study.evaluations["optimal"].mean
+    final = view.evaluations["reported.non-directive"].mean  # as written: 0100 alone errs
+    best = view.evaluations["optimal"].mean
     assert losses[0b0100, 2] == pytest.approx(best - final)
     assert np.argmin(losses[0]) == 2

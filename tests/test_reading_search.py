@@ -17,17 +17,15 @@ from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.search import (
-    FIGURES,
+    ARRAYS,
     PAPER_READINGS,
-    STARTS,
     _evaluate,
-    completions,
-    policies,
     search,
 )
+from exact_mdp.paper_repro.reported import COMPLETIONS, STARTS, policies
 
 BASE = Scenario.load("yuan2025")
-ALL = policies(completions())
+ALL = policies()
 
 
 def oracle_of(number: int) -> Oracle:
@@ -46,13 +44,13 @@ def evaluated(numbers: list[int], chosen: np.ndarray) -> dict[str, np.ndarray]:
     rows = [number % 2 for number in numbers]
     return {
         name: np.stack([part[name][row] for part, row in zip(parts, rows, strict=True)])
-        for name in FIGURES
+        for name in ARRAYS
     }
 
 
 def test_every_reading_and_completion_is_there_once() -> None:
     assert len(PAPER_READINGS) == 6912
-    assert len(completions()) == 512
+    assert len(COMPLETIONS) == 512
     assert ALL.shape == (1536, 16)
     assert len(np.unique(ALL, axis=0)) == 1536
 
@@ -199,7 +197,7 @@ def test_an_interrupted_search_goes_on(tmp_path: Path, monkeypatch: pytest.Monke
     again = search(space=space, n_jobs=1, out=tmp_path)
     assert kept[0].stat().st_mtime_ns == before
     assert kept[1].exists()
-    for name in FIGURES:
+    for name in ARRAYS:
         assert np.array_equal(getattr(whole, name), getattr(again, name))
     with pytest.raises(ModelError, match="differs in"):
         search(BASE.with_(max_trial=4), space=space, n_jobs=1, out=tmp_path)

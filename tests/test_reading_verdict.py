@@ -13,16 +13,14 @@ from exact_mdp.analysis.learning.outcomes import outcomes
 from exact_mdp.mdp import ModelError
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import evidence
-from exact_mdp.paper_repro.readings.learning import (
-    SETTINGS,
-    combined,
-    compatible,
-    learning,
-    to_train,
+from exact_mdp.paper_repro.readings.reported_policy import (
+    normal_ranking,
+    ranked,
+    sums,
+    under_reading,
 )
-from exact_mdp.paper_repro.readings.ranking import ranked, sums
-from exact_mdp.paper_repro.readings.search import STARTS, completions, policies
-from exact_mdp.paper_repro.readings.verdict import AS_FOUND, normal_ranking, verdict
+from exact_mdp.paper_repro.readings.training import SETTINGS, combined, learning, to_train
+from exact_mdp.paper_repro.reported import STARTS, compatible, policies
 from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.values.returns import return_distribution
@@ -31,7 +29,7 @@ from exact_mdp.solvers.values.returns import return_distribution
 def test_the_verdict_agrees_with_the_search() -> None:
     search = small_search()
     for reading, completion in ((0, 100), (9, 300)):
-        found = verdict(search, reading, completion)
+        found = under_reading(search, reading, completion)
         assert isinstance(found.regret, Certified)
         assert float(found.value.value) == pytest.approx(search.mean[reading, completion, 0])
         assert float(found.optimal.value) == pytest.approx(search.optimum[reading])
@@ -49,7 +47,7 @@ def test_the_verdict_agrees_with_the_search() -> None:
 
 
 def test_costs_by_status_name_what_is_done_and_what_is_best() -> None:
-    found = verdict(small_search(), 0, 0)
+    found = under_reading(small_search(), 0, 0)
     rows = {row.status: row for row in found.by_status()}
     assert rows["0100"].learned == "non-directive"
     assert rows["0100"].optimal == ("directive",)
@@ -59,7 +57,7 @@ def test_costs_by_status_name_what_is_done_and_what_is_best() -> None:
 
 
 def test_discounted_returns_have_no_exact_ranking() -> None:
-    found = verdict(small_search(), 1, 0)
+    found = under_reading(small_search(), 1, 0)
     assert [chance.exact for chance in found.ranking] == [None, None]
     assert found.ranking[0].best == found.ranking[0].normal
 
@@ -79,8 +77,8 @@ def test_the_normal_ranking_is_a_bivariate_normal_probability() -> None:
 def test_the_ranking_of_averages_agrees_with_simulation_and_normal_averages(
     experiments: int,
 ) -> None:
-    found = verdict(small_search(), 0, 20)
-    laws = [return_distribution(found.mdp, found.evaluations[start].chain) for start in AS_FOUND]
+    found = under_reading(small_search(), 0, 20)
+    laws = [return_distribution(found.mdp, found.evaluations[start].chain) for start in STARTS]
     exact = ranked(*(sums(law, experiments) for law in laws))
     rng, runs = np.random.default_rng(5), 5_000
     totals = [
@@ -90,8 +88,8 @@ def test_the_ranking_of_averages_agrees_with_simulation_and_normal_averages(
     ]
     share = float(((totals[0] > totals[1]) & (totals[1] > totals[2])).mean())
     assert abs(share - exact.value) <= 4 * sqrt(max(share * (1 - share), 1e-4) / runs)
-    mean = np.array([found.evaluations[start].mean for start in AS_FOUND])
-    variance = np.array([found.evaluations[start].start_variance for start in AS_FOUND])
+    mean = np.array([found.evaluations[start].mean for start in STARTS])
+    variance = np.array([found.evaluations[start].start_variance for start in STARTS])
     normal = normal_ranking(mean, variance, experiments)
     assert normal == pytest.approx(exact.value, abs=0.05 if experiments == 20 else 1e-4)
 
@@ -131,7 +129,7 @@ def test_nothing_is_trained_without_seeds_or_readings() -> None:
 
 
 def test_compatible_policies_are_those_of_the_search() -> None:
-    listed = policies(completions())
+    listed = policies()
     assert all(compatible(row) for row in listed[::50])
     for status, action in (("0010", 2), ("1100", 1), ("1000", 0), ("0000", 0)):
         changed = listed[10].copy()
@@ -181,29 +179,16 @@ def test_sentences_say_what_the_numbers_say() -> None:
     assert f"In 0100, directive is optimal under {count} of 96 readings" in text
 
 
-def test_ranking_rows_are_the_search_in_order() -> None:
-    study = small_study()
-    rows = study.ranking(4)
-    assert [row["rank"] for row in rows] == [1, 2, 3, 4]
-    first = rows[0]
-    number, completion = first["reading"], int(study.main.completion[study.main.ranking[0]])
-    assert isinstance(number, int)
-    assert first["completion"] == dict(study.search.completions[completion])
-    assert first["mean"] == dict(
-        zip(STARTS, study.search.mean[number, completion].tolist(), strict=True)
-    )
-
-
 def test_every_figure_is_drawn() -> None:
     import matplotlib.pyplot as plt
 
     from exact_mdp.analysis.plots import style
-    from exact_mdp.paper_repro.readings.figures import FIGURES
+    from exact_mdp.paper_repro.report.readings import PICTURES
 
     study = small_study()
-    for draw in FIGURES.values():
+    for picture in PICTURES:
         with style():
-            figure = draw(study)
+            figure = picture.draw(study)
             figure.canvas.draw()
         assert figure.axes
         assert all(ax.has_data() for ax in figure.axes)
@@ -213,9 +198,10 @@ def test_every_figure_is_drawn() -> None:
 def test_the_ranking_figure_marks_the_reported_averages() -> None:
     import matplotlib.pyplot as plt
 
-    from exact_mdp.paper_repro.readings.figures import ranking_figure
+    from exact_mdp.paper_repro.report.readings import PICTURES
 
-    figure = ranking_figure(small_study())
+    (ranking,) = (picture for picture in PICTURES if picture.name == "reading_ranking")
+    figure = ranking.draw(small_study())
     lines = {
         float(line.get_xdata()[0]) for line in figure.axes[0].lines if len(line.get_xdata()) == 2
     }
