@@ -17,9 +17,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.bellman import distinct, merged
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import distinct, merged
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, room_of
 from exact_mdp.mdp.symbolic import Degrees, degrees_of

@@ -30,7 +30,7 @@ from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss
 from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric, placed

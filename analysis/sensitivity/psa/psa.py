@@ -52,7 +52,7 @@ from exact_mdp.analysis.sensitivity.psa.intervals import (
 from exact_mdp.analysis.sensitivity.psa.value_of_information import PartialInformation, evpi, evppi
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
