@@ -82,11 +82,6 @@ Row = tuple[int, int, list[tuple[Any, int, Any]]]
 def save(model: MDP, path: str | Path) -> None:
     """Write a model as a UMB file, from which `load` returns all of it.
 
-    Raises
-    ------
-    ModelError
-        Where umbi is not installed or the file cannot be written.
-
     Examples
     --------
     >>> import tempfile
@@ -107,28 +102,7 @@ def load(
     start: object = None,
 ) -> MDP:
     """Read a Markov chain or decision process from a UMB file.
-
-    Parameters
-    ----------
-    path : str or path
-    discount : number or "p/q", optional
-        Instead of the model's own. The format has none: where another program wrote the file, it
-        is 1 unless it is given, and a warning says so.
-    reward : str, optional
-        Name of a reward model; may be left out where there is one alone, or one called "reward".
-        Its rewards of states, choices and branches add up.
-    start : state, or {state: probability}, optional
-        Needed where the file has several initial states, or none, and no distribution over them.
-
-    Returns
-    -------
-    MDP
-
-    Raises
-    ------
-    ModelError
-        Where the file cannot be read, is damaged, or holds a model of another kind: in continuous
-        time, of several players, partially observable, with intervals for probabilities.
+    time, of several players, partially observable, with intervals for probabilities.
     """
     with located(str(path)):
         content = read(path, reward)
