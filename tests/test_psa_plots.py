@@ -1,15 +1,20 @@
 """Figures of the probabilistic analysis: what stands on the axes is what was found."""
 
+import importlib
+import pkgutil
+
 import matplotlib
 import numpy as np
 import pytest
 
+from exact_mdp import analysis, solvers
 from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.parametric import parametric
+from exact_mdp.mdp.result import Pictured
 
 matplotlib.use("Agg")
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
@@ -86,3 +91,18 @@ def test_curves_that_cannot_be_are_refused(words: dict[str, object], message: st
     given = {"policies": {"a": "optimal"}, "points": [10], "rng": 0, "n": 5} | words
     with pytest.raises(ModelError, match=message):
         expected_loss(SMALL, **given)
+
+
+def test_every_picture_is_drawn_by_a_function_that_is_there() -> None:
+    for package in (analysis, solvers):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if "kernels" not in module.name and "plugin" not in module.name:
+                importlib.import_module(module.name)
+    waiting, seen = [Pictured], []
+    while waiting:
+        waiting += (kinds := waiting.pop().__subclasses__())
+        seen += [kind for kind in kinds if hasattr(kind, "picture")]
+    assert len(seen) >= 10
+    for kind in seen:
+        module, _, function = kind.picture.partition(":")
+        assert callable(getattr(importlib.import_module(module), function)), kind

@@ -190,13 +190,8 @@ def test_figures() -> None:
     own, x = scenario(), "assistance.directive.confusion.persistence"
     found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
     bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
-<<<<<<< HEAD
     surface = two_way(own, x, "base.anger", ranges={x: (0, 1)}, points=3)
-    with plots.style():
-=======
-    surface = two_way(own, x, "base.anger", bounds={x: (0, 1)}, points=3)
     with style():
->>>>>>> 91672d4 (State the look of figures once, and write numbers along logarithmic axes as numbers)
         figure, axes = plt.subplots(2, 3, figsize=(15, 8))
         assert bars.plot(axes[0, 0]) is axes[0, 0]
         assert "regret" in bars.plot(axes[0, 1], output="regret").get_xlabel()

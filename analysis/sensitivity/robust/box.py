@@ -28,9 +28,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base import unit_of
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction
-from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked
+from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked, unit_of
 from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
 from exact_mdp.analysis.sensitivity.robust.family import FamilyBox
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily

@@ -27,7 +27,7 @@ from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
@@ -141,7 +141,7 @@ def difference(one: Bounded, other: Bounded) -> Bounded:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RobustCurve(Result):
+class RobustCurve(Pictured):
     """How values move with the radius of the sets.
 
     Attributes
@@ -150,6 +150,8 @@ class RobustCurve(Result):
         As in `SETS`.
     points : tuple of (radius, Robust)
     """
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_robust_curve"
 
     kind: str
     points: tuple[tuple[float, Robust], ...]
