@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from functools import reduce
+from itertools import pairwise
 from math import isfinite
 from operator import index
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     Floats,
@@ -29,10 +30,11 @@ from exact_mdp.mdp.table import (
     OutcomeTable,
     as_float,
     by_outcome,
+    common,
     exact,
     given,
+    integers,
     ones,
-    over_groups,
     rounding_of,
 )
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
@@ -138,7 +140,17 @@ def from_outcomes(
         gain = _grouped([reward for row in merged for reward in _earned(row)], offsets)
     else:
         gain = _grouped(owned, np.arange(len(merged) + 1))
-    table = _table(offsets, following, weight, gain, of_pairs=owned is not None)
+    table = OutcomeTable(
+        offsets=offsets,
+        next=following,
+        weight=weight.top,
+        denominator=weight.bottom,
+        gain=gain.top,
+        gain_denominator=gain.bottom,
+        weight_doubt=weight.doubt,
+        gain_doubt=gain.doubt,
+    )
+    table = by_outcome(table) if owned is None else table
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -230,19 +242,9 @@ def _from_rows(
     else:
         pair = np.repeat(np.arange(len(state)), np.diff(offsets))
         gain = _grouped(_picked(reward, pair, following), offsets)
-    following = following if size < 2**31 else following.astype(np.int64)
-    table = _table(offsets, following, weight, gain, of_pairs=reward.ndim == 1)
-    if rising and len(table.next) == len(following):
-        vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
-    return _assemble(state, action, table, size, discount, start, names)
-
-
-def _table(
-    offsets: Integers, following: Numbers, weight: _Grouped, gain: _Grouped, *, of_pairs: bool
-) -> OutcomeTable:
     table = OutcomeTable(
         offsets=offsets,
-        next=following,
+        next=following if size < 2**31 else following.astype(np.int64),
         weight=weight.top,
         denominator=weight.bottom,
         gain=gain.top,
@@ -250,7 +252,11 @@ def _table(
         weight_doubt=weight.doubt,
         gain_doubt=gain.doubt,
     )
-    return table if of_pairs else by_outcome(table)
+    if rising:
+        vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
+    if reward.ndim == 2:
+        table = by_outcome(table)
+    return _assemble(state, action, table, size, discount, start, names)
 
 
 def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:
@@ -387,8 +393,10 @@ def _numbers(values: object, where: str) -> Any:
 
     Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s.
     """
-    with located(where):
+    try:
         return _sparse(values) if sp.issparse(values) else _array(values)
+    except ModelError as error:
+        raise ModelError(error.what, where=error.where or where, fix=error.fix) from error
 
 
 def _sparse(values: Any) -> sp.csr_array:
@@ -525,8 +533,13 @@ def _grouped(values: Any, offsets: Integers) -> _Grouped:
         if all(isinstance(value, float) or _is_double(value) for value in flat):
             doubles = np.array([float(value) for value in flat])
             return _Grouped(doubles, ones(groups), _doubt(doubles, off))
-    top, bottom = over_groups([exact(value) for value in flat], offsets)
-    return _Grouped(top, bottom, off if off.any() else None)
+    tops: list[int] = []
+    bottoms: list[int] = []
+    for first, last in pairwise(offsets.tolist()):
+        top, bottom = common([exact(value) for value in flat[first:last]])
+        tops += top
+        bottoms.append(bottom)
+    return _Grouped(integers(tops), integers(bottoms), off if off.any() else None)
 
 
 def _doubt(doubles: Floats, off: Floats) -> Floats | None:

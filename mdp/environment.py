@@ -16,20 +16,23 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import load
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 
-if TYPE_CHECKING:
+try:
     import gymnasium
-else:
-    gymnasium = load("gymnasium")
+except ImportError as error:
+    raise ModelError(
+        "Gymnasium is not installed",
+        where="exact_mdp.mdp.environment",
+        fix='install it: pip install "exact-mdp[gymnasium]"',
+    ) from error
 
 YUAN2025 = "exact_mdp/Yuan2025-v0"
 

@@ -20,7 +20,7 @@ from exact_mdp.mdp.io.load import load
 from exact_mdp.solvers import PrecisionWarning, SolverError, evaluate, solve
 from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
-from exact_mdp.solvers.robust.robust import RobustSolution, solve_robust
+from exact_mdp.solvers.robust.robust import RobustModel, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Inner, Intervals, L1Ball
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -171,6 +171,18 @@ def test_a_way_out_that_nature_can_close() -> None:
     )
 
 
+def test_solve_takes_a_robust_model() -> None:
+    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    sets = L1Ball(radius=0.1)
+    found = solve(RobustModel(model=mdp, ambiguity=sets, objective="min"), tol=1e-6)
+    same = solve_robust(mdp, sets, objective="min", tol=1e-6)
+    assert found.value.tolist() == same.value.tolist()
+    assert found.frame()["action"].tolist() == ["0", "0"]
+    assert found.error <= 1e-6
+    with pytest.raises(ModelError, match="one algorithm"):
+        solve(RobustModel(model=mdp, ambiguity=sets), "value-iteration")
+
+
 def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
     mdp = MDP.from_arrays([[["1/3", "2/3"], ["1/7", "6/7"]]], [1, 0], "9/10")
     with pytest.raises(SolverError, match="iteration limit"):
@@ -198,7 +210,9 @@ def test_a_policy_is_bounded_where_nature_answers_exactly() -> None:
     right = sum(w * F(float(r)) for w, r in zip(shares, rewards, strict=True)) / sum(shares)
 
     class Sharp(Game):
-        def ask(self, value: np.ndarray) -> Inner:
+        def ask(self, value: np.ndarray, *, delay: bool = False) -> Inner:
+            if delay:
+                return super().ask(value, delay=True)
             q = self.mdp.reward[self.pairs]
             return Inner(low=q, high=q, value=q, laws=[])
 

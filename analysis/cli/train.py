@@ -1,17 +1,49 @@
-"""The command that trains by sampling and says exactly what was learned."""
+"""`exact-mdp train`: learning by sampling, and exactly what was learned."""
 
 from __future__ import annotations
 
+import io
+import json
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from exact_mdp.analysis.cli.options import given, number_of, whole_of
-from exact_mdp.analysis.cli.render import Report
+import click
+import numpy as np
 
-if TYPE_CHECKING:
-    from exact_mdp.mdp.io.load import Loaded
-    from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.analysis.cli.options import Given, given, number_of, whole_of
+from exact_mdp.analysis.cli.render import Report, Table, number, to_json
+from exact_mdp.analysis.learning.instability import compare, predict, require_theory
+from exact_mdp.analysis.learning.outcomes import (
+    CANDIDATES,
+    QUANTILES,
+    Interval,
+    Outcomes,
+    outcomes,
+    share_interval,
+)
+from exact_mdp.analysis.record import run_record
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.validate import as_discount
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp.solvers.learning.sampler import as_policy
+from exact_mdp.solvers.learning.schedules import (
+    PAPER_CONSTANT,
+    PAPER_DECAYING,
+    Constant,
+    Schedule,
+)
+from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.values.policy_values import policy_values
+
+LISTED_ROWS = 1000  # policies over more rows are left to the files of --out
+SHOWN = 10  # policies in the table
+SCHEDULES: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
 
 
 def train(
@@ -26,26 +58,16 @@ def train(
     discount: str | None,
     **options: Any,
 ) -> Report:
-    """Train on MODEL as Yuan et al. (2025) do, and compute exactly what the policies are worth.
-
-    Regret is that of the final greedy policies, at the model's discount, over the seeds.
-    """
-    from exact_mdp.analysis.cli.trained import explained, facts, grids, save, summary
-    from exact_mdp.analysis.learning.instability import require_theory
-    from exact_mdp.analysis.learning.outcomes import outcomes
-    from exact_mdp.solvers import solve
-    from exact_mdp.solvers.learning.training import train_many
-
+    """Train on a model and judge what was learned by exact values."""
     asked = given(model, sets, discount)
-    loaded = asked.loaded
-    settings, first = _settings(loaded, options), whole_of(seed, "--seed", most=2**128)
+    settings, first = _settings(asked.mdp, options), whole_of(seed, "--seed", most=2**128)
     count = whole_of(seeds, "--seeds", 1, 10**7)
     workers = None if jobs is None else whole_of(jobs, "--jobs", 1, 1024)
     if explain:
         require_theory(settings)
-    solve(loaded.mdp)  # a model that cannot be judged is refused before the work
+    solve(asked.mdp)  # a model that cannot be judged is refused before the work
     runs = train_many(
-        loaded.mdp,
+        asked.mdp,
         settings,
         count,
         rng=first,
@@ -54,52 +76,277 @@ def train(
         out=out,
         progress=True,
     )
-    found = outcomes(loaded.mdp, runs)
-    result = summary(loaded, settings, first, runs, found)
+    found = outcomes(asked.mdp, runs)
+    result = asked.head | {"seed": first, "settings": repr(settings)} | _summary(runs, found)
     if explain:
-        result["unstable"] = explained(loaded, settings, found)
+        result["unstable"] = _explained(settings, found)
     if out is not None:
-        result["written"] = save(Path(out), loaded, settings, first, runs, found, result)
-    return asked.report(result, facts(result), grids(result))
+        result["written"] = _save(Path(out), asked, settings, runs[0], found, result)
+    return asked.report(result, _facts(result, found), _tables(result))
 
 
-def _settings(loaded: Loaded, options: dict[str, Any]) -> QLearning:
-    from exact_mdp.solvers.learning.q_learning import QLearning
-    from exact_mdp.solvers.learning.schedules import (
-        PAPER_CONSTANT,
-        PAPER_DECAYING,
-        Constant,
-        Schedule,
-    )
-
-    named: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
+def _settings(mdp: MDP, options: dict[str, Any]) -> QLearning:
+    """Return the learner that the options describe."""
     epsilon, columns = options["epsilon"], options["columns"]
-    exploration = named.get(epsilon) or Constant(number_of(epsilon, "--epsilon"))
-    if columns is not None:
-        names = loaded.mdp.space.names
-        columns = names if columns == "all" else tuple(name.strip() for name in columns.split(","))
+    if columns == "all":
+        columns = mdp.space.names
+    elif columns is not None:
+        columns = tuple(name.strip() for name in columns.split(","))
+    try:
+        discount: Fraction = as_discount(options["learning_discount"])
+    except ModelError as error:
+        raise ModelError(error.what, where="--learning-discount", fix=error.fix) from error
+    episodes = whole_of(options["episodes"], "--episodes", 1, 10**9)
     return QLearning(
         method=options["method"],
         epochs=whole_of(options["epochs"], "--epochs", 1, 10**7),
-        episodes=whole_of(options["episodes"], "--episodes", 1, 10**9),
-        discount=_discount(options["learning_discount"]),
+        episodes=episodes,
+        discount=discount,
         rate=Constant(number_of(options["rate"], "--rate")),
         rate_power=number_of(options["rate_power"], "--rate-power"),
-        exploration=exploration,
+        exploration=SCHEDULES.get(epsilon) or Constant(number_of(epsilon, "--epsilon")),
         columns=columns,
         initial=number_of(options["initial"], "--initial"),
         ties=options["ties"],
         bootstrap_end=options["bootstrap_end"],
         max_steps=whole_of(options["max_steps"], "--max-steps", 1, 10**9),
-        snapshot_episode=min(10, whole_of(options["episodes"], "--episodes", 1)),
+        snapshot_episode=min(10, episodes),
     )
 
 
-def _discount(text: str) -> Fraction:
-    from exact_mdp.mdp.errors import ModelError
-    from exact_mdp.mdp.validate import as_discount
+# ---- the result ----------------------------------------------------------------------------------
 
-    try:
-        return as_discount(text)
-    except ModelError as error:
-        raise ModelError(error.what, where="--learning-discount", fix=error.fix) from error
+
+def _summary(runs: Sequence[TrainingRun], found: Outcomes) -> dict[str, Any]:
+    """Return what the runs ended with."""
+    best, counts = found.best, found.last_counts
+    return {
+        "seeds": found.runs,
+        "columns": found.rows.space.names,
+        "claim": "estimated",
+        "value_claim": "bounded",
+        "optimal_value": found.optimum.value,
+        "optimal_value_error": found.optimum.error,
+        "random_value": evaluate(found.mdp, "random").mean,
+        "best_value": found.best_value.value,
+        "best_value_upper_bound": found.optimum.value if best is None else best.upper_bound,
+        "best_value_proven": True if best is None else best.proven,
+        "regret": _spread(found.regret) | {"mean_interval": found.regret_interval},
+        "optimal_fraction": found.optimal_fraction,
+        "optimal_fraction_interval": found.interval_of(found.optimal_fraction),
+        "learning_error": _spread(found.learning_error),
+        "best_fraction": found.best_fraction,
+        "best_fraction_interval": found.interval_of(found.best_fraction),
+        "selected": {
+            "regret": _spread(found.selected_regret),
+            "optimal_fraction": float((found.selected_regret == 0).mean()),
+        },
+        "first_run": _first_run(found, runs[0]),
+        "policies": [
+            row | _share(int(row["count"]), found) | {"policy": _named(found, policy)}
+            for row, policy in zip(
+                found.frame().to_dict("records"), found.policies[found.counts > 0], strict=True
+            )
+        ],
+        "distinct_in_last": {
+            str(many): {"count": count, "interval": share_interval(count, found.runs)}
+            for many, count in counts.items()
+        },
+        "changed_in_last": {
+            found.rows.space.label(row): _share(count, found)
+            for row, count in enumerate(found.changed.sum(axis=0).tolist())
+            if count
+        },
+        "steps": sum(run.steps for run in runs),
+        "cut_short": sum(run.cut_short for run in runs),
+        "unstable": None,
+        "written": [],
+    }
+
+
+def _share(count: int, found: Outcomes) -> dict[str, Any]:
+    return {"fraction": count / found.runs, "interval": share_interval(count, found.runs)}
+
+
+def _spread(values: Floats) -> dict[str, Any]:
+    quantiles = zip(QUANTILES, np.quantile(values, QUANTILES).tolist(), strict=True)
+    return {
+        "mean": float(values.mean()),
+        "mean_interval": None,
+        "quantiles": {str(share): value for share, value in quantiles},
+        "greatest": float(values.max()),
+    }
+
+
+def _first_run(found: Outcomes, run: TrainingRun) -> dict[str, Any]:
+    """Return the policies that were greedy most often in the last episodes of one run."""
+    counts = run.last_counts()
+    top = list(counts)[:CANDIDATES]
+    values = policy_values(found.mdp, found.rows, run.policies[top])
+    return {
+        "episodes": len(run.last),
+        "distinct": len(counts),
+        "top": [
+            {
+                "episodes": counts[number],
+                "value": float(value),
+                "error_bound": float(error),
+                "policy": _named(found, run.policies[number]),
+            }
+            for number, value, error in zip(top, values.value, values.error, strict=True)
+        ],
+    }
+
+
+def _named(found: Outcomes, choices: Numbers) -> dict[str, str] | None:
+    """Return {row: action}, or None where there are too many rows to list."""
+    space, names = found.rows.space, found.mdp.actions
+    if space.size > LISTED_ROWS:
+        return None
+    alone = len(space.columns) == 1 and not space.extra
+    label = space.columns[0].label if alone else space.label
+    return {label(row): names[action] for row, action in enumerate(choices.tolist())}
+
+
+def _explained(settings: QLearning, found: Outcomes) -> dict[str, Any]:
+    """Return fixed point, gaps, noise and predicted shares of the row that changes most."""
+    row = int(found.changed.mean(axis=0).argmax())
+    theory = predict(found.mdp, settings, row=row, policy=found.policies[0])
+    counts = found.choices(row)
+    compared = {kind: compare(getattr(theory, kind), counts) for kind in ("linear", "switching")}
+    seen = zip(theory.frame().to_dict("index").items(), theory.actions.tolist(), strict=True)
+    return {
+        "row": theory.label,
+        "epsilon": theory.field.epsilon,
+        "rate": theory.rate,
+        "actions": {
+            name: entry
+            | {
+                "observed": float(counts[action] / found.runs),
+                "interval": compared["linear"].intervals[action],
+            }
+            for (name, entry), action in seen
+        },
+        "distance": {kind: each.distance for kind, each in compared.items()},
+        "distance_by_chance": {kind: each.noise for kind, each in compared.items()},
+    }
+
+
+def _save(
+    folder: Path,
+    asked: Given,
+    settings: QLearning,
+    run: TrainingRun,
+    found: Outcomes,
+    result: dict[str, Any],
+) -> list[str]:
+    """Write summary, most frequent policy, first Q-table and record beside the runs."""
+    mdp, space = found.mdp, found.rows.space
+    summary, policy, table, record = paths = [
+        folder / name for name in ("summary.json", "policy.csv", "q.npy", "run.json")
+    ]
+    as_policy(mdp, space, found.policies[0]).write(policy)
+    free = np.flatnonzero(found.rows.offered[np.unique(found.rows.key[~mdp.forced])].any(axis=0))
+    content = io.BytesIO()
+    np.save(content, run.q if space == mdp.space else run.q[:, free])
+    write_atomically(table, content.getvalue())
+    words = click.get_current_context().find_root().obj or ()
+    kept = run_record(
+        mdp, model=asked.loaded.name, solver=repr(settings), seed=result["seed"], command=words
+    )
+    write_atomically(record, json.dumps(kept, indent=2) + "\n")
+    written = [str(path) for path in paths]
+    write_atomically(summary, to_json(result | {"written": written}) + "\n")
+    return written
+
+
+# ---- for people ----------------------------------------------------------------------------------
+
+
+def _facts(result: dict[str, Any], found: Outcomes) -> dict[str, Any]:
+    regret = result["regret"]
+    told = {
+        "settings": result["settings"],
+        "runs": f"{result['seeds']:,} from seed {result['seed']}, {result['steps']:,} steps",
+        "discount": f"{number(result['discount'])} (values); the learner's own is in its settings",
+        "optimal value": found.optimum,
+        "value of acting at random": result["random_value"],
+        "mean regret": number(regret["mean"]),
+        "quantiles of regret": ", ".join(
+            f"{float(share):.0%}: {number(value)}" for share, value in regret["quantiles"].items()
+        ),
+        "runs that end optimal": f"{result['optimal_fraction']:.1%} "
+        f"({_percent(result['optimal_fraction_interval'])})",
+    }
+    if regret["mean_interval"]:
+        told["mean regret"] += " (95 %: {:.4g} to {:.4g})".format(*regret["mean_interval"])
+    if result["best_value"] < result["optimal_value"] - result["optimal_value_error"]:
+        proof = "proven" if result["best_value_proven"] else "the best found"
+        read = ", ".join(result["columns"]) or "nothing"
+        told[f"best that reads {read}"] = (
+            f"{number(result['best_value'])}, {proof}; {result['best_fraction']:.1%} end with it"
+        )
+    return told | {
+        "mean regret of the best of five": result["selected"]["regret"]["mean"],
+        "episodes cut short": result["cut_short"] or None,
+        "written": ", ".join(result["written"]) or None,
+    }
+
+
+def _percent(interval: Interval) -> str:
+    return "{:.1%} to {:.1%}".format(*interval)
+
+
+def _tables(result: dict[str, Any]) -> list[Table]:
+    most = result["policies"][0]["policy"]
+
+    def named(entry: dict[str, Any]) -> str:
+        policy = entry["policy"]
+        if policy is None:
+            return "as most runs"
+        shown = {row: a for row, a in policy.items() if policy is most or a != most[row]}
+        return ", ".join(f"{row} {action}" for row, action in shown.items())
+
+    def interval(entry: dict[str, Any]) -> str:
+        return _percent(entry["interval"])
+
+    changed = [{"row": row} | each for row, each in result["changed_in_last"].items()]
+    found = [
+        Table(
+            title="final greedy policies, and where they differ from the first",
+            rows=result["policies"],
+            columns={"runs": "count", "value": "value", "regret": "regret", "policy": named},
+            first=SHOWN,
+        ),
+        Table(
+            title="how many policies are greedy in the last episodes of a run",
+            rows=[
+                {"policies": int(many), "share": each["count"] / result["seeds"]} | each
+                for many, each in result["distinct_in_last"].items()
+            ],
+            columns={
+                "policies": "policies",
+                "runs": "count",
+                "share": "share:.1%",
+                "95 %": interval,
+            },
+        ),
+        Table(
+            title="where these policies differ",
+            rows=sorted(changed, key=lambda each: -each["fraction"]),
+            columns={"row": "row", "share of runs": "fraction:.1%", "95 %": interval},
+        ),
+    ]
+    theory = result["unstable"]
+    if theory:
+        shares = {name: f"{name}:.1%" for name in ("linear", "switching", "observed")}
+        values = {"Q": "fixed_point:.3f", "gap": "gap:.3f", "noise": "noise:.3f"}
+        found.append(
+            Table(
+                title=f"{theory['row']}: fixed point of the learner, noise at rate "
+                f"{theory['rate']:g}, and predicted and observed shares of final policies",
+                rows=[{"action": name} | entry for name, entry in theory["actions"].items()],
+                columns={"action": "action"} | values | shares | {"95 %": interval},
+            )
+        )
+    return found

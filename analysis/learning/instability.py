@@ -83,12 +83,12 @@ class Prediction(Result):
         some = self.actions
         return pandas.DataFrame(
             {
-                "Q": self.field.q[self.row, some],
+                "fixed_point": self.field.q[self.row, some],
                 "gap": self.gaps[some],
                 "noise": self.spread[some],
                 "linear": self.linear[some],
                 "switching": self.switching[some],
-                "switching error": self.switching_error[some],
+                "switching_error": self.switching_error[some],
             },
             index=pandas.Index([self.field.mdp.actions[a] for a in some], name="action"),
         )
@@ -284,7 +284,7 @@ def _switching(
             q[at] = q[at] @ pull[regime] + drift[regime] + draw[at] @ noise[regime]
         if episode >= episodes // 2:
             shares[np.arange(n), q[:, place].argmax(axis=1)] += 1
-    return shares / shares.sum(axis=1, keepdims=True)
+    return np.asarray(shares / shares.sum(axis=1, keepdims=True))
 
 
 def _root(covariance: Floats) -> Floats:

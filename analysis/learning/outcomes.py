@@ -141,15 +141,25 @@ class Outcomes(Result):
         taken = self.policies[self.final, row]
         return np.bincount(taken, minlength=self.mdp.n_actions)
 
+    @property
+    def last_counts(self) -> dict[int, int]:
+        """Runs by how many policies were greedy in their last episodes."""
+        many, runs = np.unique(self.distinct, return_counts=True)
+        return dict(zip(many.tolist(), runs.tolist(), strict=True))
+
+    def interval_of(self, share: float) -> Interval:
+        """Return Wilson's 95 % interval of a share of the runs."""
+        return share_interval(round(share * self.runs), self.runs)
+
     def frame(self) -> DataFrame:
         """Return one row for each final policy, the most frequent first."""
         shown = np.flatnonzero(self.counts)
         return pandas.DataFrame(
             {
-                "runs": self.counts[shown],
-                "value (reward)": self.value[shown],
-                "error bound (reward)": self.error[shown],
-                "regret (reward)": self.policy_regret[shown],
+                "count": self.counts[shown],
+                "value": self.value[shown],
+                "error_bound": self.error[shown],
+                "regret": self.policy_regret[shown],
             }
         )
 

@@ -22,7 +22,8 @@ from exact_mdp.analysis.perception.policies import NODES, best_perceived_policy,
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -34,7 +35,7 @@ pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AccuracyCurves(Pictured):
+class AccuracyCurves(Result):
     """Values of a policy on perceptions along accuracies, status by status and for all.
 
     Attributes
@@ -45,8 +46,6 @@ class AccuracyCurves(Pictured):
     error : float
         No value is off by more than this.
     """
-
-    picture = "exact_mdp.analysis.plots.perception:plot_accuracy_curves"
 
     levels: Floats
     values: dict[str, Floats]
@@ -59,7 +58,7 @@ class AccuracyCurves(Pictured):
 
 def accuracy_curves(
     model: MDP,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     *,
     levels: Iterable[float] | None = None,
     statuses: Sequence[str] | None = None,
@@ -98,7 +97,7 @@ def accuracy_curves(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Hedging(Pictured):
+class Hedging(Result):
     """The best memoryless policy on perceptions as perception worsens.
 
     Attributes
@@ -110,8 +109,6 @@ class Hedging(Pictured):
     taken_as_true : (M,)
         The value of the policy given, taking what it perceives for true.
     """
-
-    picture = "exact_mdp.analysis.plots.perception:plot_hedging"
 
     mdp: MDP
     levels: Floats
@@ -159,7 +156,7 @@ class Hedging(Pictured):
 
 def hedging(
     model: MDP,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     *,
     levels: Sequence[float] = (1.0, 0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7, 0.65, 0.6),
     node_limit: int = NODES,
@@ -200,7 +197,7 @@ def hedging(
 
 
 def prices(
-    model: MDP, levels: Sequence[float], policy: object = "optimal", **limits: Any
+    model: MDP, levels: Sequence[float], policy: PolicyLike = "optimal", **limits: Any
 ) -> tuple[PriceOfPerception, ...]:
     """Return `price_of_perception` at each accuracy of all statuses, with its limits."""
     return tuple(

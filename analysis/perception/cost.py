@@ -27,6 +27,7 @@ from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
@@ -97,7 +98,7 @@ def price_of_perception(
     model: MDP,
     confusion: ArrayLike,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     tol: float = 0.02,
     seconds: float = 5.0,
     max_trials: int = 100_000,
@@ -212,7 +213,7 @@ class UncertainValue(Result):
 
 def value_under_counts(
     model: MDP,
-    policy: object,
+    policy: PolicyLike,
     counts: Counted,
     *,
     rng: RNG,

@@ -28,7 +28,8 @@ from exact_mdp.analysis.perception.policies import status_names
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.pomdp.values import acting, at_start, largest, rounding, values, visits
@@ -42,7 +43,7 @@ pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ErrorCosts(Pictured):
+class ErrorCosts(Result):
     """Which errors of perception cost a policy most.
 
     Attributes
@@ -61,8 +62,6 @@ class ErrorCosts(Pictured):
     error : float
         No entry of `derivative` or `loss`, and no rate, is off by more than this.
     """
-
-    picture = "exact_mdp.analysis.plots.perception:plot_error_costs"
 
     statuses: tuple[str, ...]
     value: Bounded
@@ -114,7 +113,7 @@ class ErrorCosts(Pictured):
         return pandas.DataFrame(sorted(rows, key=lambda row: -row[2]), columns=names)
 
 
-def error_costs(model: MDP, policy: object, confusion: ArrayLike) -> ErrorCosts:
+def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCosts:
     """Return which errors of perception cost a policy most, at the margin and in all.
 
     Parameters

@@ -26,13 +26,14 @@ from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
-    from flint import fmpq_poly
+    from flint import fmpq, fmpq_poly
     from pandas import DataFrame
 
 flint, pandas = later("flint"), later("pandas")
@@ -106,7 +107,7 @@ class AccuracyNeeded(Result):
 
 
 def accuracy_needed(
-    model: MDP, policy: object = "optimal", *, share: object = "19/20", status: str = ALL
+    model: MDP, policy: PolicyLike = "optimal", *, share: object = "19/20", status: str = ALL
 ) -> AccuracyNeeded:
     """Return the accuracy from which on a policy on perceptions keeps a share of its value.
 
@@ -165,9 +166,10 @@ def accuracy_needed(
     )
 
 
-def _value_polynomial(mdp: MDP, policy: object, status: str) -> fmpq_poly:
+def _value_polynomial(mdp: MDP, policy: PolicyLike, status: str) -> fmpq_poly:
     """Return the value at the start as an exact polynomial of the accuracy."""
-    zero, process = flint.fmpq_poly([]), Process.of(mdp, confusion_at(mdp, 1.0))
+    zero: fmpq_poly = flint.fmpq_poly([])
+    process = Process.of(mdp, confusion_at(mdp, 1.0))
     table = process.table(policy_of(mdp, policy))
     bits = _uncertain(mdp, status)
     entries = _entries(bits)
@@ -188,15 +190,15 @@ def _value_polynomial(mdp: MDP, policy: object, status: str) -> fmpq_poly:
             for action, weight in done.items():
                 pair = mdp.pair(state, action)
                 ahead = zero
-                for chance, following, _ in mdp.table.row(pair):
+                for p, following, _ in mdp.table.row(pair):
                     if following in value:
-                        ahead = ahead + value[following] * rational(chance)
+                        ahead = ahead + value[following] * rational(p)
                 gain = rational(Fraction(int(gain_top[pair]), int(gain_bottom[pair])))
                 total = total + weight * (ahead * rate + gain)
             value[state] = total
     start = zero
-    for state, weight in mdp.start:
-        start = start + value.get(state, zero) * rational(weight)
+    for state, chance in mdp.start:
+        start = start + value.get(state, zero) * rational(chance)
     return start
 
 
@@ -225,7 +227,7 @@ def _entries(bits: Sequence[bool]) -> list[list[tuple[fmpq_poly, int]]]:
     ]
 
 
-def _exact_shares(row: Sequence[float]) -> list[tuple[int, object]]:
+def _exact_shares(row: Sequence[float]) -> list[tuple[int, fmpq]]:
     """Return the actions taken with their exact probabilities."""
     shares = [(action, Fraction(share)) for action, share in enumerate(row) if share]
     total = sum((share for _, share in shares), Fraction(0))
@@ -255,5 +257,5 @@ def _sides(poly: fmpq_poly, root: Root) -> tuple[int, int]:
     return sign(poly, root.low - gap), sign(poly, root.high + gap)
 
 
-def _fraction(value: object) -> Fraction:
+def _fraction(value: fmpq) -> Fraction:
     return Fraction(int(value.p), int(value.q))

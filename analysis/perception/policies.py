@@ -28,7 +28,7 @@ from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Rows, one_hot
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values, visits
 
@@ -92,7 +92,7 @@ def best_perceived_policy(
     return replace(found, mixed_upper_bound=lowest, upper_bound=min(found.upper_bound, lowest))
 
 
-def place_by_place(process: Process, policies: Sequence[object]) -> Policy:
+def place_by_place(process: Process, policies: Sequence[PolicyLike]) -> Policy:
     """Return a good policy that reads place and perceived status, from others by improvement.
 
     A place is visited once, so what is best in it for each perception, the other places held, is

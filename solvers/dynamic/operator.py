@@ -3,7 +3,7 @@
     V(k, t, s) = max over a of  E[gain + γ V(next) | s, a],
 
 one subtask after the other from the last, one trial after the other, each a vector over the status
-vectors s; `mdp.care.operator` says how the expectation is computed. The error bound is that of
+vectors s; see `mdp.care.operator` for how the expectation is had. The error bound is that of
 `solvers.dynamic.backward_induction`, with the rounding error of a layer bounded once for all its
 states: expectations are averages, so that an error of x passes on at most as it is, and with the
 value of the first outcome taken off x before and added after, what rounding does inside is set by
@@ -26,9 +26,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.care.operator import CareOperator, Expect, Law
+from exact_mdp.mdp.care.operator import CareOperator, Expect, Law, as_gains
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import ladder
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
@@ -36,8 +35,6 @@ from exact_mdp.solvers.solution import Bounded, Solution, SolverError, Status
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.model import MDP
-
-loops = later("exact_mdp.solvers.kernels.operator")
 
 UNITS = UNIT * (1 + 2.0**-10)
 COMPILED_FROM, LOADED_FROM = 0.3, 0.002  # seconds that the loops in NumPy would take, about
@@ -47,7 +44,7 @@ POLICY = "give an action for each status vector or state, or probabilities (2^n,
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def solve_operator(model: CareOperator) -> Solution:
+def solve_operator(operator: CareOperator) -> Solution:
     """Return optimal values and policy of an operator, with bounds on their error.
 
     The solution is that of the explicit model up to rounding; its `mdp` is the operator.
@@ -60,20 +57,16 @@ def solve_operator(model: CareOperator) -> Solution:
     146.235870743 ± ... (bounded)
     """
     started = perf_counter()
-    dense = bool(len(model.step.dense))
-    induced = compiled_induce(model) if dense and _compiled(model) else induce(model)
-    value, actions, above, below = induced
-    high, low = _ladder(model, above), _ladder(model, below)
+    value, actions, above, below = _induced(operator)
+    high, low = _ladder(operator, above), _ladder(operator, below)
     if not (np.isfinite(value).all() and np.isfinite(high[0]) and np.isfinite(low[0])):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-    errors = np.zeros(model.n_states)
-    errors[:-1].reshape(len(high), -1)[:] = np.maximum(high, low)[:, None]
     return Solution(
         # A solution reads pair_action, start and backup of its model, which operators have too.
-        mdp=cast("MDP", model),
+        mdp=cast("MDP", operator),
         value=value,
-        pairs=_pairs(model, actions),
-        state_error=errors,
+        pairs=_pairs(operator, actions),
+        state_error=_by_state(operator, np.maximum(high, low)),
         regret_bound=float((high + low).max()),
         status=Status.DIRECT,
         method=METHOD,
@@ -83,24 +76,14 @@ def solve_operator(model: CareOperator) -> Solution:
     )
 
 
-def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
+def operator_mean(operator: CareOperator, policy: ArrayLike) -> Bounded:
     """Return the mean return of a policy from the start, with a bound on its error.
 
     Parameters
     ----------
-    model : CareOperator
     policy : (2^n,) or (S,) ints, or (2^n, A) floats
         Actions by status vector or by state, or probabilities of the assistive actions by status
         vector. A skip of its own is taken where it is the only action.
-
-    Returns
-    -------
-    Bounded
-
-    Raises
-    ------
-    ModelError
-        For an array that is not a policy.
 
     Examples
     --------
@@ -108,30 +91,36 @@ def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
     >>> print(operator_mean(Scenario.load("yuan2025").operator(), np.full((16, 4), 0.25)))
     85.0285... ± ... (bounded)
     """
-    rules, where = model.rules, f"operator {model.name}"
+    rules = operator.rules
     try:
         given = np.asarray(policy)
     except ValueError as fault:
-        raise ModelError("rows of a policy differ in length", where=where, fix=POLICY) from fault
+        raise ModelError(
+            "rows of a policy differ in length", where=f"operator {operator.name}", fix=POLICY
+        ) from fault
     by_status = given.shape == (rules.vectors,)
-    whole = given.dtype.kind in "iu" and (by_status or given.shape == (model.n_states,))
+    whole = given.dtype.kind in "iu" and (by_status or given.shape == (operator.n_states,))
+    mixed = given.shape == (rules.vectors, rules.assistive)
     if whole:
-        state = model.space.values("trial")
+        choice = given.reshape(-1)
+        state = operator.space.values("trial")
         trying = given if by_status else given[(state >= 0) & (state < rules.trials)]
         valid = bool(((trying >= 0) & (trying < rules.assistive)).all())
     else:
-        valid = given.shape == (rules.vectors, rules.assistive) and bool(
-            (given >= 0).all() and (np.abs(given.sum(axis=1) - 1) <= 1e-9).all()
-        )
+        total = given.sum(axis=1) if mixed else np.zeros(1)
+        valid = mixed and bool((given >= 0).all() and (np.abs(total - 1) <= 1e-9).all())
     if not valid:
         raise ModelError(
-            f"an array of shape {given.shape} that is no policy", where=where, fix=POLICY
+            f"an array of shape {given.shape} that is no policy",
+            where=f"operator {operator.name}",
+            fix=POLICY,
         )
 
     def choose(first: int, q: Floats) -> tuple[Floats, Integers]:
+        columns = np.arange(rules.vectors)
         if whole:
-            taken = given if by_status else given[first : first + rules.vectors]
-            return q[taken, np.arange(rules.vectors)], taken
+            taken = choice if by_status else choice[first : first + rules.vectors]
+            return q[taken, columns], taken
         share = (given / given.sum(axis=1, keepdims=True)).T
         value = share[0] * q[0]
         for action in range(1, rules.assistive):
@@ -139,8 +128,8 @@ def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
         return value, np.zeros(rules.vectors, dtype=np.int64)
 
     # A mixture adds A products, and shares that are off by a few units each.
-    value, _, error, _ = induce(model, choose=choose, mixing=3.0 * rules.assistive)
-    bound = float(_ladder(model, error)[0])
+    value, _, error, _ = induce(operator, _expect(operator), choose, mixing=3.0 * rules.assistive)
+    bound = float(_ladder(operator, error)[0])
     if not np.isfinite(bound):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
     return Bounded(value=float(value[0]), error=bound)
@@ -148,7 +137,7 @@ def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
 
 def induce(
     operator: CareOperator,
-    expect: Expect | None = None,
+    expect: Expect,
     choose: Callable[[int, Floats], tuple[Floats, Integers]] | None = None,
     *,
     mixing: float = 0.0,
@@ -157,58 +146,57 @@ def induce(
 
     Parameters
     ----------
-    expect : function, optional
-        Applies a law to a vector; by compiled loops where that is worth while, unless given.
+    expect : function
+        Applies a law to a vector.
     choose : function, optional
         From the number of a layer's first state and (A, 2^n) action values to values and actions;
         the best ones unless given.
     mixing : float
         Units of roundoff that `choose` may add, in parts of the largest value.
     """
-    if expect is None:
-        folding = not len(operator.step.dense)
-        expect = compiled_expect if folding and _compiled(operator) else Law.expect
     rules, rate = operator.rules, operator.discount
-    unit, largest, fixed, step_error, skip_error, factor = units(operator).tolist()
-    value, actions, above, below = _empty(operator)
-    vectors = rules.vectors
-    for number in range(len(rules.places) - 1, -1, -1):
+    unit, largest, fixed, step_error, skip_error, factor, skip_factor = units(operator).tolist()
+    value = np.zeros(operator.n_states)
+    actions = np.zeros(operator.n_states, dtype=np.int64)
+    above = np.zeros((len(operator.kinds), rules.trials + rules.own))
+    below = np.zeros_like(above)
+    for number in range(len(operator.kinds) - 1, -1, -1):
         behind = operator.after(value, number, 1)
         spread = float(np.abs(behind - behind[0]).max())
         clear = float(operator.after(value, number, 0)[0])
         magnitude = max(abs(clear), float(np.abs(behind).max()))
         if rules.own:
-            doubt = (skip_error + 1.0) * spread + factor * (largest + rate * magnitude)
+            doubt = (skip_error + 1.0) * spread + skip_factor * (largest + rate * magnitude)
             above[number, -1] = below[number, -1] = unit * (doubt + fixed)
-            first = number * rules.size + rules.trials * rules.flags * vectors
+            first = number * rules.size + rules.trials * rules.flags * rules.vectors
             alone = operator.alone_q(value, number, expect)
             value[first : (number + 1) * rules.size] = np.tile(alone, rules.flags)
             actions[first : (number + 1) * rules.size] = rules.assistive
         for trial in range(rules.trials - 1, -1, -1):
             ends = trial + 1 == rules.trials and not rules.own
             for flag in range(rules.flags):
-                first = number * rules.size + (trial * rules.flags + flag) * vectors
-                x = operator.ahead(value, number, trial, flag, expect)
+                first = number * rules.size + (trial * rules.flags + flag) * rules.vectors
+                x, _ = operator.ahead(value, number, trial, flag, expect)
                 seen = magnitude
                 if not ends:
-                    later = first + rules.flags * vectors
-                    seen = max(seen, float(np.abs(value[later : later + vectors]).max()))
+                    later = first + rules.flags * rules.vectors
+                    seen = max(seen, float(np.abs(value[later : later + rules.vectors]).max()))
                 width = float(np.abs(x - x[0]).max())
                 doubt = (step_error + 1.0) * width + (skip_error * spread if ends else 0.0)
-                doubt += (2 * factor if ends else factor) * (largest + rate * seen)
+                doubt += (factor + (skip_factor if ends else 0.0)) * (largest + rate * seen)
                 doubt = unit * (doubt + fixed)
                 q = operator.q(x, expect)
                 if choose is None:
                     best = q.max(axis=0)
                     slack = 2 * doubt + 16 * unit * np.abs(best)
                     taken = np.argmax(q + slack >= best - slack, axis=0)
-                    short = float((doubt + (best - q[taken, np.arange(vectors)])).max())
+                    short = float((doubt + (best - q[taken, np.arange(rules.vectors)])).max())
                 else:
                     best, taken = choose(first, q)
                     doubt += unit * mixing * float(np.abs(q).max())
                     short = doubt
-                value[first : first + vectors] = best
-                actions[first : first + vectors] = taken
+                value[first : first + rules.vectors] = best
+                actions[first : first + rules.vectors] = taken
                 above[number, trial] = max(above[number, trial], doubt)
                 below[number, trial] = max(below[number, trial], short)
     return value, actions, above, below
@@ -217,33 +205,48 @@ def induce(
 def units(operator: CareOperator) -> Floats:
     """Return what rounding errors are made of; see `solvers.kernels.operator.induce`."""
     rules = operator.rules
-    complete, fail, skipped, alone, const = (
-        float(np.abs(getattr(operator, name)).max())
+    top = {
+        name: float(np.abs(getattr(operator, name)).max())
         for name in ("complete", "fail", "skipped", "alone", "const")
+    }
+    largest = top["const"] + max(
+        top["complete"], top["fail"] + top["skipped"], top["alone"] + top["skipped"]
     )
-    largest = const + max(complete, fail + skipped, alone + skipped)
+    discounted = 0.0 if operator.discount_exact == 1 else 2.0
     step, skip = operator.step.error, operator.skip.error
     # Gains are rounded themselves; `const` and `alone` hold expectations.
-    fixed = 8.0 * largest + step * float(np.abs(rules.rounded(rules.assist)).max()) * (1 + UNITS)
-    cost = np.abs(rules.rounded(rules.present)) + np.abs(rules.rounded(rules.following))
-    fixed += skip * float(cost.max()) * (1 + UNITS) if rules.own else 0.0
-    factor = 3.0 if operator.discount_exact == 1 else 5.0
-    return np.array([UNITS, largest, fixed, step, skip, factor])
+    fixed = 8.0 * largest + step * float(np.abs(as_gains(rules, rules.assist)).max()) * (1 + UNITS)
+    cost = float(np.abs(as_gains(rules, rules.cost)).max())
+    fixed += skip * cost * (1 + UNITS) if rules.own else 0.0
+    return np.array([UNITS, largest, fixed, step, skip, 3.0 + discounted, 3.0 + discounted])
 
 
-# ---- compiled loops ------------------------------------------------------------------------------
+# ---- which loops ---------------------------------------------------------------------------------
 
 
 def _compiled(operator: CareOperator) -> bool:
-    """Return whether compiled loops save more time than it takes to load them."""
     rules = operator.rules
-    states = len(operator.rules.places) * rules.trials * rules.flags * rules.vectors
-    seconds = states * (2e-6 if len(operator.step.dense) else 1e-5 * rules.assistive)
+    layers = len(operator.kinds) * rules.trials * rules.flags
+    each = 1e-5 if not len(operator.step.dense) else 2e-6
+    seconds = layers * rules.vectors * each * (1 if len(operator.step.dense) else rules.assistive)
     return seconds >= (LOADED_FROM if "numba" in sys.modules else COMPILED_FROM)
+
+
+def _induced(operator: CareOperator) -> tuple[Floats, Integers, Floats, Floats]:
+    if len(operator.step.dense) and _compiled(operator):
+        return compiled_induce(operator)
+    return induce(operator, _expect(operator))
+
+
+def _expect(operator: CareOperator) -> Expect:
+    folding = not len(operator.step.dense)
+    return compiled_expect if folding and _compiled(operator) else Law.expect
 
 
 def compiled_expect(law: Law, x: Floats) -> Floats:
     """Return what `Law.expect` does, by the compiled loops; the same bits on any threads."""
+    from exact_mdp.solvers.kernels.operator import expect
+
     rules, vectors, count = law.chance.shape
     found = np.empty((rules, vectors))
 
@@ -251,7 +254,7 @@ def compiled_expect(law: Law, x: Floats) -> Floats:
         even, odd = np.empty((count, vectors // 2)), np.empty((count, vectors // 2))
         kept = np.zeros((count + 1, count + 1), dtype=np.int64)
         places = np.zeros((count + 1, 5), dtype=np.int64)
-        loops.expect(law.chance[rule], law.ready[rule], x, found[rule], even, odd, kept, places)
+        expect(law.chance[rule], law.ready[rule], x, found[rule], even, odd, kept, places)
 
     if rules == 1 or vectors < THREADED_FROM:
         for rule in range(rules):
@@ -264,39 +267,42 @@ def compiled_expect(law: Law, x: Floats) -> Floats:
 
 def compiled_induce(operator: CareOperator) -> tuple[Floats, Integers, Floats, Floats]:
     """Return what `induce` does, by compiled loops over the small matrix of the law."""
+    from exact_mdp.solvers.kernels import operator as kernels
+
     rules = operator.rules
-    induced = _empty(operator)
-    loops.induce(
+    value = np.zeros(operator.n_states)
+    actions = np.zeros(operator.n_states, dtype=np.int64)
+    above = np.zeros((len(operator.kinds), rules.trials + rules.own))
+    below = np.zeros_like(above)
+    const = operator.const.reshape(-1)
+    kernels.induce(
         operator.step.dense,
         operator.skip.dense,
-        operator.const.reshape(-1),
+        const,
         operator.fail,
         operator.complete,
         operator.skipped,
         operator.alone,
-        rules.places,
-        rules.kept,
+        operator.kinds,
         rules.trials,
         rules.flags,
         rules.own,
         operator.discount,
         units(operator),
-        *induced,
-        np.zeros((3, rules.vectors)),
-        np.empty((2, operator.const.size)),
+        value,
+        actions,
+        above,
+        below,
+        np.empty(rules.vectors),
+        np.empty(rules.vectors),
+        np.zeros(rules.vectors),
+        np.empty(len(const)),
+        np.empty(len(const)),
     )
-    return induced
+    return value, actions, above, below
 
 
 # ---- errors and numbers --------------------------------------------------------------------------
-
-
-def _empty(operator: CareOperator) -> tuple[Floats, Integers, Floats, Floats]:
-    """Return values, actions and errors to fill."""
-    rules = operator.rules
-    layers = len(rules.places), rules.trials + rules.own
-    actions = np.zeros(operator.n_states, dtype=np.int64)
-    return np.zeros(operator.n_states), actions, np.zeros(layers), np.zeros(layers)
 
 
 def _ladder(operator: CareOperator, step: Floats) -> Floats:
@@ -309,14 +315,26 @@ def _ladder(operator: CareOperator, step: Floats) -> Floats:
     return total[:0:-1] * SLACK
 
 
+def _by_state(operator: CareOperator, errors: Floats) -> Floats:
+    wide = operator.rules.flags * operator.rules.vectors
+    found = np.zeros(operator.n_states)
+    found[:-1].reshape(-1, wide)[:] = errors[:, None]
+    return found
+
+
 def _pairs(operator: CareOperator, actions: Integers) -> Integers:
     """Return the pair (S,) of each state's action (S,), in the memory of the actions."""
     rules = operator.rules
     trying = rules.trials * rules.flags * rules.vectors
-    state, _ = rules.pairs()
-    table = actions[:-1].reshape(len(rules.places), rules.size)
+    state = np.arange(rules.size)
+    first = np.where(
+        state < trying, state * rules.assistive, trying * (rules.assistive - 1) + state
+    )
+    per_block = trying * rules.assistive + rules.size - trying
+    count = len(operator.kinds)
+    table = actions[:-1].reshape(count, rules.size)
     table[:, trying:] = 0  # a skip is the only pair of its state
-    table += np.searchsorted(state, np.arange(rules.size))  # the first pair of each state
-    table += np.arange(len(rules.places))[:, None] * len(state)
+    table += first
+    table += np.arange(count)[:, None] * per_block
     actions[-1] = operator.n_pairs - 1
     return actions

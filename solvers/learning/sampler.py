@@ -126,7 +126,7 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
         total += len(entry[-1])
     starts = [state for state, weight in mdp.start if weight]
     weights = [float(weight) for _, weight in mdp.start if weight]
-    return kernels.Tables(
+    laid_out: Tables = kernels.Tables(
         low=low,
         high=high,
         entry=np.concatenate(entry),
@@ -140,6 +140,7 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
         row_offsets=row_offsets.astype(np.int64),
         row_entry=row_entry.astype(np.int64),
     )
+    return laid_out
 
 
 def as_policy(mdp: MDP, space: StateSpace, choices: Sequence[int] | Numbers) -> Policy:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.fingerprint import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
@@ -116,10 +117,9 @@ def _read(
     array.
     """
     try:
-        numbers = {name: arrays[name].item() for name in NUMBERS}
-        run = TrainingRun(
-            space=trainer.rows.space, **{name: arrays[name] for name in ARRAYS}, **numbers
-        )
+        fields: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
+        fields |= {name: arrays[name].item() for name in NUMBERS}
+        run = TrainingRun(space=trainer.rows.space, **fields)
         if trainer.possible(run):
             return run
     except (KeyError, TypeError, ValueError):  # arrays that are missing, or do not fit together

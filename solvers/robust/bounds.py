@@ -97,21 +97,31 @@ class Game:
         """(S,) levels where the model is acyclic, whatever nature does; None where it is not."""
         return levels(self.mdp)
 
-    def ask(self, value: Floats) -> Inner:
-        """Return what nature makes of each of `pairs`, at values (S,)."""
-        rate = self.mdp.discount
-        return inner(self.ambiguity, self.blocks, value, discount=rate, against=self.against)
+    def ask(self, value: Floats, *, delay: bool = False) -> Inner:
+        """Return what nature makes of each of `pairs`, at values (S,).
 
-    def agent(self, q: Floats) -> Floats:
+        With `delay` both sides are after steps: nature makes rows worth as much as it can, without
+        their rewards.
+        """
+        return inner(
+            self.ambiguity,
+            self.blocks,
+            value,
+            discount=self.mdp.discount,
+            against=self.against and not delay,
+            rewards=not delay,
+        )
+
+    def agent(self, q: Floats, *, delay: bool = False) -> Floats:
         """Return (T,) what the agent makes of pair values (U,)."""
         if self.weights is not None:
             return np.asarray(np.add.reduceat(self.share * q, self.first))
-        best = np.maximum if self.most else np.minimum
+        best = np.maximum if self.most or delay else np.minimum
         return np.asarray(best.reduceat(q, self.first))
 
-    def choice(self, q: Floats) -> Integers:
+    def choice(self, q: Floats, *, delay: bool = False) -> Integers:
         """Return (T,) the first position in `pairs` with the best value of each state."""
-        best = self.agent(q)
+        best = self.agent(q, delay=delay)
         number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
         return np.minimum.reduceat(number, self.first)
 
@@ -146,21 +156,17 @@ def margins(game: Game) -> Margins:
     Raises ModelError where some policy and some laws never end at discount 1, SolverError where
     double precision does not suffice.
     """
-    mdp, rate = game.mdp, game.mdp.discount
-    order = game.order
-    delay = Game(mdp=mdp, ambiguity=game.ambiguity, against=False, weights=game.weights)
-    for part in ("blocks", "pairs"):
-        delay.__dict__[part] = getattr(game, part)
+    mdp, rate, order = game.mdp, game.mdp.discount, game.order
     live = ~mdp.terminal
     if rate == 0 or (order is None and rate < 1):
         weight = live.astype(np.float64)
     elif order is None:
-        weight = _longest(delay)
+        weight = _longest(game)
     elif rate == 1:
         weight = order.astype(np.float64)
     else:
         weight = np.asarray(-np.expm1(order * np.log(rate)) / (1 - rate))
-    found = _steps(delay, weight)
+    found = game.ask(weight, delay=True)
     later = np.maximum.reduceat(found.high, game.first) if len(game.live) else found.high
     margin = (weight[game.live] - later) * (1 - 4 * UNIT)
     if not np.all(margin > 0):
@@ -168,24 +174,19 @@ def margins(game: Game) -> Margins:
     return Margins(weight=weight, margin=np.asarray(margin))
 
 
-def _steps(delay: Game, weight: Floats) -> Inner:
-    sets, rows, rate = delay.ambiguity, delay.blocks, delay.mdp.discount
-    return inner(sets, rows, weight, discount=rate, against=False, rewards=False)
-
-
-def _longest(delay: Game) -> Floats:
+def _longest(game: Game) -> Floats:
     """Return about the greatest expected number of steps, by policy iteration on both choices."""
-    mdp, live = delay.mdp, ~delay.mdp.terminal
+    live = ~game.mdp.terminal
     weight = live.astype(np.float64)
     for iteration in range(WEIGHT_ITERATIONS):
-        found = _steps(delay, weight)
-        chosen = None if delay.weights is not None else delay.choice(found.value)
-        gain = 1 + delay.agent(found.value) - weight[delay.live]
+        found = game.ask(weight, delay=True)
+        chosen = None if game.weights is not None else game.choice(found.value, delay=True)
+        gain = 1 + game.agent(found.value, delay=True) - weight[game.live]
         # What adds less than half a step leaves a margin of over a half.
         if iteration and gain.max(initial=0.0) < 0.5:
             return weight
-        chain, _earned = delay.chain(found.laws, chosen)
-        _refuse_endless(mdp, chain)
+        chain, _earned = game.chain(found.laws, chosen)
+        _refuse_endless(game.mdp, chain)
         weight = LinearSystem(chain).approximate(live.astype(np.float64))
         if not np.all(np.isfinite(weight)):
             break

@@ -153,11 +153,13 @@ class RobustSolution(Result):
 
     def frame(self) -> DataFrame:
         """Return value, error bound and action of each state."""
+        mdp, policy = self.mdp, self.policy
+        states = [mdp.space.label(state) for state in range(mdp.n_states)]
         columns = {"value (reward)": self.value, "error bound (reward)": self.state_error}
-        if self.policy is not None:
-            columns["action"] = [self.mdp.actions[action] for action in self.policy]
-        states = [self.mdp.space.label(state) for state in range(self.mdp.n_states)]
-        return pandas.DataFrame(columns, index=pandas.Index(states, name="state"))
+        found = pandas.DataFrame(columns, index=pandas.Index(states, name="state"))
+        if policy is not None:
+            found["action"] = [mdp.actions[action] for action in policy]
+        return found
 
     def __repr__(self) -> str:
         return (
