@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from functools import reduce
-from itertools import pairwise
 from math import isfinite
 from operator import index
 from typing import Any, NamedTuple
@@ -20,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     Floats,
@@ -30,11 +29,10 @@ from exact_mdp.mdp.table import (
     OutcomeTable,
     as_float,
     by_outcome,
-    common,
     exact,
     given,
-    integers,
     ones,
+    over_groups,
     rounding_of,
 )
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
@@ -140,17 +138,7 @@ def from_outcomes(
         gain = _grouped([reward for row in merged for reward in _earned(row)], offsets)
     else:
         gain = _grouped(owned, np.arange(len(merged) + 1))
-    table = OutcomeTable(
-        offsets=offsets,
-        next=following,
-        weight=weight.top,
-        denominator=weight.bottom,
-        gain=gain.top,
-        gain_denominator=gain.bottom,
-        weight_doubt=weight.doubt,
-        gain_doubt=gain.doubt,
-    )
-    table = by_outcome(table) if owned is None else table
+    table = _table(offsets, following, weight, gain, of_pairs=owned is not None)
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -242,9 +230,19 @@ def _from_rows(
     else:
         pair = np.repeat(np.arange(len(state)), np.diff(offsets))
         gain = _grouped(_picked(reward, pair, following), offsets)
+    following = following if size < 2**31 else following.astype(np.int64)
+    table = _table(offsets, following, weight, gain, of_pairs=reward.ndim == 1)
+    if rising and len(table.next) == len(following):
+        vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
+    return _assemble(state, action, table, size, discount, start, names)
+
+
+def _table(
+    offsets: Integers, following: Numbers, weight: _Grouped, gain: _Grouped, *, of_pairs: bool
+) -> OutcomeTable:
     table = OutcomeTable(
         offsets=offsets,
-        next=following if size < 2**31 else following.astype(np.int64),
+        next=following,
         weight=weight.top,
         denominator=weight.bottom,
         gain=gain.top,
@@ -252,11 +250,7 @@ def _from_rows(
         weight_doubt=weight.doubt,
         gain_doubt=gain.doubt,
     )
-    if rising:
-        vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
-    if reward.ndim == 2:
-        table = by_outcome(table)
-    return _assemble(state, action, table, size, discount, start, names)
+    return table if of_pairs else by_outcome(table)
 
 
 def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:
@@ -393,10 +387,8 @@ def _numbers(values: object, where: str) -> Any:
 
     Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s.
     """
-    try:
+    with located(where):
         return _sparse(values) if sp.issparse(values) else _array(values)
-    except ModelError as error:
-        raise ModelError(error.what, where=error.where or where, fix=error.fix) from error
 
 
 def _sparse(values: Any) -> sp.csr_array:
@@ -533,13 +525,8 @@ def _grouped(values: Any, offsets: Integers) -> _Grouped:
         if all(isinstance(value, float) or _is_double(value) for value in flat):
             doubles = np.array([float(value) for value in flat])
             return _Grouped(doubles, ones(groups), _doubt(doubles, off))
-    tops: list[int] = []
-    bottoms: list[int] = []
-    for first, last in pairwise(offsets.tolist()):
-        top, bottom = common([exact(value) for value in flat[first:last]])
-        tops += top
-        bottoms.append(bottom)
-    return _Grouped(integers(tops), integers(bottoms), off if off.any() else None)
+    top, bottom = over_groups([exact(value) for value in flat], offsets)
+    return _Grouped(top, bottom, off if off.any() else None)
 
 
 def _doubt(doubles: Floats, off: Floats) -> Floats | None:

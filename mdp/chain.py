@@ -17,19 +17,18 @@ All work is linear in the number of transitions.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
-if TYPE_CHECKING:
-    import networkx as nx
-
+csgraph = later("scipy.sparse.csgraph")
 Mask = NDArray[np.bool_]
 SHOWN = 4
 
@@ -42,7 +41,7 @@ class Termination:
     ----------
     proven : bool
     rank : (S,) int64
-        The proof, see `check_rank`; -1 in states that can be stayed in for ever.
+        The proof, see the module; -1 in states that can be stayed in for ever.
     policy : (S,) int64, optional
         Action numbers of a policy that stays among `trapped` for ever once there.
     trapped : (K,) int64
@@ -57,13 +56,6 @@ class Termination:
 
 def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None = None) -> Mask:
     """Return (S,) True for states that can be reached, the first ones included.
-
-    Parameters
-    ----------
-    states : (K,) ints, optional
-        Where to begin; the model's start states unless given.
-    pairs : (K,) ints or (L,) bools, optional
-        The only pairs to go along, such as those of a policy; all pairs unless given.
 
     Examples
     --------
@@ -84,12 +76,10 @@ def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None
 
 def components(mdp: MDP) -> tuple[int, Integers]:
     """Return the number of strongly connected components, and each state's (S,)."""
-    from scipy.sparse.csgraph import connected_components
-
     offsets, successors = _successors(mdp)
     shape = (mdp.n_states, mdp.n_states)
     graph = sp.csr_array((np.ones(len(successors), dtype=np.int8), successors, offsets), shape)
-    count, labels = connected_components(graph, directed=True, connection="strong")
+    count, labels = csgraph.connected_components(graph, directed=True, connection="strong")
     return int(count), labels.astype(np.int64)
 
 
@@ -182,20 +172,6 @@ def termination(mdp: MDP) -> Termination:
     return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
 
 
-def check_rank(mdp: MDP, rank: Integers) -> bool:
-    """Return whether `rank` (S,) proves that every policy ends; one pass over the pairs.
-
-    Terminal states have rank 0, all others a positive one, and every pair of these has a successor
-    of smaller rank.
-    """
-    matrix = mdp.transition
-    if rank.shape != (mdp.n_states,) or (rank[mdp.terminal] != 0).any():
-        return False
-    least = np.minimum.reduceat(rank[matrix.indices], matrix.indptr[:-1])
-    other = ~mdp.terminal[mdp.pair_state]
-    return bool((rank[~mdp.terminal] > 0).all() and (least < rank[mdp.pair_state])[other].all())
-
-
 def require_termination(mdp: MDP) -> None:
     """Raise ModelError, naming a policy that never ends, unless γ < 1 or every policy ends."""
     if mdp.discount_exact < 1:
@@ -214,40 +190,6 @@ def require_termination(mdp: MDP) -> None:
         fix="choose a discount below 1, stop after N steps (--horizon "
         f"{mdp.time_limit or 'N'}), or add a way out: a terminal state stays put and earns 0",
     )
-
-
-def to_networkx(mdp: MDP, policy: ArrayLike | None = None) -> nx.DiGraph:
-    """Return the graph for people to look at, with state labels as nodes.
-
-    Parameters
-    ----------
-    policy : (S,) action numbers, optional
-        Keep only these actions' transitions.
-
-    Returns
-    -------
-    networkx.DiGraph
-        An edge's `actions` maps action names to probabilities.
-    """
-    import networkx as nx
-
-    if policy is None:
-        pairs = np.arange(mdp.n_pairs)
-    else:
-        pairs = np.array([mdp.pair(s, int(a)) for s, a in enumerate(np.asarray(policy))])
-    graph = nx.DiGraph(name=mdp.name)
-    for state in range(mdp.n_states):
-        graph.add_node(mdp.space.label(state), number=state, terminal=bool(mdp.terminal[state]))
-    matrix = mdp.transition
-    for pair in pairs.tolist():
-        source = mdp.space.label(int(mdp.pair_state[pair]))
-        action = mdp.actions[mdp.pair_action[pair]]
-        for entry in range(matrix.indptr[pair], matrix.indptr[pair + 1]):
-            target = mdp.space.label(int(matrix.indices[entry]))
-            if not graph.has_edge(source, target):
-                graph.add_edge(source, target, actions={})
-            graph.edges[source, target]["actions"][action] = float(matrix.data[entry])
-    return graph
 
 
 def _successors(mdp: MDP, pairs: ArrayLike | None = None) -> tuple[Numbers, Numbers]:

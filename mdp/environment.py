@@ -16,23 +16,20 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import load
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 
-try:
+if TYPE_CHECKING:
     import gymnasium
-except ImportError as error:
-    raise ModelError(
-        "Gymnasium is not installed",
-        where="exact_mdp.mdp.environment",
-        fix='install it: pip install "exact-mdp[gymnasium]"',
-    ) from error
+else:
+    gymnasium = load("gymnasium")
 
 YUAN2025 = "exact_mdp/Yuan2025-v0"
 

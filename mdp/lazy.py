@@ -58,20 +58,6 @@ HEAVY = (
 def load(name: str) -> ModuleType:
     """Return a module that may be missing.
 
-    Parameters
-    ----------
-    name : str
-        Full name of a module of a package in `EXTRAS` or `HEAVY`.
-
-    Returns
-    -------
-    module
-
-    Raises
-    ------
-    ModelError
-        Where its package is not installed; the error names the extra that brings it.
-
     Examples
     --------
     >>> load("scipy.sparse").__name__
@@ -103,16 +89,6 @@ class _Later(ModuleType):
 def later(name: str) -> Any:
     """Return a module that is loaded when one of its attributes is first asked for.
 
-    Parameters
-    ----------
-    name : str
-        Full name of a module of a package in `EXTRAS` or `HEAVY`.
-
-    Returns
-    -------
-    module
-        Any attribute of it; the first one raises ModelError where the package is missing.
-
     Examples
     --------
     >>> pandas = later("pandas")
@@ -128,17 +104,6 @@ def names_later(
     package: str, homes: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` of a package whose names load when first asked for.
-
-    Parameters
-    ----------
-    package : str
-        The package's own name, `__name__`.
-    homes : {module: names}
-        Where each name comes from. Type checkers read the same imports under `TYPE_CHECKING`.
-
-    Returns
-    -------
-    pair of functions
 
     Examples
     --------

@@ -9,6 +9,9 @@ When one probability of a row moves, the others make room: a scenario's rows fol
 in any other row, outcomes that are not named keep their proportions,
 
     p_j(θ) = p_j (1 - Σ θ) / (1 - Σ p),     sums over the named outcomes of the row.
+
+A plain MDP has its discount and its rewards as parameters, each reward that differs from 0 by its
+number (`reward.-1`), as long as there are few of them; `moving` names others, and probabilities.
 """
 
 from __future__ import annotations
@@ -19,12 +22,15 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.table import beside, exact
+from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, shown
 
 DISCOUNT = "discount"
+MOST_REWARDS = 20  # of a plain MDP, that are parameters without being named
 
 
 @runtime_checkable
@@ -135,42 +141,73 @@ class Family:
 
 
 def parametric(source: Source | MDP | Parametric) -> Parametric:
-    """Return a scenario, or a model of which nothing but the discount is named, as a family.
+    """Return what a scenario, or a plain model with its rewards and its discount, may vary.
 
     Examples
     --------
-    >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], [1], "1/2")).parameters]
-    ['discount']
+    >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], ["5/2"], "1/2")).parameters]
+    ['reward.2.5', 'discount']
     """
     if isinstance(source, Source):
         return source.parametric()
-    return moving(source, {}) if isinstance(source, MDP) else source
+    if not isinstance(source, MDP):
+        return source
+    rewards = _rewards(source.table)
+    return moving(source, {}, rewards if len(rewards) <= MOST_REWARDS else {})
 
 
-def moving(mdp: MDP, entries: Mapping[str, Sequence[tuple[int, int]]]) -> Family:
-    """Return a model with probabilities of its rows as parameters, and its discount.
+def _rewards(table: OutcomeTable) -> dict[str, Fraction]:
+    """Return the rewards other than 0 by name; more than `MOST_REWARDS` where there are many."""
+    bottom: Numbers = table.gain_denominator
+    if len(table.gain) != len(bottom):
+        bottom = np.repeat(bottom, np.diff(table.offsets))
+    found: set[Fraction] = set()
+    for first in range(0, len(bottom), 2**12):
+        here = slice(first, first + 2**12)
+        ratios = set(zip(table.gain[here].tolist(), bottom[here].tolist(), strict=True))
+        found |= {exact(top) / below for top, below in ratios if top}
+        if len(found) > MOST_REWARDS:
+            break
+    names = {f"reward.{shown(reward)}": reward for reward in sorted(found)}
+    return names if len(names) == len(found) else {f"reward.{r}": r for r in sorted(found)}
+
+
+def moving(
+    model: MDP,
+    entries: Mapping[str, Sequence[tuple[int, int]]],
+    rewards: Mapping[str, object] | None = None,
+) -> Family:
+    """Return a model with probabilities of its rows and rewards as parameters, and its discount.
 
     Parameters
     ----------
+    model : MDP
     entries : {parameter name: [(pair, next state), …]}
         The entries that a parameter sets, all of the same probability now.
+    rewards : {parameter name: number or "p/q"}, optional
+        The reward that a parameter sets wherever it is earned.
+
+    Returns
+    -------
+    Family
 
     Raises
     ------
     ModelError
-        Where entries of one parameter differ, or a row has nothing left that could make room.
+        Where entries of one parameter differ, or a row has nothing left that could make room;
+        where no outcome earns a reward.
 
     Examples
     --------
     >>> mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
-    >>> family = moving(mdp, {"loop": [(0, 0)]})
-    >>> [str(p) for p, _, _ in family.at({"loop": "1/5"}).table.row(0)]
-    ['1/5', '2/5', '2/5']
+    >>> family = moving(mdp, {"loop": [(0, 0)]}, {"gain": 1})
+    >>> [(str(p), str(r)) for p, _, r in family.at({"loop": "1/5", "gain": 3}).table.row(0)]
+    [('1/5', '3'), ('2/5', '3'), ('2/5', '3')]
     """
     named: dict[int, dict[int, str]] = {}
     found = []
     for name, places in entries.items():
-        values = {_entry(mdp, pair, state) for pair, state in places}
+        values = {_entry(model, pair, state) for pair, state in places}
         if len(values) != 1:
             raise ModelError(
                 f"{len(values)} different probabilities",
@@ -181,42 +218,70 @@ def moving(mdp: MDP, entries: Mapping[str, Sequence[tuple[int, int]]]) -> Family
             if state in named.setdefault(pair, {}):
                 raise ModelError(
                     "an entry is set by two parameters, or twice by one",
-                    where=f"parameter {name}, {mdp.where(pair)}",
+                    where=f"parameter {name}, {model.where(pair)}",
                     fix="give each entry to one parameter",
                 )
             named[pair][state] = name
         found.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
-    rest = {pair: _rest(mdp, pair, states) for pair, states in named.items()}
-    rate = Parameter(name=DISCOUNT, value=mdp.discount_exact, low=Fraction(0), high=Fraction(1))
+    rest = {pair: _rest(model, pair, states) for pair, states in named.items()}
+    earned = _earned(model, rewards or {})
+    gains = [Parameter(name=name, value=reward) for reward, name in earned.items()]
+    rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
 
     def build(values: Mapping[str, Fraction]) -> MDP:
-        if all(values[p.name] is p.value for p in found):  # nothing moved: no question of values
-            return mdp.with_(discount=values[DISCOUNT])
+        if all(values[p.name] is p.value for p in (*found, *gains)):  # no question of values
+            return model.with_(discount=values[DISCOUNT])
+        moved = {r: values[name] for r, name in earned.items() if values[name] is not r}
         rows = []
-        for pair in range(mdp.n_pairs):
-            outcomes = mdp.table.row(pair)
+        for pair in range(model.n_pairs):
+            outcomes = model.table.row(pair)
             if pair in named:
-                outcomes = _rebalanced(mdp, pair, named[pair], rest[pair], values)
-            rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), outcomes))
+                outcomes = _rebalanced(model, pair, named[pair], rest[pair], values)
+            if moved:
+                outcomes = [(p, to, _replaced(gain, moved)) for p, to, gain in outcomes]
+            rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
         return MDP.from_outcomes(
             rows,
             values[DISCOUNT],
-            start=dict(mdp.start),
-            space=mdp.space,
-            actions=mdp.actions,
-            name=mdp.name,
+            start=dict(model.start),
+            space=model.space,
+            actions=model.actions,
+            name=model.name,
         )
 
     return Family(
-        parameters=(*found, rate),
+        parameters=(*found, *gains, rate),
         build=build,
-        name=mdp.name or "model",
-        room=_rooms(mdp, found, named),
+        name=model.name or "model",
+        room=_rooms(found, named),
     )
 
 
+def _earned(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
+    """Return the names of rewards; raises ModelError for one that no outcome earns."""
+    named = {exact(reward): name for name, reward in rewards.items()}
+    if not named:
+        return {}
+    known = {gain for pair in range(model.n_pairs) for _, _, gain in model.table.row(pair)}
+    for reward, name in named.items():
+        if reward not in known or len(named) != len(rewards):
+            raise ModelError(
+                f"no outcome earns {shown(reward)}, or two parameters set one reward",
+                where=f"parameter {name}",
+                fix="give each parameter a reward of the model",
+            )
+    return named
+
+
+def _replaced(gain: Fraction, moved: Mapping[Fraction, Fraction]) -> Fraction:
+    """Return what a reward becomes; one that a pair earns in full still is."""
+    new = moved.get(gain, gain)
+    certain = isinstance(gain, Given) and gain.certain and type(new) is Fraction
+    return Given(new, certain=True) if certain else new
+
+
 def _rooms(
-    mdp: MDP, found: Sequence[Parameter], named: Mapping[int, Mapping[int, str]]
+    found: Sequence[Parameter], named: Mapping[int, Mapping[int, str]]
 ) -> dict[str, tuple[Fraction, Fraction]]:
     """Return how far each parameter may move until the named entries of a row sum to 1."""
     value = {parameter.name: parameter.value for parameter in found}
@@ -234,10 +299,13 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
     for parameter in model.parameters:
         if parameter.name == name:
             return parameter
-    known = [parameter.name for parameter in model.parameters]
-    raise ModelError(
-        f"unknown parameter {name!r}", where=f"model {model.name}", fix=suggest(name, known)
-    )
+    fix = suggest(name, [parameter.name for parameter in model.parameters])
+    if isinstance(model, Family):
+        fix += (
+            '; name others yourself: moving(model, {"NAME": [(pair, next state)]}, '
+            '{"NAME": reward}), and give that as the model'
+        )
+    raise ModelError(f"unknown parameter {name!r}", where=f"model {model.name}", fix=fix)
 
 
 def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | None]:

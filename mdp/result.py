@@ -4,6 +4,7 @@ A result says what it found in `value`, with its claim, and how far it may be of
 a `policy` where there is one. Reading it is the same everywhere:
 
     result.frame()        # a pandas DataFrame
+    result.plot()         # a picture, where there is one
     result                # in a notebook: the first rows of that table
     print(result)         # a few lines
 """
@@ -13,11 +14,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from html import escape
 from reprlib import Repr
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from exact_mdp.mdp.lazy import load
+
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 ROWS_SHOWN = 20
@@ -60,6 +64,37 @@ class Result(ABC):
         rest = f"<p>… and {more} rows more: <code>.frame()</code></p>" if more > 0 else ""
         table = frame.head(ROWS_SHOWN).to_html(border=0)
         return f"<p>{escape(repr(self))}</p>{table}{rest}"
+
+
+class Pictured(Result):
+    """A result of which there is a picture, drawn by the function that `picture` names.
+
+    It is loaded when a picture is asked for: "package.module:function".
+    """
+
+    picture: ClassVar[str]
+
+    def plot(self, ax: Axes | None = None, **settings: Any) -> Axes:
+        """Draw the result on axes, or on those of a new figure.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+        **settings
+            As the function takes them that draws it.
+
+        Returns
+        -------
+        Axes
+
+        Raises
+        ------
+        ModelError
+            Where matplotlib is not installed.
+        """
+        module, _, function = self.picture.partition(":")
+        drawn: Axes = getattr(load(module), function)(self, ax=ax, **settings)
+        return drawn
 
 
 def _text(value: Any) -> str:

@@ -17,13 +17,12 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.bellman import distinct, merged
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, room_of
 from exact_mdp.mdp.symbolic import Degrees, degrees_of
-from exact_mdp.mdp.table import Integers, Numbers, shown
+from exact_mdp.mdp.table import Integers, Numbers, distinct, merged, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -55,14 +54,7 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
-    """Coefficients of (θ - θ0)^k, k from 1, of the entries that move.
-
-    Attributes
-    ----------
-    key : (N,) int64
-        The entries: pair · S + next state, or the pair.
-    coefficients : tuple of (N,) arrays of Fraction
-    """
+    """Coefficients of (θ - θ0)^k, k from 1, of the entries that move, by rising keys (N,)."""
 
     key: Integers
     coefficients: tuple[Numbers, ...]
@@ -107,20 +99,10 @@ class RowChange:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
-    """Models at and around a value of a parameter, which fix polynomials of a degree, and more.
+    """Models at θ0 and at `steps` from it, which fix polynomials of a degree, and more.
 
-    Attributes
-    ----------
-    name : str
-    degree : int
-    models : list of MDP
-        The first one at θ0; more than `degree` + 1 of them where the degree is to be checked.
-    steps : list of Fraction
-        Where the others are, less θ0.
-    proof : Degrees or None
-        What a symbolic run has proven; None without proof.
-    by_rule : bool
-        Whether the degree follows from a scenario's rules.
+    There are more than `degree` + 1 of them where the degree is to be checked: where neither a
+    scenario's rules state it (`by_rule`) nor a symbolic run proves it (`proof`).
     """
 
     name: str
@@ -182,20 +164,10 @@ def row_change(
     origin: Fraction | None = None,
     base: MDP | None = None,
 ) -> RowChange:
-    """Return how rows move with one parameter on a piece.
+    """Return how rows move with one parameter on a piece, from `origin`, its own value by default.
 
-    Parameters
-    ----------
-    origin : Fraction, optional
-        A value on the piece; the parameter's own unless given.
-    base : MDP, optional
-        The model there, where it is at hand.
-
-    Raises
-    ------
-    ModelError
-        Where rows are no polynomials of the degree that the model states, or where states, pairs or
-        the start change with the parameter.
+    `base` is the model there, where it is at hand. Raises ModelError where rows are no polynomials
+    of the degree that the model states, or where states, pairs or the start change.
 
     Examples
     --------
@@ -236,42 +208,30 @@ def sampled(
 
     Points lie inside the piece: at its ends another polynomial may begin. Where a family has no
     model at some of them, as where a probability would pass 1, they are moved closer to `origin`.
-
-    Raises
-    ------
-    ModelError
-        Where the model's states, pairs or start change with the parameter.
     """
     degree, by_rule = max(degree, 1), isinstance(model, ScenarioFamily)
     first = model.at({name: origin}) if base is None else base
+    proof = None
     if by_rule:
         points = piece.points(origin, degree)
         models = [model.at({name: point}) for point in points]
-        return Samples(
-            name=name,
-            degree=degree,
-            models=[first, *models],
-            steps=[point - origin for point in points],
-            proof=None,
-            by_rule=True,
-        )
-    points, models = _found(model, name, piece, origin, degree + 1)
-    proof = None
-    if isinstance(model, Family):
-        values = {parameter.name: parameter.value for parameter in model.parameters}
-        inside = (piece.low, piece.high)
-        proof = degrees_of(model.build, values, name, inside, points[0])
-    if proof is None:
-        points, models = _found(model, name, piece, origin, degree + EXTRA)
-    for point, other in zip(points, models, strict=True):
-        _check_alike(first, other, name, point)
+    else:
+        points, models = _found(model, name, piece, origin, degree + 1)
+        if isinstance(model, Family):
+            values = {parameter.name: parameter.value for parameter in model.parameters}
+            inside = (piece.low, piece.high)
+            proof = degrees_of(model.build, values, name, inside, points[0])
+        if proof is None:
+            points, models = _found(model, name, piece, origin, degree + EXTRA)
+        for point, other in zip(points, models, strict=True):
+            _check_alike(first, other, name, point)
     return Samples(
         name=name,
         degree=degree,
         models=[first, *models],
         steps=[point - origin for point in points],
         proof=proof,
-        by_rule=False,
+        by_rule=by_rule,
     )
 
 

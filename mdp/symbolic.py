@@ -16,18 +16,23 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import wraps
-from itertools import pairwise
-from math import comb, inf
-from typing import Any, ParamSpec, TypeVar
+from math import inf
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.lazy import later
+
+if TYPE_CHECKING:
+    from flint import fmpq_poly
+
+flint = later("flint")
+
 Arguments = ParamSpec("Arguments")
 Made = TypeVar("Made")
-Poly = tuple[Fraction, ...]
-"""Coefficients from the constant up, the last one not 0; () is 0."""
+Piece = tuple[Fraction | None, Fraction | None]
+"""An open interval; None for an open end."""
 
-ZERO, ONE = Fraction(0), Fraction(1)
 HALVINGS = 10  # of a piece on which a sign is looked for
 
 
@@ -72,21 +77,13 @@ def degrees_of(
     build: Callable[[Mapping[str, Fraction]], object],
     values: Mapping[str, Fraction],
     name: str,
-    piece: tuple[Fraction | None, Fraction | None],
+    piece: Piece,
     point: Fraction,
 ) -> Degrees | None:
     """Return the degrees of what a builder makes of one parameter; None where there is no proof.
 
-    Parameters
-    ----------
-    build : function
-        From {parameter name: number} to a model.
-    values : {parameter name: Fraction}
-        All parameters; `name` is replaced by a polynomial.
-    piece : (low, high)
-        The open interval on which degrees hold; None for an open end.
-    point : Fraction
-        A value on it, at which the model is built for the run.
+    The builder makes a model of all `values`, of which that of `name` is replaced by a polynomial.
+    Degrees hold on the piece; `point` is a value on it, at which the model is built for the run.
 
     Examples
     --------
@@ -104,7 +101,7 @@ def degrees_of(
     run = _Run(piece=piece, point=point)
     token = _RUN.set(run)
     try:
-        model = build({**values, name: Symbolic(run, (ZERO, ONE))})
+        model = build({**values, name: Symbolic(run, flint.fmpq_poly([0, 1]))})
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, Unknown):
         return None
     finally:
@@ -119,31 +116,37 @@ class Symbolic(Fraction):
     __slots__ = ("bottom", "run", "top")
 
     run: _Run
-    top: Poly
-    bottom: Poly
+    top: fmpq_poly
+    bottom: fmpq_poly
 
-    def __new__(cls, run: _Run, top: Poly, bottom: Poly = (ONE,)) -> Symbolic:
+    def __new__(cls, run: _Run, top: fmpq_poly, bottom: fmpq_poly | None = None) -> Symbolic:
         """Return top / bottom; what `Fraction` keeps in its own slots is left unset on purpose."""
         self = object.__new__(cls)
-        self.run, (self.top, self.bottom) = run, _reduced(top, bottom)
+        if bottom is None:
+            bottom = flint.fmpq_poly([1])
+        elif bottom.degree() > 0:
+            shared = top.gcd(bottom)
+            top, bottom = top // shared, bottom // shared
+        scale = 1 / bottom[bottom.degree()]
+        self.run, self.top, self.bottom = run, top * scale, bottom * scale
         return self
 
     @property
     def degree(self) -> float:
         """The polynomial's degree, infinite where this is none."""
-        return max(len(self.top) - 1, 0) if len(self.bottom) == 1 else inf
+        return max(self.top.degree(), 0) if self.bottom.degree() == 0 else inf
 
     def at(self, point: Fraction) -> Fraction:
         """Return the value at a point."""
-        return _at(self.top, point) / _at(self.bottom, point)
+        found = self.top(_rational(point)) / self.bottom(_rational(point))
+        return Fraction(int(found.p), int(found.q))
 
     def _other(self, number: object) -> Symbolic | None:
         if isinstance(number, Symbolic):
             return number
-        if isinstance(number, np.integer):
-            number = int(number)
-        if isinstance(number, int | Fraction):
-            return Symbolic(self.run, (Fraction(number),))
+        if isinstance(number, int | Fraction | np.integer):
+            constant = number if isinstance(number, Fraction) else Fraction(int(number))
+            return Symbolic(self.run, flint.fmpq_poly([_rational(constant)]))
         if isinstance(number, float | np.floating):
             raise Unknown(self.run)
         return None
@@ -178,16 +181,13 @@ class Symbolic(Fraction):
         if not isinstance(power, int) or modulus is not None:
             raise Unknown(self.run)
         base = self if power >= 0 else _inverse(self)
-        found = Symbolic(self.run, (ONE,))
-        for _ in range(abs(power)):
-            found = _product(found, base)
-        return found
+        return Symbolic(self.run, base.top ** abs(power), base.bottom ** abs(power))
 
     def __rpow__(self, base: object, modulus: object = None) -> Any:
         raise Unknown(self.run)
 
     def __neg__(self) -> Symbolic:
-        return Symbolic(self.run, tuple(-c for c in self.top), self.bottom)
+        return Symbolic(self.run, -self.top, self.bottom)
 
     def __pos__(self) -> Symbolic:
         return self
@@ -198,7 +198,7 @@ class Symbolic(Fraction):
     def _sign(self) -> int:
         """Return the sign on the whole piece, or raise Unknown."""
         try:
-            return _sign(_times(self.top, self.bottom), *self.run.piece)
+            return _sign(self.top * self.bottom, *self.run.piece)
         except Unknown:
             raise Unknown(self.run) from None
 
@@ -240,10 +240,68 @@ class Symbolic(Fraction):
         raise AttributeError(name)
 
 
+def _rational(number: Fraction) -> Any:
+    return flint.fmpq(number.numerator, number.denominator)
+
+
+def _sum(a: Symbolic, b: Symbolic) -> Symbolic:
+    return Symbolic(a.run, a.top * b.bottom + b.top * a.bottom, a.bottom * b.bottom)
+
+
+def _product(a: Symbolic, b: Symbolic) -> Symbolic:
+    return Symbolic(a.run, a.top * b.top, a.bottom * b.bottom)
+
+
+def _inverse(a: Symbolic) -> Symbolic:
+    """Return 1 / a where a has one sign on the piece."""
+    if a._sign() == 0:
+        raise Unknown(a.run)
+    return Symbolic(a.run, a.bottom, a.top)
+
+
+def _sign(
+    poly: fmpq_poly, low: Fraction | None, high: Fraction | None, halvings: int = HALVINGS
+) -> int:
+    """Return the sign of a polynomial on an open interval; raise Unknown where it may change.
+
+    By Descartes' rule there is no root where the coefficients of a polynomial in t > 0, which has
+    the same signs, have one sign. That is `poly` at θ = (low + high t) / (1 + t), times (1 + t)^n;
+    with an open end, at θ = low + t or high - t.
+    """
+    order = poly.degree()
+    if order < 1:
+        return (poly[0] > 0) - (poly[0] < 0)
+    if low is None and high is None:
+        raise Unknown
+    end = low if high is None else high if low is None else high - low
+    assert end is not None
+    t = flint.fmpq_poly([0, 1])
+    if low is None or high is None:
+        moved = poly(_rational(end) + (t if high is None else -t))
+    else:
+        inner = poly(_rational(low) + _rational(end) * t)  # θ = low + end · t / (1 + t)
+        moved = sum(
+            (c * t**k * (1 + t) ** (order - k) for k, c in enumerate(inner.coeffs())), 0 * t
+        )
+    signs = {c > 0 for c in moved.coeffs() if c}
+    if len(signs) == 1:
+        return 1 if signs.pop() else -1
+    if low is None or high is None or not halvings:
+        raise Unknown
+    middle = (low + high) / 2
+    sides = {_sign(poly, *ends, halvings - 1) for ends in ((low, middle), (middle, high))}
+    if not poly(_rational(middle)) or len(sides) > 1:
+        raise Unknown
+    return sides.pop()
+
+
+# ---- the run -------------------------------------------------------------------------------------
+
+
 class _Run:
     """One call of a builder: the piece, and the models that constructors make meanwhile."""
 
-    def __init__(self, *, piece: tuple[Fraction | None, Fraction | None], point: Fraction) -> None:
+    def __init__(self, *, piece: Piece, point: Fraction) -> None:
         self.piece, self.point, self.broken = piece, point, False
         self.made: list[object] = []
         self.found: list[Degrees] = []
@@ -256,11 +314,12 @@ class _Run:
         names: Mapping[str, Any],
     ) -> Made:
         """Note the degrees of a constructor's arguments, and make the model at the run's point."""
-        args, names = _listed(args), _listed(names)
+        # Iterators become lists, so that they can be read twice.
+        args, names = _each(args, lambda part: part), _each(names, lambda part: part)
         degrees = read(*args, **names)
         token = _RUN.set(None)
         try:
-            model = make(*_plain(args, self.point), **_plain(names, self.point))
+            model = make(*_each(args, self._plain), **_each(names, self._plain))
         finally:
             _RUN.reset(token)
         if any(model is known for known in self.made):
@@ -268,6 +327,9 @@ class _Run:
         self.made.append(model)
         self.found.append(degrees)
         return model
+
+    def _plain(self, value: Any) -> Any:
+        return value.at(self.point) if isinstance(value, Symbolic) else value
 
 
 _RUN: ContextVar[_Run | None] = ContextVar("symbolic run", default=None)
@@ -380,138 +442,16 @@ def _constant(*values: object) -> None:
         raise Unknown
 
 
-def _listed(value: Any) -> Any:
-    """Return iterators as lists, so that they can be read twice."""
+def _each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """Return nested numbers with each one changed."""
     if isinstance(value, Mapping):
-        return {key: _listed(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return (
-            [_listed(part) for part in value]
-            if isinstance(value, list)
-            else tuple(_listed(part) for part in value)
-        )
-    return [_listed(part) for part in value] if isinstance(value, Iterator) else value
-
-
-def _plain(value: Any, point: Fraction) -> Any:
-    """Return nested numbers with polynomials replaced by their values."""
-    if isinstance(value, Symbolic):
-        return value.at(point)
-    if isinstance(value, Mapping):
-        return {_plain(key, point): _plain(part, point) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_plain(part, point) for part in value]
+        return {_each(key, change): _each(part, change) for key, part in value.items()}
+    if isinstance(value, list | Iterator):
+        return [_each(part, change) for part in value]
     if isinstance(value, tuple):
-        return tuple(_plain(part, point) for part in value)
+        return tuple(_each(part, change) for part in value)
     if isinstance(value, np.ndarray) and value.dtype == object:
         flat = np.empty(value.size, dtype=object)
-        flat[:] = [_plain(part, point) for part in value.flat]
+        flat[:] = [_each(part, change) for part in value.flat]
         return flat.reshape(value.shape)
-    return value
-
-
-# ---- rational functions --------------------------------------------------------------------------
-
-
-def _sum(a: Symbolic, b: Symbolic) -> Symbolic:
-    left, right = _times(a.top, b.bottom), _times(b.top, a.bottom)
-    size = max(len(left), len(right))
-    padded = [(*poly, *[ZERO] * (size - len(poly))) for poly in (left, right)]
-    top = _trimmed([x + y for x, y in zip(*padded, strict=True)])
-    return Symbolic(a.run, top, _times(a.bottom, b.bottom))
-
-
-def _product(a: Symbolic, b: Symbolic) -> Symbolic:
-    return Symbolic(a.run, _times(a.top, b.top), _times(a.bottom, b.bottom))
-
-
-def _inverse(a: Symbolic) -> Symbolic:
-    """Return 1 / a where a has one sign on the piece."""
-    if a._sign() == 0:
-        raise Unknown(a.run)
-    return Symbolic(a.run, a.bottom, a.top)
-
-
-def _trimmed(numbers: Sequence[Fraction]) -> Poly:
-    count = len(numbers)
-    while count and numbers[count - 1] == 0:
-        count -= 1
-    return tuple(numbers[:count])
-
-
-def _times(a: Poly, b: Poly) -> Poly:
-    found = [ZERO] * max(len(a) + len(b) - 1, 0)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            found[i + j] += x * y
-    return _trimmed(found)
-
-
-def _divided(a: Poly, b: Poly) -> tuple[Poly, Poly]:
-    """Return quotient and remainder."""
-    rest, quotient = list(a), [ZERO] * max(len(a) - len(b) + 1, 0)
-    for k in reversed(range(len(quotient))):
-        quotient[k] = rest[k + len(b) - 1] / b[-1]
-        for j, y in enumerate(b):
-            rest[k + j] -= quotient[k] * y
-    return _trimmed(quotient), _trimmed(rest)
-
-
-def _reduced(top: Poly, bottom: Poly) -> tuple[Poly, Poly]:
-    """Return a fraction of polynomials without common factors, the last of `bottom` being 1."""
-    top, bottom = _trimmed(top), _trimmed(bottom)
-    if len(bottom) > 1:
-        a, b = top, bottom
-        while b:
-            a, b = b, _divided(a, b)[1]
-        top, bottom = _divided(top, a)[0], _divided(bottom, a)[0]
-    scale = bottom[-1]
-    if scale == 1:
-        return top, bottom
-    return tuple(c / scale for c in top), tuple(c / scale for c in bottom)
-
-
-def _at(poly: Poly, point: Fraction) -> Fraction:
-    total = ZERO
-    for coefficient in reversed(poly):
-        total = total * point + coefficient
-    return total
-
-
-def _sign(poly: Poly, low: Fraction | None, high: Fraction | None, halvings: int = HALVINGS) -> int:
-    """Return the sign of a polynomial on an open interval; raise Unknown where it may change."""
-    if len(poly) < 2:
-        return 0 if not poly else 1 if poly[0] > 0 else -1
-    if low is None and high is None:
-        raise Unknown
-    signs = [c > 0 for c in _moved(poly, low, high) if c]
-    if all(a == b for a, b in pairwise(signs)):
-        return 1 if signs[0] else -1
-    if low is None or high is None or not halvings:
-        raise Unknown
-    middle = (low + high) / 2
-    here = _at(poly, middle)
-    sides = {_sign(poly, *ends, halvings - 1) for ends in ((low, middle), (middle, high))}
-    if not here or len(sides) > 1:
-        raise Unknown
-    return sides.pop()
-
-
-def _moved(poly: Poly, low: Fraction | None, high: Fraction | None) -> list[Fraction]:
-    """Return a polynomial in t > 0 that has the signs of `poly` on the interval.
-
-    At θ = (low + high t) / (1 + t), times (1 + t)^n; with an open end at θ = low + t or high - t.
-    """
-    order = len(poly) - 1
-    total = [ZERO] * (order + 1)
-    for k, coefficient in enumerate(poly):
-        if low is None or high is None:
-            base, step = (high, -ONE) if low is None else (low, ONE)
-            assert base is not None
-            term: Poly = tuple(comb(k, j) * base ** (k - j) * step**j for j in range(k + 1))
-        else:
-            term = tuple(comb(k, j) * low ** (k - j) * high**j for j in range(k + 1))
-            term = _times(term, tuple(Fraction(comb(order - k, j)) for j in range(order - k + 1)))
-        for j, number in enumerate(term):
-            total[j] += coefficient * number
-    return total
+    return change(value)

@@ -15,11 +15,12 @@ they are of pairs (an array of shape (L,)) it is r, whatever the probabilities s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
+from itertools import pairwise
 from math import gcd, lcm, ulp
 from typing import Any, Self
 
@@ -48,15 +49,9 @@ class Given(Fraction):
     """The exact value of a number of a model, and what else is known of it.
 
     It calculates as any `Fraction` does; the results are plain ones, but for a change of sign.
-
-    Parameters
-    ----------
-    value, denominator : as for `Fraction`
-    rounding : float
-        How far the value may lie from the number that it was rounded from: more than 0 where it
-        was given as a float.
-    certain : bool
-        Of a reward: it is the pair's own, earned in full whatever the probabilities sum to.
+    `rounding` says how far the value may lie from the number that it was rounded from: more than 0
+    where it was given as a float. `certain` says of a reward that it is the pair's own, earned in
+    full whatever the probabilities sum to.
 
     Examples
     --------
@@ -178,33 +173,44 @@ class OutcomeTable:
 
     def of_pairs(self, pairs: Integers) -> OutcomeTable:
         """Return the table of some pairs (K,), in the order given."""
-        counts = np.diff(self.offsets)[pairs]
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        chosen = np.arange(offsets[-1]) + np.repeat(self.offsets[pairs] - offsets[:-1], counts)
-        earned = pairs if len(self.gain) == self.pairs else chosen
-        found = OutcomeTable(
-            offsets=offsets,
+        chosen = spans(self.offsets[pairs], self.offsets[pairs + 1])
+        found = replace(
+            self.mapped(lambda _, values: values[pairs], lambda _, values: values[chosen]),
+            offsets=np.concatenate([[0], np.cumsum(np.diff(self.offsets)[pairs])]),
             next=self.next[chosen],
-            weight=self.weight[chosen],
-            denominator=self.denominator[pairs],
-            gain=self.gain[earned],
-            gain_denominator=self.gain_denominator[pairs],
-            event=None if self.event is None else self.event[chosen],
-            weight_doubt=None if self.weight_doubt is None else self.weight_doubt[chosen],
-            gain_doubt=None if self.gain_doubt is None else self.gain_doubt[earned],
         )
-        return found if earned is pairs else by_outcome(found)
+        return found if len(self.gain) == self.pairs else by_outcome(found)
+
+    def mapped(
+        self, of_pair: Callable[[str, Numbers], Numbers], of_outcome: Callable[[str, Numbers], Any]
+    ) -> OutcomeTable:
+        """Return a table whose numbers, by name, are what functions make of (L,) and (N,) ones."""
+        by_pair = len(self.gain) == self.pairs
+        parts = {
+            "weight": of_outcome,
+            "denominator": of_pair,
+            "gain": of_pair if by_pair else of_outcome,
+            "gain_denominator": of_pair,
+            "event": of_outcome,
+            "weight_doubt": of_outcome,
+            "gain_doubt": of_pair if by_pair else of_outcome,
+        }
+        known = {name: getattr(self, name) for name in parts}
+        changed = {
+            name: parts[name](name, array) for name, array in known.items() if array is not None
+        }
+        return replace(self, **changed)
 
     def probabilities(self) -> Floats:
         """Return the (N,) outcome probabilities, each rounded once."""
-        return self._rounded(self.weight, self.denominator, per_outcome=True)
+        return divide(self.weight, self.denominator, np.diff(self.offsets))
 
     def gains(self) -> Floats:
         """Return the (N,) outcome rewards, each rounded once."""
+        lengths = np.diff(self.offsets)
         if len(self.gain) == self.pairs:
-            per_pair = divide(self.gain, self.gain_denominator)
-            return np.repeat(per_pair, np.diff(self.offsets))
-        return self._rounded(self.gain, self.gain_denominator, per_outcome=True)
+            return np.repeat(divide(self.gain, self.gain_denominator), lengths)
+        return divide(self.gain, self.gain_denominator, lengths)
 
     def expected_gain(self) -> Floats:
         """Return the (L,) expected rewards, each rounded once where the table is rational."""
@@ -213,8 +219,7 @@ class OutcomeTable:
         if self.weight.dtype == np.float64 or self.gain.dtype == np.float64:
             product = self.probabilities() * self.gains()
             return np.asarray(np.add.reduceat(product, self.offsets[:-1]), dtype=np.float64)
-        top, bottom = self.expected_gain_exact()
-        return divide(top, bottom)
+        return divide(*self.expected_gain_exact())
 
     def expected_gain_exact(self) -> tuple[Numbers, Numbers]:
         """Return integers (L,), (L,): the exact expected reward of pair l is their ratio."""
@@ -224,10 +229,8 @@ class OutcomeTable:
             return gain, gain_denominator
         longest = int(np.diff(self.offsets).max(initial=1))
         product = multiply(weight, gain, terms=longest)
-        return (
-            np.asarray(np.add.reduceat(product, self.offsets[:-1])),
-            multiply(denominator, gain_denominator),
-        )
+        total = np.asarray(np.add.reduceat(product, self.offsets[:-1]))
+        return total, multiply(denominator, gain_denominator)
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
         """Return (N,), (L,) integers: floats become integers over a power of two for each row."""
@@ -282,28 +285,46 @@ class OutcomeTable:
         >>> MDP.from_outcomes(rows, 0.9).table.row(0) == mdp.table.row(0)
         True
         """
-        begin, end = int(self.offsets[pair]), int(self.offsets[pair + 1])
-        earned = slice(pair, pair + 1) if len(self.gain) == self.pairs else slice(begin, end)
-        chances = _rationals(
-            self.weight[begin:end],
-            self.denominator[pair],
-            None if self.weight_doubt is None else self.weight_doubt[begin:end],
-        )
-        gains = _rationals(
-            self.gain[earned],
-            self.gain_denominator[pair],
-            None if self.gain_doubt is None else self.gain_doubt[earned],
-        )
-        if len(self.gain) == self.pairs:
+        here = slice(int(self.offsets[pair]), int(self.offsets[pair + 1]))
+        of_pair = len(self.gain) == self.pairs
+        earned = slice(pair, pair + 1) if of_pair else here
+        chances = _rationals(self.weight, self.denominator[pair], self.weight_doubt, here)
+        gains = _rationals(self.gain, self.gain_denominator[pair], self.gain_doubt, earned)
+        if of_pair:
             if gains[0] and sum(chances) != 1:
                 gains = [Given(gains[0], rounding=rounding_of(gains[0]), certain=True)]
             gains *= len(chances)
-        return list(zip(chances, self.next[begin:end].tolist(), gains, strict=True))
+        return list(zip(chances, self.next[here].tolist(), gains, strict=True))
 
-    def _rounded(self, top: Numbers, bottom: Numbers, *, per_outcome: bool) -> Floats:
-        if top.dtype == np.float64:
-            return np.asarray(top, dtype=np.float64)
-        return divide(top, np.repeat(bottom, np.diff(self.offsets)) if per_outcome else bottom)
+
+def merged(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:
+    """Return the exact (L, S) transition matrix in lowest terms, row by row.
+
+    These are offsets (L+1,), next states and weights (M,), and denominators (L,): pair l leads to
+    next[i] with probability weight[i] / denominator[l].
+    """
+    weight, denominator = table.integer_weights()
+    first, offsets = distinct(table)
+    following = table.next
+    if len(first) < len(following):
+        weight, following = np.asarray(np.add.reduceat(weight, first)), following[first]
+    shared = np.gcd(np.gcd.reduceat(weight, offsets[:-1]), denominator)
+    return offsets, following, weight // np.repeat(shared, np.diff(offsets)), denominator // shared
+
+
+def distinct(table: OutcomeTable) -> tuple[Integers, Integers]:
+    """Return where runs of outcomes to the same next state begin, and each pair's first run."""
+    fresh = np.empty(len(table.next), dtype=bool)
+    fresh[1:] = table.next[1:] != table.next[:-1]
+    fresh[table.offsets[:-1]] = True
+    first = np.flatnonzero(fresh)
+    return first, np.searchsorted(first, table.offsets).astype(np.int64)
+
+
+def reduced(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the fractions top / bottom in lowest terms, elementwise."""
+    shared = np.gcd(top, bottom)
+    return np.asarray(top // shared), np.asarray(bottom // shared)
 
 
 def by_outcome(table: OutcomeTable) -> OutcomeTable:
@@ -348,15 +369,9 @@ def exact(number: object) -> Fraction:
         number = number.item()
     if isinstance(number, bool) or not isinstance(number, int | float | str):
         raise ModelError(f"{number!r} is not a number", fix='write a number, or "p/q"')
-    if isinstance(number, str) and len(number) > MOST_DIGITS:
-        raise ModelError(f"a number of over {MOST_DIGITS:,} characters", fix="round it")
     try:
-        if isinstance(number, str) and "e" in number.lower():
-            exponent = int(number.lower().partition("e")[2])
-            if abs(exponent) > MOST_DIGITS:
-                raise ModelError(
-                    f"{number!r} has an exponent beyond {MOST_DIGITS:,}", fix="scale the model"
-                )
+        if isinstance(number, str):
+            _check_length(number)
         return Fraction(number)
     except ModelError:
         raise
@@ -364,6 +379,15 @@ def exact(number: object) -> Fraction:
         raise ModelError(
             f"{number!r} is not a finite rational number", fix='write 0.1 or "1/10"'
         ) from error
+
+
+def _check_length(text: str) -> None:
+    """Raise ModelError for a number whose digits, written out, are too many to work with."""
+    if len(text) > MOST_DIGITS:
+        raise ModelError(f"a number of over {MOST_DIGITS:,} characters", fix="round it")
+    _, e, exponent = text.lower().partition("e")
+    if e and abs(int(exponent)) > MOST_DIGITS:
+        raise ModelError(f"{text!r} has an exponent beyond {MOST_DIGITS:,}", fix="scale the model")
 
 
 def given(number: object) -> Fraction:
@@ -375,23 +399,18 @@ def given(number: object) -> Fraction:
     (Fraction(1, 3), Fraction(1, 2), True)
     """
     value = exact(number)
-    if isinstance(number, float | np.floating) and value != 0:
-        return Given(value, rounding=half_ulp(number))
+    if isinstance(number, float) and value != 0:
+        return Given(value, rounding=ulp(number) / 2)
+    if isinstance(number, np.floating) and value != 0:
+        return Given(value, rounding=float(np.spacing(np.abs(number))) / 2)
     return value
-
-
-def half_ulp(number: float | np.floating[Any]) -> float:
-    """Return half a unit in the last place of a float, of its own precision."""
-    if isinstance(number, np.floating):
-        return float(np.spacing(np.abs(number))) / 2
-    return ulp(number) / 2
 
 
 def rounding_of(number: object) -> float:
     """Return how far a number, as it was given, may lie from what it was rounded from."""
     if isinstance(number, Given):
         return number.rounding
-    return half_ulp(number) if isinstance(number, float) and number != 0 else 0.0
+    return ulp(number) / 2 if isinstance(number, float) and number != 0 else 0.0
 
 
 def shown(number: Fraction, digits: int = 6) -> str:
@@ -431,15 +450,23 @@ def as_float(number: Fraction | float) -> float:
     try:
         return float(number)
     except OverflowError as error:
-        raise ModelError(
-            "a rational too large for a float", fix="scale the rewards down"
-        ) from error
+        raise _too_large() from error
+
+
+def _too_large() -> ModelError:
+    return ModelError("a rational too large for a float", fix="scale the rewards down")
 
 
 def common(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
     """Return integers over one common denominator."""
     bottom = lcm(*(number.denominator for number in numbers)) if numbers else 1
     return [number.numerator * (bottom // number.denominator) for number in numbers], bottom
+
+
+def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers, Numbers]:
+    """Return rationals (N,) as integers over one denominator for each group of them."""
+    found = [common(values[first:last]) for first, last in pairwise(offsets.tolist())]
+    return integers(top for tops, _ in found for top in tops), integers(b for _, b in found)
 
 
 def integers(values: Iterable[int]) -> Numbers:
@@ -484,19 +511,22 @@ def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
     return np.asarray(left.astype(object) * right.astype(object))
 
 
-def divide(top: Numbers, bottom: Numbers) -> Floats:
-    """Return top / bottom as floats, each correctly rounded once."""
+def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Floats:
+    """Return top / bottom as floats, each correctly rounded once.
+
+    With `counts` each denominator is that of so many numbers, one group after the other.
+    """
     if top.dtype == np.float64:
         return np.asarray(top, dtype=np.float64)
+    if counts is not None:
+        bottom = np.repeat(bottom, counts)
     small = top.dtype != object and bottom.dtype != object
     if small and max(magnitude(top), magnitude(bottom)) <= EXACT_IN_FLOAT:
         return np.asarray(top.astype(np.float64) / bottom, dtype=np.float64)
     try:
         quotients = [int(a) / int(b) for a, b in zip(top.flat, bottom.flat, strict=True)]
     except OverflowError as error:
-        raise ModelError(
-            "a rational too large for a float", fix="scale the rewards down"
-        ) from error
+        raise _too_large() from error
     return np.array(quotients, dtype=np.float64).reshape(top.shape)
 
 
@@ -508,18 +538,16 @@ def float_array(values: ArrayLike) -> Floats:
         raise ModelError("an array holds something that is not a number") from error
 
 
-def _rationals(top: Numbers, bottom: Any, doubt: Floats | None) -> list[Fraction]:
+def _rationals(top: Numbers, bottom: Any, doubt: Floats | None, here: slice) -> list[Fraction]:
     """Return the numbers of a row, those that are floats as `Given` ones."""
-    if top.dtype == np.float64 and doubt is None:
-        return [given(value) for value in top.tolist()]
+    if doubt is None and top.dtype == np.float64:
+        return [given(value) for value in top[here].tolist()]
     below = int(bottom)
-    found = [exact(value) / below for value in top.tolist()]
+    found = [exact(value) / below for value in top[here].tolist()]
     if doubt is None:
         return found
-    return [
-        Given(value, rounding=off) if off else value
-        for value, off in zip(found, doubt.tolist(), strict=True)
-    ]
+    known = zip(found, doubt[here].tolist(), strict=True)
+    return [Given(value, rounding=off) if off else value for value, off in known]
 
 
 def _half_ulp(values: Numbers) -> Floats:

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names
+from exact_mdp.mdp.errors import ModelError, check_names, located
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
@@ -72,12 +72,7 @@ def check_model(mdp: Model) -> None:
         _check_rows(mdp)
     _check_order(mdp.table)
     _check_start(mdp)
-    if not 0 <= mdp.discount_exact <= 1:
-        raise ModelError(
-            f"discount is {beside(mdp.discount_exact, Fraction(0), Fraction(1))}, outside [0, 1]",
-            where="discount",
-            fix="choose a discount from 0 to 1",
-        )
+    _check_discount(mdp.discount_exact)
 
 
 def _check_names(mdp: Model) -> None:
@@ -102,17 +97,19 @@ def counted(steps: object, where: str) -> int:
 
 def as_discount(discount: object) -> Fraction:
     """Return a discount as an exact number in [0, 1]."""
-    try:
+    with located("discount", instead=True):
         value = exact(discount)
-    except ModelError as error:
-        raise ModelError(error.what, where="discount", fix=error.fix) from error
+    _check_discount(value)
+    return value
+
+
+def _check_discount(value: Fraction) -> None:
     if not 0 <= value <= 1:
         raise ModelError(
             f"discount is {beside(value, Fraction(0), Fraction(1))}, outside [0, 1]",
             where="discount",
             fix="choose a discount from 0 to 1",
         )
-    return value
 
 
 def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
@@ -142,25 +139,24 @@ def _check_pairs(mdp: Model) -> None:
         raise ModelError(
             "two actions have the same name", where="actions", fix="give each its own name"
         )
-    key = (state[1:] - state[:-1], action[1:] - action[:-1])
-    if not ((key[0] > 0) | ((key[0] == 0) & (key[1] > 0))).all():
-        same = (key[0] == 0) & (key[1] == 0)
-        if same.any():
-            pair = int(np.flatnonzero(same)[0])
+    ahead, step = np.diff(state), np.diff(action)
+    level = ahead == 0
+    if not ((ahead > 0) | (level & (step > 0))).all():
+        same = np.flatnonzero(level & (step == 0))
+        if len(same):
             raise ModelError(
                 "a state-action pair appears twice",
-                where=mdp.where(pair),
+                where=mdp.where(int(same[0])),
                 fix="merge the two rows, or drop one",
             )
-        if ((key[0] < 0) | ((key[0] == 0) & (key[1] < 0))).any():
-            raise ModelError(
-                "pairs are not sorted by state, then action",
-                where="pairs",
-                fix="use MDP.from_pairs, which sorts them",
-            )
+        raise ModelError(
+            "pairs are not sorted by state, then action",
+            where="pairs",
+            fix="use MDP.from_pairs, which sorts them",
+        )
     # Sorted as they are, the states that have a pair show the first that has none; nothing is
     # counted by state, whose number may be a typing error beyond all memory.
-    if state[0] != 0 or state[-1] != mdp.n_states - 1 or key[0].max(initial=0) > 1:
+    if state[0] != 0 or state[-1] != mdp.n_states - 1 or ahead.max(initial=0) > 1:
         present = state[np.flatnonzero(np.diff(state, prepend=-1))]
         gaps = np.flatnonzero(present != np.arange(len(present)))
         missing = int(gaps[0]) if len(gaps) else len(present)
@@ -173,21 +169,20 @@ def _check_pairs(mdp: Model) -> None:
 
 def _check_shapes(table: OutcomeTable, pairs: int) -> None:
     outcomes = len(table.next)
+    by_pair, by_outcome = {pairs}, {outcomes}
     wanted = {
-        "offsets": (table.offsets, {pairs + 1}),
-        "weight": (table.weight, {outcomes}),
-        "denominator": (table.denominator, {pairs}),
-        "gain": (table.gain, {outcomes, pairs}),
-        "gain_denominator": (table.gain_denominator, {pairs}),
+        "offsets": {pairs + 1},
+        "weight": by_outcome,
+        "denominator": by_pair,
+        "gain": by_outcome | by_pair,
+        "gain_denominator": by_pair,
+        "event": by_outcome,
+        "weight_doubt": by_outcome,
+        "gain_doubt": {len(table.gain)},
     }
-    if table.event is not None:
-        wanted["event"] = (table.event, {outcomes})
-    if table.weight_doubt is not None:
-        wanted["weight_doubt"] = (table.weight_doubt, {outcomes})
-    if table.gain_doubt is not None:
-        wanted["gain_doubt"] = (table.gain_doubt, {len(table.gain)})
-    for name, (array, lengths) in wanted.items():
-        if array.ndim != 1 or len(array) not in lengths:
+    for name, lengths in wanted.items():
+        array = getattr(table, name)
+        if array is not None and (array.ndim != 1 or len(array) not in lengths):
             raise ModelError(
                 f"{name} has shape {array.shape}, not ({min(lengths)},)",
                 where="outcome table",

@@ -26,16 +26,9 @@ import warnings
 
 import matplotlib.pyplot as plt
 
-from exact_mdp.analysis.plots import (
-    plot_thresholds,
-    plot_tornado,
-    plot_two_way,
-    plot_value_curves,
-    style,
-)
-from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
-from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
-from exact_mdp.analysis.plots.sensitivity_global import plot_sobol
+from exact_mdp.analysis.plots import style
+from exact_mdp.analysis.plots.psa import plot_optimal_actions
+from exact_mdp.analysis.plots.sensitivity import plot_thresholds
 from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
 from exact_mdp.analysis.sensitivity.draws.global_ import sobol
 from exact_mdp.analysis.sensitivity.psa.psa import psa
@@ -69,7 +62,7 @@ names = [name for name in ranked.index if not name.startswith(("reward", "discou
 found = tornado(scenario, names=names)
 with style():
     figure, ax = plt.subplots(figsize=(7, 4), dpi=80)
-    plot_tornado(found, ax=ax)
+    found.plot(ax)
     plt.show()
 
 # %% [markdown]
@@ -101,7 +94,7 @@ for name, each in found.items():
 curve = one_way(scenario, "base.anger", (0, "1/2"))
 with style():
     figure, ax = plt.subplots(figsize=(6, 3), dpi=80)
-    plot_value_curves(curve, ax=ax)
+    curve.plot(ax)
     plt.show()
 
 # %% [markdown]
@@ -114,7 +107,7 @@ bounds = {"base.anger": ("1/100", "1/4"), "base.disengagement": ("1/100", "2/5")
 plane = two_way(scenario, *bounds, ranges=bounds, points=15)
 with style():
     figure, ax = plt.subplots(figsize=(5, 4), dpi=80)
-    plot_two_way(plane, ax=ax)
+    plane.plot(ax)
     plt.show()
 
 # %% [markdown]
@@ -133,7 +126,7 @@ with warnings.catch_warnings():
     drawn = psa(scenario, 20_000, rng=0, effective_sample_size=20)
 with style():
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), dpi=80)
-    plot_acceptability(drawn, ax=left)
+    drawn.plot(left)
     plot_optimal_actions(drawn, ax=right)
     plt.show()
 worth = drawn.evpi()
@@ -153,7 +146,7 @@ probabilities = [name for name in scenario.names if not name.startswith("reward"
 indices = sobol(scenario, names=probabilities, n=512, rng=0)
 with style():
     figure, ax = plt.subplots(figsize=(7, 4), dpi=80)
-    plot_sobol(indices, ax=ax)
+    indices.plot(ax)
     plt.show()
 
 # %% [markdown]
@@ -166,5 +159,5 @@ with style():
 curve = robust_curve(scenario.compile(), "l1", [k / 10 for k in range(0, 13, 2)])
 with style():
     figure, ax = plt.subplots(figsize=(6, 3.4), dpi=80)
-    plot_robust_curve(curve, ax=ax)
+    curve.plot(ax)
     plt.show()

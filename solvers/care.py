@@ -1,4 +1,9 @@
-"""How a care model is laid out for the compiled loops, and how far rounding can carry them.
+"""Many care models at once: the optimum of every draw, and the value of every policy.
+
+A draw sets some parameters of a scenario; the others keep their value. Each draw is solved by
+backward induction over subtasks and trials, or policies are evaluated in it, by compiled loops that
+never form the model (see `solvers.kernels.care`; the rules are those of `mdp.care.rules`). Draws
+are given to threads in blocks; no result depends on its block.
 
 Rounding. An exact chance is a sum of n numbers, cut off at 1, and a law a product of n chances: as
 computed, its row is off by at most κ = 2 n γ(n) + γ(2n + 1) in the sum of absolute values. A stage
@@ -10,19 +15,12 @@ absolute value and h the timesteps that are left, a stage adds at most
 to the error of a value: in total c u R H (H + 1) / 2 where H = K (M + 1) timesteps are the most.
 The bound holds before anything is computed, and is some hundred times what is seen (γ and u as in
 `solvers.bounds.gains`; Higham, Accuracy and Stability of Numerical Algorithms, SIAM 2002, 3.1).
-
-Many care models at once: the optimum of every draw, and the value of every policy.
-
-A draw sets some parameters of a scenario; the others keep their value. Each draw is solved by
-backward induction over subtasks and trials, or policies are evaluated in it, by compiled loops that
-never form the model (see `solvers.kernels.care`; rounding errors are bounded in advance, see
-`solvers.care`). Draws are given to threads in blocks; no result depends on its block.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -31,284 +29,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.care.laws import chances, warn_of_excess
-from exact_mdp.mdp.care.tables import SHARED_WEIGHTS
+from exact_mdp.mdp.care.rules import PLACES, Rules
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 
 if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
     from exact_mdp.solvers.kernels.care import Care, Room
 
+loops = later("exact_mdp.solvers.kernels.care")
 
 MOST_STATUSES = 6
 MOST_ACTIONS = 127  # of which optimal ones can be kept, as int8
-BONUS = {"always": 0, "last-subtask-completed": 1, "no-subtask-skipped": 2}
-MOST_KEPT = 32
-
-Structure = tuple[Integers, Integers, Integers, NDArray[np.bool_]]
-_kept: dict[tuple[object, ...], Structure] = {}
-
-
-def prepared(
-    scenario: Scenario, names: Sequence[str], draws: ArrayLike | None
-) -> tuple[Care, Floats, Integers, Floats]:
-    """Return the layout, all numbers of it, which of them are drawn, and the draws (D, Q)."""
-    from exact_mdp.solvers.kernels.care import Care
-
-    statuses = scenario.statuses
-    if len(statuses) > MOST_STATUSES:
-        raise ModelError(
-            f"{len(statuses)} statuses, more than {MOST_STATUSES}",
-            where=f"scenario {scenario.name}",
-            fix="compile and solve the model instead: solve(scenario.compile())",
-        )
-    known = scenario.names
-    place = {name: number for number, name in enumerate(known)} | {DISCOUNT: len(known) + 1}
-    names = list(names)
-    for name in names:
-        if name not in place:
-            raise ModelError(
-                f"unknown parameter {name!r}",
-                where=f"scenario {scenario.name}",
-                fix=suggest(name, list(place)),
-            )
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ModelError(f"{twice} is drawn twice", where="names", fix="give each name once")
-    table = _table(scenario, names, draws)
-    terms, step, skip, bits = _structure(scenario)
-    tasks = scenario.tasks
-    readings = scenario.readings
-    rule = BONUS[readings["task_bonus"]]
-    care = Care(
-        terms=terms,
-        step=step,
-        skip=skip,
-        bits=bits,
-        statuses=_places(place, [scenario.weights[status] for status in statuses]),
-        shared=_places(place, SHARED_WEIGHTS),
-        assist=_places(place, [f"assist.{action}" for action in scenario.actions]),
-        last=np.array([i == size - 1 for size in tasks for i in range(size)]),
-        trials=scenario.trials,
-        flags=2 if rule == BONUS["no-subtask-skipped"] else 1,
-        bonus=rule,
-        following=readings["status_cost"] == "next",
-        every=readings["trial_cost"] == "every-trial",
-        own=readings["skip_timestep"] == "own",
-    )
-    numbers = [parameter.value for parameter in scenario.parameters]
-    base = np.array([*map(float, numbers), 0.0, float(scenario.discount)])
-    return care, base, np.array([place[name] for name in names], dtype=np.int64), table
-
-
-def _places(place: dict[str, int], weights: Sequence[str]) -> Integers:
-    return np.array([place[f"reward.{weight}"] for weight in weights], dtype=np.int64)
-
-
-def _table(scenario: Scenario, names: Sequence[str], draws: ArrayLike | None) -> Floats:
-    """Return the draws as (D, Q), each number within its parameter's range."""
-    table = np.empty((1, 0)) if draws is None else np.asarray(draws, dtype=np.float64)
-    if table.ndim != 2 or table.shape[1] != len(names) or len(table) == 0:
-        raise ModelError(
-            f"draws of shape {table.shape} for {len(names)} parameters",
-            where="draws",
-            fix="give a row for each draw, at least one, and a column for each name",
-        )
-    table = _read_only(table)
-    if not names:
-        return table
-    least, most = table.min(axis=0), table.max(axis=0)
-    limits: dict[str, tuple[float, float]] = {DISCOUNT: (0.0, 1.0)}
-    for parameter in scenario.parameters:
-        low = -np.inf if parameter.low is None else float(parameter.low)
-        limits[parameter.name] = (low, np.inf if parameter.high is None else float(parameter.high))
-    for name, low_drawn, high_drawn in zip(names, least, most, strict=True):
-        low, high = limits[name]
-        finite = np.isfinite(low_drawn) and np.isfinite(high_drawn)
-        if not (finite and low <= low_drawn and high_drawn <= high):
-            wrong = low_drawn if not low <= low_drawn or not finite else high_drawn
-            raise ModelError(
-                f"{name} is drawn as {float(wrong):g}, outside [{low:g}, {high:g}]",
-                where=f"parameter {name}",
-                fix="draw finite values in that range",
-            )
-    return table
-
-
-def _structure(scenario: Scenario) -> Structure:
-    """Return which parameters add up to which chance; the same for many readings, so kept."""
-    readings = scenario.readings
-    key = (
-        scenario.names,
-        scenario.statuses,
-        scenario.actions,
-        tuple(sorted(scenario.others.items())),
-        *(readings[n] for n in ("influence_orientation", "influence_on_present", "skip_onset")),
-    )
-    if key in _kept:
-        return _kept[key]
-    found = chances(scenario)
-    vectors, number, count, _ = found.step.shape
-    lists = np.concatenate([found.step.reshape(-1, count), found.skip.reshape(-1, count)])
-    terms, which = np.unique(lists, axis=0, return_inverse=True)
-    which = which.reshape(-1)
-    step = which[: vectors * number * count].reshape(vectors, number, count)
-    skip = which[vectors * number * count :].reshape(vectors, count)
-    if len(_kept) >= MOST_KEPT:
-        _kept.clear()
-    _kept[key] = (
-        np.ascontiguousarray(terms, dtype=np.int64),
-        np.ascontiguousarray(step.transpose(2, 1, 0).reshape(count, -1), dtype=np.int64),
-        np.ascontiguousarray(skip.T, dtype=np.int64),
-        np.ascontiguousarray(found.bits.astype(bool)),
-    )
-    return _kept[key]
-
-
-def as_policies(care: Care, policies: ArrayLike) -> tuple[Numbers, Floats]:
-    """Return policies as (N, G, V) actions or (N, G, V, A) shares, the other one empty."""
-    vectors, number = care.bits.shape[0], len(care.assist)
-    stages = (len(care.last), care.trials, care.flags)
-    given = np.asarray(policies)
-    shapes = {
-        (vectors,): 1,
-        (*stages, vectors): int(np.prod(stages)),
-        (vectors, number): 1,
-        (*stages, vectors, number): int(np.prod(stages)),
-    }
-    groups = shapes.get(given.shape[1:])
-    if groups is None or len(given) == 0:
-        raise ModelError(
-            f"policies of shape {given.shape}",
-            where="policies",
-            fix=f"give (N, {vectors}) actions, (N, {vectors}, {number}) probabilities, or either "
-            f"by state: (N, {', '.join(map(str, stages))}, {vectors}, …)",
-        )
-    mixed = given.ndim in (3, 6)
-    if not mixed:
-        whole = given.dtype.kind in "iu"
-        if not whole or given.min() < 0 or given.max() >= number:
-            raise ModelError(
-                "actions that are not whole numbers, or that there are not",
-                where="policies",
-                fix=f"number the actions from 0 to {number - 1}",
-            )
-        chosen = given.reshape(len(given), groups, vectors).astype(np.int16)
-        return _read_only(chosen), _read_only(np.empty((0, 1, vectors, number)))
-    shares = _read_only(given.reshape(len(given), groups, vectors, number).astype(np.float64))
-    sums = shares.sum(axis=-1)
-    if not (np.isfinite(shares).all() and shares.min() >= 0 and np.abs(sums - 1).max() < 1e-12):
-        raise ModelError(
-            "probabilities that are negative or do not sum to 1",
-            where="policies",
-            fix="give a distribution over actions for each status vector",
-        )
-    # What the bound of the errors speaks of is the policy whose shares sum to 1.
-    shares = _read_only(shares / sums[..., None])
-    return _read_only(np.empty((0, groups, vectors), dtype=np.int16)), shares
-
-
-def _read_only(array: Numbers) -> Numbers:
-    """Return the array as one that cannot be written, so that loops are compiled for one kind."""
-    found = np.ascontiguousarray(array).view()
-    found.setflags(write=False)
-    return found
-
-
-def bounds(care: Care, base: Floats, positions: Integers, draws: Floats) -> tuple[Floats, Floats]:
-    """Return (D,) bounds on the errors of a start value and of a variance."""
-    rewards = np.concatenate([care.shared, care.statuses, care.assist])
-    same = not np.isin(positions, rewards).any()
-    rows = draws[:1] if same else draws  # where no reward is drawn, one draw tells of all
-
-    def size(places: Integers) -> Floats:
-        """Return (D, …) absolute values of some numbers in each draw."""
-        found = np.broadcast_to(np.abs(base[places]), (len(rows), len(places))).copy()
-        for column, where in enumerate(positions):
-            found[:, places == where] = np.abs(rows[:, column, None])
-        return found
-
-    shared, statuses, assist = size(care.shared), size(care.statuses), size(care.assist)
-    # At most one of completing, with its own reward, and failing, with status costs and a skip.
-    trial, complete, skipped, timestep, task = shared.T
-    with np.errstate(over="ignore"):  # see `finite`
-        reward = timestep + trial + task + statuses.sum(axis=1)
-        reward = reward + np.maximum(complete + assist.max(axis=1), skipped)
-        square = reward**2
-    vectors, count = care.bits.shape
-    law = 2 * count * float(gamma(count)) + float(gamma(2 * count + 1))
-    unit = (2 * law + float(gamma(2 * vectors + 4 * len(care.assist) + 24))) * SLACK
-    steps = np.arange(1, len(care.last) * (care.trials + 1) + 1)
-    mean = unit * np.cumsum(steps)  # in units of the largest reward
-    # |u - m| and the variance's root are at most h rewards; each of both means is off by `mean`.
-    spread = 2 * (4 * steps * mean + 4 * unit * steps**2)
-    error = np.broadcast_to(reward * mean[-1] * SLACK + UNIT, len(draws)).copy()
-    square = square * float(spread.sum()) * SLACK + UNIT
-    return error, np.broadcast_to(square, len(draws)).copy()
-
-
-def finite(
-    found: tuple[Floats, Floats], scenario: Scenario, *, second: bool = False
-) -> tuple[Floats, Floats]:
-    """Return the bounds, or refuse numbers so large that sums of them may overflow.
-
-    A bound is more than u times the largest number on the way, which is R H, or its square.
-    """
-    error, variance_error = found
-    most = UNIT * np.finfo(float).max / 16
-    if not (error.max() < most and (not second or variance_error.max() < most)):
-        raise ModelError(
-            "reward weights so large that returns overflow",
-            where=f"scenario {scenario.name}",
-            fix="state rewards in a larger unit, or draw them with a smaller spread",
-        )
-    return found
-
-
-def cut_off(scenario: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArray[np.bool_]:
-    """Return (D,) whether the numbers that add up to some chance pass 1, so that it is cut off.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> cut_off(Scenario.load("yuan2025"), ["base.anger"], [[0.05], [0.9]]).tolist()
-    [False, True]
-    """
-    return _cut_off(*prepared(scenario, names, draws))
-
-
-def warn_of_draws(
-    scenario: Scenario, names: Sequence[str], layout: tuple[Care, Floats, Integers, Floats]
-) -> None:
-    """Warn once, of the first draw in which a chance is cut off at 1, with the number of them.
-
-    Parameters
-    ----------
-    layout : as `prepared` returns it
-    """
-    cut, draws = _cut_off(*layout), layout[3]
-    if cut.any():
-        first = int(cut.argmax())
-        there = scenario.with_(parameters=dict(zip(names, draws[first].tolist(), strict=True)))
-        where = f", {int(cut.sum())} of {len(draws)} draws, the first of them draw {first}"
-        warn_of_excess(there, where=where if names else "", stacklevel=4)
-
-
-def _cut_off(care: Care, base: Floats, positions: Integers, table: Floats) -> NDArray[np.bool_]:
-    found = np.zeros(len(table), dtype=bool)
-    numbers = np.repeat(base[:, None], len(table), axis=1)
-    numbers[positions] = table.T
-    for places in care.terms.tolist():
-        total = numbers[places[0]]
-        for place in places[1:]:
-            total = total + numbers[place]
-        found |= total > 1 + 2.0**-50
-    return found
-
-
 BLOCK = 512  # draws, or policies, that a thread takes at a time
+EVENTS = ("complete", "fail", "skip")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -359,8 +96,267 @@ class PolicyMoments:
     variance_error: Floats | None
 
 
+class Batch:
+    """A scenario and draws of some of its numbers, as the compiled loops take them.
+
+    Attributes
+    ----------
+    care : solvers.kernels.care.Care
+    base : (P+2,)
+        Today's parameters, 0, and the discount.
+    positions : (Q,) ints
+        Which of these are drawn.
+    draws : (D, Q)
+    """
+
+    def __init__(self, scenario: Scenario, names: Sequence[str], draws: ArrayLike | None) -> None:
+        self.scenario, self.names, where = scenario, list(names), f"scenario {scenario.name}"
+        statuses, known = scenario.statuses, scenario.names
+        if len(statuses) > MOST_STATUSES:
+            raise ModelError(
+                f"{len(statuses)} statuses, more than {MOST_STATUSES}",
+                where=where,
+                fix="compile and solve the model instead: solve(scenario.compile())",
+            )
+        none = len(known)
+        place = {name: number for number, name in enumerate(known)} | {DISCOUNT: none + 1}
+        for name in self.names:
+            if name not in place:
+                raise ModelError(
+                    f"unknown parameter {name!r}", where=where, fix=suggest(name, list(place))
+                )
+            if self.names.count(name) > 1:
+                raise ModelError(f"{name} is drawn twice", where="names", fix="give each name once")
+        self.draws = self._checked(draws)
+        numbers = [parameter.value for parameter in scenario.parameters]
+        self.base = np.array([*map(float, numbers), 0.0, float(scenario.discount)])
+        self.positions = np.array([place[name] for name in self.names], dtype=np.int64)
+        rules, found = Rules(scenario), chances(scenario)
+        # Each sum of weights once; `gains` says which of them an event earns.
+        rows: dict[tuple[int, ...], int] = {}
+        gains = np.zeros((len(EVENTS), len(PLACES), 2), dtype=np.int64)
+        for event, p, f in np.ndindex(gains.shape):
+            names_charged = rules.charged(EVENTS[event], p, f)
+            charged = tuple(place[f"reward.{name}"] for name in names_charged)
+            gains[event, p, f] = rows.setdefault(charged, len(rows))
+        widest = max(map(len, rows))
+        charges = np.array([[*row, *[none] * (widest - len(row))] for row in rows])
+        count = len(statuses)
+        self.care: Care = loops.Care(
+            terms=found.terms,
+            step=np.ascontiguousarray(found.step.transpose(2, 1, 0).reshape(count, -1)),
+            skip=np.ascontiguousarray(found.skip.T),
+            bits=found.bits.astype(bool),
+            statuses=np.array([place[f"reward.{scenario.weights[s]}"] for s in statuses]),
+            assist=np.array([place[f"reward.assist.{action}"] for action in scenario.actions]),
+            charges=charges,
+            gains=gains,
+            places=rules.places,
+            kept=rules.kept,
+            trials=rules.trials,
+            flags=rules.flags,
+            now=rules.now,
+            next=rules.next,
+            own=rules.own,
+        )
+
+    def _checked(self, draws: ArrayLike | None) -> Floats:
+        """Return the draws as (D, Q), each number within its parameter's range."""
+        table = np.empty((1, 0)) if draws is None else np.asarray(draws, dtype=np.float64)
+        if table.ndim != 2 or table.shape[1] != len(self.names) or len(table) == 0:
+            raise ModelError(
+                f"draws of shape {table.shape} for {len(self.names)} parameters",
+                where="draws",
+                fix="give a row for each draw, at least one, and a column for each name",
+            )
+        limits: dict[str, tuple[float, float]] = {DISCOUNT: (0.0, 1.0)}
+        for parameter in self.scenario.parameters:
+            low = -np.inf if parameter.low is None else float(parameter.low)
+            high = np.inf if parameter.high is None else float(parameter.high)
+            limits[parameter.name] = low, high
+        for name, least, most in zip(self.names, table.min(axis=0), table.max(axis=0), strict=True):
+            low, high = limits[name]
+            for drawn in (least, most):
+                if not (np.isfinite(drawn) and low <= drawn <= high):
+                    raise ModelError(
+                        f"{name} is drawn as {float(drawn):g}, outside [{low:g}, {high:g}]",
+                        where=f"parameter {name}",
+                        fix="draw finite values in that range",
+                    )
+        return _read_only(table)
+
+    def errors(self, subtasks: int | None = None, *, second: bool = False) -> tuple[Floats, Floats]:
+        """Return (D,) bounds on the errors of a start value, and of a variance.
+
+        Numbers so large that sums of them may overflow are refused: a bound is more than u times
+        the largest number on the way, which is R H, or its square.
+        """
+        care, count = self.care, len(self.draws)
+        parts = (care.charges, care.statuses, care.assist)
+        rewards = np.unique(np.concatenate([part.reshape(-1) for part in parts]))
+        moved = np.isin(self.positions, rewards)
+        rows = self.draws[:, moved] if moved.any() else np.empty((1, 0))  # else one tells of all
+        sizes = np.repeat(np.abs(self.base[rewards])[None], len(rows), axis=0)
+        sizes[:, np.searchsorted(rewards, self.positions[moved])] = np.abs(rows)
+
+        def sums(places: Integers) -> Floats:
+            """Return (rows, …) the sums over the last axis."""
+            return np.asarray(sizes[:, np.searchsorted(rewards, places)].sum(axis=-1))
+
+        # At most one of completing, with its own reward, and failing, with status costs and a skip.
+        with np.errstate(over="ignore"):  # refused below
+            gains = sums(care.charges)
+            complete, fail, skip = (gains[:, e.reshape(-1)].max(axis=1) for e in care.gains)
+            assist, statuses = sums(care.assist[:, None]).max(axis=1), sums(care.statuses)
+            reward = np.maximum(complete + assist, fail + skip) + (care.now + care.next) * statuses
+            square = reward**2
+        vectors, bits = care.bits.shape
+        law = 2 * bits * float(gamma(bits)) + float(gamma(2 * bits + 1))
+        unit = (2 * law + float(gamma(2 * vectors + 4 * len(care.assist) + 24))) * SLACK
+        subtasks = len(care.places) if subtasks is None else subtasks
+        steps = np.arange(1, subtasks * (care.trials + 1) + 1)
+        mean = unit * np.cumsum(steps)  # in units of the largest reward
+        # |u - m| and the variance's root are at most h rewards; both means are off by `mean`.
+        spread = 2 * (4 * steps * mean + 4 * unit * steps**2)
+        error = reward * mean[-1] * SLACK + UNIT
+        square = square * float(spread.sum()) * SLACK + UNIT
+        most = UNIT * np.finfo(float).max / 16
+        if not (error.max() < most and (not second or square.max() < most)):
+            raise ModelError(
+                "reward weights so large that returns overflow",
+                where=f"scenario {self.scenario.name}",
+                fix="state rewards in a larger unit, or draw them with a smaller spread",
+            )
+        return np.broadcast_to(error, count).copy(), np.broadcast_to(square, count).copy()
+
+    def cut(self) -> NDArray[np.bool_]:
+        """Return (D,) whether the numbers that add up to some chance pass 1."""
+        found = np.zeros(len(self.draws), dtype=bool)
+        numbers = np.repeat(self.base[:, None], len(self.draws), axis=1)
+        numbers[self.positions] = self.draws.T
+        for places in self.care.terms.tolist():
+            total = numbers[places[0]]
+            for place in places[1:]:
+                total = total + numbers[place]
+            found |= total > 1 + 2.0**-50
+        return found
+
+    def warn(self) -> None:
+        """Warn once, of the first draw in which a chance is cut off at 1, with their number."""
+        cut = self.cut()
+        if cut.any():
+            first = int(cut.argmax())
+            drawn = dict(zip(self.names, self.draws[first].tolist(), strict=True))
+            where = f", {int(cut.sum())} of {len(cut)} draws, the first of them draw {first}"
+            there = self.scenario.with_(parameters=drawn)
+            warn_of_excess(there, where=where if self.names else "", stacklevel=3)
+
+    def room(self) -> Room:
+        """Return arrays to work in, for one thread."""
+        care = self.care
+        vectors, rows = len(care.bits), care.step.shape[1]
+        room: Room = loops.Room(
+            numbers=np.empty(len(self.base)),
+            chance=np.empty(len(care.terms)),
+            gain=np.empty(len(care.charges)),
+            assist=np.empty(len(care.assist)),
+            p=np.empty(rows),
+            q=np.empty(rows),
+            law=np.empty((vectors, rows)),
+            skip=np.empty((vectors, vectors)),
+            own=np.empty((vectors, vectors)),
+            vector=np.zeros((10, vectors)),
+            ahead=np.zeros((2, care.flags, vectors)),
+            here=np.zeros((2, care.flags, vectors)),
+        )
+        return room
+
+    def in_blocks(
+        self,
+        work: Callable[[int, int, Any], None],
+        count: int,
+        threads: int | None,
+        size: int = BLOCK,
+    ) -> None:
+        """Call `work` (first, last, room) for blocks of 0 … count-1, in threads."""
+        if threads is None:
+            cores = getattr(os, "sched_getaffinity", None)
+            threads = len(cores(0)) if cores else 1
+        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+            raise ModelError(
+                f"threads is {threads!r}", where="threads", fix="give a whole number > 0"
+            )
+        firsts = range(0, count, size)
+        if threads == 1 or len(firsts) == 1:
+            work(0, count, self.room())
+            return
+        with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
+            tasks = [
+                pool.submit(work, first, min(first + size, count), self.room()) for first in firsts
+            ]
+            for task in tasks:
+                task.result()
+
+    def policies(self, policies: ArrayLike) -> tuple[Numbers, Floats]:
+        """Return policies as (N, G, V) actions or (N, G, V, A) shares, the other one empty."""
+        care = self.care
+        vectors, number = len(care.bits), len(care.assist)
+        stages = len(care.places), care.trials, care.flags
+        given = np.asarray(policies)
+        shape = given.shape[1:]
+        mixed = given.ndim in (3, 6)
+        by_status = shape == ((vectors, number) if mixed else (vectors,))
+        by_state = shape == (*stages, vectors, *([number] if mixed else []))
+        if not (by_status or by_state) or len(given) == 0:
+            raise ModelError(
+                f"policies of shape {given.shape}",
+                where="policies",
+                fix=f"give (N, {vectors}) actions, (N, {vectors}, {number}) probabilities, or "
+                f"either by state: (N, {', '.join(map(str, stages))}, {vectors}, …)",
+            )
+        groups = 1 if by_status else int(np.prod(stages))
+        if not mixed:
+            if given.dtype.kind not in "iu" or given.min() < 0 or given.max() >= number:
+                raise ModelError(
+                    f"actions that are not whole numbers from 0 to {number - 1}",
+                    where="policies",
+                    fix="give the numbers of the scenario's actions",
+                )
+            chosen = given.reshape(len(given), groups, vectors).astype(np.int16)
+            return _read_only(chosen), _read_only(np.empty((0, 1, vectors, number)))
+        shares = given.reshape(len(given), groups, vectors, number).astype(np.float64)
+        sums = shares.sum(axis=-1)
+        if not (np.isfinite(shares).all() and shares.min() >= 0 and np.abs(sums - 1).max() < 1e-12):
+            raise ModelError(
+                "probabilities that are negative or do not sum to 1",
+                where="policies",
+                fix="give a distribution over actions for each status vector",
+            )
+        # What the bound of the errors speaks of is the policy whose shares sum to 1.
+        shares = _read_only(shares / sums[..., None])
+        return _read_only(np.empty((0, groups, vectors), dtype=np.int16)), shares
+
+
+def _read_only(array: Numbers) -> Numbers:
+    """Return the array as one that cannot be written, so that loops are compiled for one kind."""
+    found = np.ascontiguousarray(array).view()
+    found.setflags(write=False)
+    return found
+
+
+def cut_off(model: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArray[np.bool_]:
+    """Return (D,) whether the numbers that add up to some chance pass 1, so that it is cut off.
+
+    Examples
+    --------
+    >>> cut_off(Scenario.load("yuan2025"), ["base.anger"], [[0.05], [0.9]]).tolist()
+    [False, True]
+    """
+    return Batch(model, names, draws).cut()
+
+
 def optimal(
-    scenario: Scenario,
+    model: Scenario,
     names: Sequence[str] = (),
     draws: ArrayLike | None = None,
     *,
@@ -373,6 +369,7 @@ def optimal(
 
     Parameters
     ----------
+    model : Scenario
     names : Q parameter names, "discount" among them where it is drawn too.
     draws : (D, Q)
         Left out: the scenario's own values, D = 1.
@@ -383,6 +380,10 @@ def optimal(
     warn : bool
         Whether a `mdp.ScenarioWarning` says in how many draws a chance is cut off at 1.
 
+    Returns
+    -------
+    CareValues
+
     Raises
     ------
     ModelError
@@ -391,34 +392,33 @@ def optimal(
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
     >>> found = optimal(scenario, ["base.anger"], [[0.05], [0.1]], gaps=True)
     >>> found.start.round(6).tolist(), found.optimal()[0, 0].tolist()
     ([146.235871, 143.338709], [False, False, True, False])
     """
-    from exact_mdp.solvers.kernels.care import optimal_values
-
-    care, base, positions, table = layout = prepared(scenario, names, draws)
+    batch = Batch(model, names, draws)
     if warn:
-        warn_of_draws(scenario, names, layout)
-    error, _ = finite(bounds(care, base, positions, table), scenario)
-    if actions and len(care.assist) > MOST_ACTIONS:
+        batch.warn()
+    care, count = batch.care, len(batch.draws)
+    error, _ = batch.errors()
+    vectors, number = len(care.bits), len(care.assist)
+    if actions and number > MOST_ACTIONS:
         raise ModelError(
-            f"{len(care.assist)} actions, more than {MOST_ACTIONS}",
-            where=f"scenario {scenario.name}",
+            f"{number} actions, more than {MOST_ACTIONS}",
+            where=f"scenario {model.name}",
             fix="leave out actions=True, or solve the models: solve(scenario.compile())",
         )
-    count, vectors, number = len(table), care.bits.shape[0], len(care.assist)
     start = np.empty(count)
     kept = np.empty((count if gaps else 0, vectors, number))
-    shape = (count if actions else 0, len(care.last), care.trials, care.flags, vectors)
+    shape = (count if actions else 0, len(care.places), care.trials, care.flags, vectors)
     taken = np.empty(shape, dtype=np.int8)
 
     def block(first: int, last: int, room: Room) -> None:
-        optimal_values(care, base, positions, table, first, last, room, start, kept, taken)
+        drawn = (care, batch.base, batch.positions, batch.draws, first, last)
+        loops.optimal_values(*drawn, room, start, kept, taken)
 
-    _in_blocks(block, count, care, base, threads)
+    batch.in_blocks(block, count, threads)
     for array in (start, error, kept, taken):
         array.setflags(write=False)
     return CareValues(
@@ -427,7 +427,7 @@ def optimal(
 
 
 def policy_values(
-    scenario: Scenario,
+    model: Scenario,
     names: Sequence[str],
     draws: ArrayLike | None,
     policies: ArrayLike,
@@ -440,46 +440,41 @@ def policy_values(
 
     Parameters
     ----------
-    names, draws, threads, warn
+    model, names, draws, threads, warn
         As in `optimal`.
     policies : (N, V) or (N, K, trials, flags, V) ints, or the same with a last axis A of floats
         Actions by status vector, or by state; with the axis A, probabilities of actions.
     second_moment : bool
         Whether the variance is wanted.
 
+    Returns
+    -------
+    PolicyMoments
+
     Raises
     ------
     ModelError
-        As `optimal` does; also for policies of another shape, or that are no distribution.
+        As `optimal` does; also for policies of another shape, or that are not distributions.
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
-    >>> scenario = Scenario.load("yuan2025")
     >>> always = np.repeat(np.arange(4)[:, None], 16, axis=1)
-    >>> found = policy_values(scenario, (), None, always, second_moment=True)
+    >>> found = policy_values(Scenario.load("yuan2025"), (), None, always, second_moment=True)
     >>> found.mean.round(6).tolist(), np.sqrt(found.variance[0, 3]).round(4).item()
     ([[-57.695564, 18.697715, 68.335496, 64.363644]], 92.4196)
     """
-    (found,) = policy_values_of_last(
-        scenario,
-        names,
-        draws,
-        policies,
-        (None,),
-        second_moment=second_moment,
-        threads=threads,
-        warn=warn,
-    )
-    return found
+    batch = Batch(model, names, draws)
+    if warn:
+        batch.warn()
+    return _moments(batch, policies, [len(batch.care.places)], second_moment, threads)[0]
 
 
 def policy_values_of_last(
-    scenario: Scenario,
+    model: Scenario,
     names: Sequence[str],
     draws: ArrayLike | None,
     policies: ArrayLike,
-    lengths: Sequence[int | None],
+    lengths: Sequence[int],
     *,
     second_moment: bool = False,
     threads: int | None = None,
@@ -487,148 +482,66 @@ def policy_values_of_last(
 ) -> list[PolicyMoments]:
     """Return what `policy_values` does, of the last so many subtasks alone, for every length.
 
-    Backward induction comes by them on its way: a task of 2 subtasks is the end of one of 6.
-
-    Parameters
-    ----------
-    lengths : ints from 1 to the number of subtasks, or None for all subtasks
+    Backward induction passes them on its way: a task of 2 subtasks is the end of one of 6.
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
     >>> long, short = (Scenario.load("yuan2025").with_(tasks=[size]) for size in (6, 2))
     >>> always = np.full((1, 16), 3)
     >>> (found,) = policy_values_of_last(long, (), None, always, [2])
     >>> bool(found.mean == policy_values(short, (), None, always).mean)
     True
     """
-    from exact_mdp.solvers.kernels.care import policy_moments
-
-    care, base, positions, table = layout = prepared(scenario, names, draws)
+    batch = Batch(model, names, draws)
     if warn:
-        warn_of_draws(scenario, names, layout)
-    chosen, shares = as_policies(care, policies)
-    subtasks = len(care.last)
-    ends = [subtasks if length is None else int(length) for length in lengths]
-    if not all(1 <= end <= subtasks for end in ends):
+        batch.warn()
+    subtasks = len(batch.care.places)
+    if not all(1 <= length <= subtasks for length in lengths):
         raise ModelError(
-            f"lengths {ends} of {subtasks} subtasks", where="lengths", fix=f"give 1 to {subtasks}"
+            f"lengths {lengths} of {subtasks} subtasks",
+            where="lengths",
+            fix=f"give 1 to {subtasks}",
         )
-    if np.ndim(policies) > 3 and set(ends) != {subtasks}:
+    if np.ndim(policies) > 3:
         raise ModelError(
             "policies by state, of another task", where="lengths", fix="give them by status"
         )
-    errors = [
-        finite(
-            bounds(care._replace(last=care.last[-end:]), base, positions, table),
-            scenario,
-            second=second_moment,
-        )
-        for end in ends
-    ]
-    count, many = len(table), max(len(chosen), len(shares))
-    rows = 1 if set(ends) == {subtasks} else subtasks
-    mean = np.empty((rows, count, many))
-    variance = np.empty((rows, count, many) if second_moment else (rows, 0, 0))
-
-    def by_draw(first: int, last: int, room: Room) -> None:
-        moments(first, last, 0, many, room)
-
-    def by_policy(low: int, high: int, room: Room) -> None:
-        moments(0, count, low, high, room)
-
-    def moments(first: int, last: int, low: int, high: int, room: Room) -> None:
-        policy_moments(
-            care,
-            base,
-            positions,
-            table,
-            first,
-            last,
-            chosen,
-            shares,
-            low,
-            high,
-            room,
-            second_moment,
-            mean,
-            variance,
-        )
-
-    if count >= many:
-        _in_blocks(by_draw, count, care, base, threads, 1 + BLOCK // max(many, 1))
-    else:
-        _in_blocks(by_policy, many, care, base, threads, 1 + BLOCK // count)
-    found = []
-    for end, (error, variance_error) in zip(ends, errors, strict=True):
-        row = 0 if rows == 1 else end - 1
-        found.append(
-            PolicyMoments(
-                mean=_fixed(mean[row]),
-                variance=_fixed(variance[row]) if second_moment else None,
-                error=_fixed(error),
-                variance_error=_fixed(variance_error) if second_moment else None,
-            )
-        )
-    return found
+    return _moments(batch, policies, lengths, second_moment, threads)
 
 
-def _fixed(array: Floats) -> Floats:
-    array.setflags(write=False)
-    return array
-
-
-# ---- threads ------------------------------------------------------------------------------------
-
-
-def _room(care: Care, base: Floats) -> Room:
-    from exact_mdp.solvers.kernels.care import Room
-
-    vectors, rows = care.bits.shape[0], care.step.shape[1]
-    return Room(
-        numbers=np.empty(len(base)),
-        chance=np.empty(len(care.terms)),
-        weight=np.empty(5),
-        assist=np.empty(len(care.assist)),
-        p=np.empty(rows),
-        q=np.empty(rows),
-        law=np.empty((vectors, rows)),
-        skip=np.empty((vectors, vectors)),
-        own=np.empty((vectors, vectors)),
-        vector=np.zeros((10, vectors)),
-        ahead=np.zeros((2, care.flags, vectors)),
-        here=np.zeros((2, care.flags, vectors)),
-    )
-
-
-def _in_blocks(
-    work: Callable[[int, int, Any], None],
-    count: int,
-    care: Care,
-    base: Floats,
+def _moments(
+    batch: Batch,
+    policies: ArrayLike,
+    lengths: Sequence[int],
+    second: bool,
     threads: int | None,
-    size: int = BLOCK,
-) -> None:
-    """Call `work` (first, last, room) for blocks of 0 … count-1, in threads."""
-    workers = _threads(threads)
-    blocks = list(_blocks(count, size))
-    if workers == 1 or len(blocks) == 1:
-        work(0, count, _room(care, base))
-        return
-    with ThreadPoolExecutor(min(workers, len(blocks))) as pool:
-        tasks = [pool.submit(work, *block, _room(care, base)) for block in blocks]
-        for task in tasks:
-            task.result()
+) -> list[PolicyMoments]:
+    """Return the moments of the last so many subtasks, for every length."""
+    chosen, shares = batch.policies(policies)
+    subtasks = len(batch.care.places)
+    errors = [batch.errors(length, second=second) for length in lengths]
+    count, many = len(batch.draws), max(len(chosen), len(shares))
+    rows = 1 if set(lengths) == {subtasks} else subtasks
+    mean = np.empty((rows, count, many))
+    variance = np.empty((rows, count, many) if second else (rows, 0, 0))
+    by_draw = count >= many
 
+    def block(first: int, last: int, room: Room) -> None:
+        drawn = (first, last) if by_draw else (0, count)
+        some = (0, many) if by_draw else (first, last)
+        care = (batch.care, batch.base, batch.positions, batch.draws, *drawn)
+        loops.policy_moments(*care, chosen, shares, *some, room, second, mean, variance)
 
-def _blocks(count: int, size: int) -> Iterator[tuple[int, int]]:
-    for first in range(0, count, size):
-        yield first, min(first + size, count)
-
-
-def _threads(threads: int | None) -> int:
-    if threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-        raise ModelError(f"threads is {threads!r}", where="threads", fix="give a whole number > 0")
-    return threads
+    few, most = sorted((count, many))
+    batch.in_blocks(block, most, threads, 1 + BLOCK // few)
+    for array in (mean, variance, *(each for pair in errors for each in pair)):
+        array.setflags(write=False)
+    return [
+        PolicyMoments(
+            mean=mean[0 if rows == 1 else length - 1],
+            variance=variance[0 if rows == 1 else length - 1] if second else None,
+            error=error,
+            variance_error=square if second else None,
+        )
+        for length, (error, square) in zip(lengths, errors, strict=True)
+    ]

@@ -14,7 +14,7 @@ from oracle import ACTIONS, READINGS, Oracle
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.solvers import evaluate, solve
-from exact_mdp.solvers.care import _room, optimal, policy_values, prepared
+from exact_mdp.solvers.care import Batch, optimal, policy_values
 
 YUAN = Scenario.load("yuan2025")
 CHANCES = [p.name for p in YUAN.parameters if p.low is not None]
@@ -226,9 +226,9 @@ def simple(folder: Path, actions: int) -> Scenario:
 def test_more_weights_than_chances_have_room(tmp_path: Path) -> None:
     scenario, actions = simple(tmp_path, 8), 8
     names, draws = ["base.x", "persistence.x"], np.array([[0.2, 0.7], [0.6, 0.5]])
-    care, base, _, _ = prepared(scenario, names, draws)
-    room = _room(care, base)
-    assert len(room.numbers) == len(base)  # `place` writes all of them
+    batch = Batch(scenario, names, draws)
+    room = batch.room()
+    assert len(room.numbers) == len(batch.base)  # `place` writes all of them
     assert room.assist.shape == (actions,)
     found = optimal(scenario, names, draws, actions=True)
     last = policy_values(scenario, names, draws, np.full((1, 2), actions - 1))

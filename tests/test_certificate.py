@@ -19,7 +19,7 @@ from oracle import END, Oracle
 from strategies import Rows, exact_gains, model_of, models
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.bellman import bellman_rows
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers import Claim, certify
 from exact_mdp.solvers.proof.certificate import Certificate
 

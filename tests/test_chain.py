@@ -14,15 +14,23 @@ from strategies import Rows, model_of, models
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.chain import (
-    check_rank,
     components,
     is_acyclic,
     reachable,
     require_termination,
     termination,
-    to_networkx,
     topological_levels,
 )
+
+
+def check_rank(mdp: MDP, rank: np.ndarray) -> bool:
+    """Whether `rank` proves that every policy ends: every pair reaches a smaller one in a step."""
+    matrix = mdp.transition
+    if rank.shape != (mdp.n_states,) or (rank[mdp.terminal] != 0).any():
+        return False
+    least = np.minimum.reduceat(rank[matrix.indices], matrix.indptr[:-1])
+    other = ~mdp.terminal[mdp.pair_state]
+    return bool((rank[~mdp.terminal] > 0).all() and (least < rank[mdp.pair_state])[other].all())
 
 
 def graph_of(mdp: MDP, pairs: list[int] | None = None) -> nx.DiGraph:
@@ -136,16 +144,6 @@ def test_many_trapped_states_are_counted() -> None:
     mdp = MDP.from_arrays([np.eye(9)], np.ones(9))
     with pytest.raises(ModelError, match="and 5 more"):
         require_termination(mdp)
-
-
-def test_networkx_graph_has_labels_and_probabilities() -> None:
-    mdp = MDP.from_arrays([[["1/4", "3/4"], [0, 1]], [[0, 1], [0, 1]]], [1, 0], states=["a", "b"])
-    graph = to_networkx(mdp)
-    assert graph.nodes["state b"]["terminal"]
-    assert graph.edges["state a", "state b"]["actions"] == {"0": 0.75, "1": 1.0}
-    assert not to_networkx(mdp, [1, 0]).has_edge("state a", "state a")
-    with pytest.raises(ModelError, match="not available"):
-        to_networkx(mdp, [2, 0])
 
 
 def test_a_thousand_subtasks_fall_level_by_level() -> None:

@@ -14,7 +14,7 @@ from cli_runner import run
 from oracle import ACTIONS, END, Oracle, State
 
 from exact_mdp.mdp import Policy, Scenario
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.load import load_model
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cli_runner import run
 
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.load import load_model
 
 

@@ -14,7 +14,7 @@ from cli_runner import run
 
 from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.sensitivity import KINDS
-from exact_mdp.analysis.plots.sensitivity_global import plot_morris, plot_morris_bars, plot_sobol
+from exact_mdp.analysis.plots.sensitivity import plot_morris, plot_sobol
 from exact_mdp.analysis.plots.style import style
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.mdp import ModelError, Scenario
@@ -253,11 +253,7 @@ def test_figures() -> None:
     effects = morris(scenario, policy="always:directive", names=names, n=4, rng=0)
     with style():
         for output in ("optimal", "fixed", "regret"):
-            for found, draw in (
-                (indices, plot_sobol),
-                (effects, plot_morris),
-                (effects, plot_morris_bars),
-            ):
+            for found, draw in ((indices, plot_sobol), (effects, plot_morris)):
                 figure, ax = plt.subplots()
                 assert draw(found, output=output, ax=ax) is ax
                 assert "(reward per range)" in ax.get_xlabel() or ax.get_xlabel().startswith(

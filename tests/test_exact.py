@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import Rows, models
 
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.bellman import bellman_rows
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers.proof.cycle import RightSides
 from exact_mdp.solvers.proof.exact import stages
 from exact_mdp.solvers.proof.rationals import fraction, fractions, primes_of

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.bellman import bellman_rows
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.solvers import certify
 from exact_mdp.solvers.proof import exact
 from exact_mdp.solvers.proof import linear as exact_linear

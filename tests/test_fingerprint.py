@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from strategies import Rows, models
 
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.bellman import bellman_rows
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import bellman_rows, fingerprint
 
 DYADIC = [[[0.5, 0.5, 0], [0.25, 0.5, 0.25], [0, 0, 1]], [[0, 0.125, 0.875], [0, 0, 1], [0, 0, 1]]]
 REWARD = [[1, -2.5], [0.75, 3], [0, 0]]

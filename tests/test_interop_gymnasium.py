@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from exact_mdp.mdp import MDP, ModelError, Policy
 from exact_mdp.mdp.io.load import load
+from exact_mdp.mdp.lazy import later
 
 # Gymnasium 1.3 numbers it anew.
 NUMBER = max(each.version or 0 for each in gymnasium.registry.values() if each.name == "Taxi")
@@ -283,5 +284,6 @@ def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
 
 def test_without_gymnasium_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.setattr("exact_mdp.mdp.io.gymnasium.gymnasium", later("gymnasium"))
     with pytest.raises(ModelError, match=r"exact-mdp\[gymnasium\]"):
         MDP.from_gymnasium("FrozenLake-v1")

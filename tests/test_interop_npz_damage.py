@@ -71,7 +71,7 @@ SPOILED: dict[str, tuple[str, Any, str]] = {
     "short event": ("event", lambda a: a[:-1], "event has shape"),
     "header words": ("header", np.frombuffer(b"\xff\xfe{}", np.uint8), "broken JSON"),
     "header cut": ("header", lambda a: a[:-3], "broken JSON"),
-    "header deep": ("header", np.frombuffer(b"[" * 10**5, np.uint8), "broken JSON"),
+    "header deep": ("header", np.frombuffer(b"[" * 10**5, np.uint8), "nested more than 100 deep"),
     "header digits": ("header", np.frombuffer(b"9" * 10**4, np.uint8), "broken JSON"),
     "header list": ("header", np.frombuffer(b"[1]", np.uint8), "header is not an object"),
 }

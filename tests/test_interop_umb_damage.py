@@ -11,7 +11,8 @@ from laws import laws
 from umb_files import MODELS, archive_of, members_of
 
 from exact_mdp.mdp import ModelError
-from exact_mdp.mdp.io import umb
+from exact_mdp.mdp.io import umb, umb_read
+from exact_mdp.mdp.lazy import later
 
 
 def test_files_cut_short_or_left_out(tmp_path: Path) -> None:
@@ -116,6 +117,8 @@ def test_without_umbi_the_error_names_the_extra(
 ) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "umbi"]:
         monkeypatch.setitem(sys.modules, name, None)
+    for module in (umb, umb_read):
+        monkeypatch.setattr(module, "encoding", later("umbi.umb.umb_to_tar"))
     with pytest.raises(ModelError, match=r"exact-mdp\[umb\]"):
         umb.save(MODELS["floats"], tmp_path / "model.umb")
     with pytest.raises(ModelError, match=r"exact-mdp\[umb\]"):

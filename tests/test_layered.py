@@ -16,7 +16,7 @@ from strategies import Rows, exact_values, models
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care import compile as blocks
-from exact_mdp.mdp.care.size import Size, check_explicit
+from exact_mdp.mdp.care.compile import check_explicit, size
 from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.care.toml import parse
 from exact_mdp.mdp.chain import is_acyclic, numbered_in_order, runs_in_order, topological_levels
@@ -180,9 +180,9 @@ def test_the_size_of_a_table_is_known_beforehand(
     readings = {"skip_timestep": option, "status_cost": cost}
     readings |= {"skip_onset": onset, "task_bonus": bonus}
     scenario = Scenario.load("yuan2025").with_(tasks=tasks, max_trial=2, readings=readings)
-    size, table = Size(scenario), scenario.compile().table
-    assert len(table.next) <= size.outcomes <= 3 * len(table.next)
-    assert max(int(bottom) for bottom in table.denominator) <= size.denominator
+    (outcomes, denominator), table = size(*check_explicit(scenario)), scenario.compile().table
+    assert len(table.next) <= outcomes <= 3 * len(table.next)
+    assert max(int(bottom) for bottom in table.denominator) <= denominator
 
 
 def weighted(
@@ -202,11 +202,11 @@ def test_last_trials_of_statuses_with_weights_of_their_own(
     statuses: int, same: bool, base: F
 ) -> None:
     scenario = weighted(statuses, same=same, base=base)
-    table, size = scenario.compile().table, Size(scenario)
+    table, (outcomes, denominator) = scenario.compile().table, size(*check_explicit(scenario))
     assert (table.weight.dtype == object) == (base != F(1, 3))
-    assert (size.denominator >= 2**62) == (base != F(1, 3))
+    assert (denominator >= 2**62) == (base != F(1, 3))
     check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
-    assert len(table.next) <= size.outcomes
+    assert len(table.next) <= outcomes
 
 
 def test_a_few_present_vectors_at_a_time_make_the_same_table(

@@ -12,7 +12,6 @@ from exact_mdp.analysis.learning.instability import Prediction, predict
 from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
 from exact_mdp.analysis.plots import (
     plot_distinct,
-    plot_instability,
     plot_learning_curves,
     plot_regrets,
     plot_value_bands,
@@ -97,13 +96,4 @@ def test_distinct(ax: Axes, found: Outcomes) -> None:
     plot_distinct({"constant ε": found, "again": found}, ax=ax)
     heights = [bar.get_height() for bar in ax.patches]
     assert sum(heights) == pytest.approx(2)
-    drawn(ax)
-
-
-def test_instability(ax: Axes, found: Outcomes, theory: Prediction) -> None:
-    plot_instability(theory, found.choices(0), ax=ax)
-    ticks = [text.get_text() for text in ax.get_xticklabels()]
-    assert ticks[2].startswith("non-directive\ngap 0.00")
-    heights = [bar.get_height() for bar in ax.patches]
-    assert heights == pytest.approx((found.choices(0) / 12).tolist())
     drawn(ax)

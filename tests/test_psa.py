@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_runner import run
 from scipy.special import betainc
-from scipy.stats import binomtest
+from scipy.stats import binom, binomtest
 
 from exact_mdp.analysis.sensitivity.draws.solver import CareSolver, solver_of
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
@@ -133,6 +133,19 @@ def test_evppi_of_one_of_two_chances_is_the_closed_form(mean, size, other) -> No
     whole = evpi(values)
     assert abs(both.regression.value - whole.value) < 4 * whole.standard_error
     assert found.regression.value < both.regression.value + 4 * whole.standard_error
+
+
+@pytest.mark.parametrize("worth", [0.0, 0.5])
+def test_evppi_is_cut_at_evpi_where_the_fit_promises_more(worth: float) -> None:
+    """A step that loses, and seldom wins: splines swing above it where nothing is to be won."""
+    known = np.linspace(-1, 1, 400)[:, None]
+    ahead = np.where(known > 0.3, -1.0, 0.0) + np.where(known > 0.99, 1 + worth, 0.0)
+    values = np.hstack([np.zeros_like(known), ahead])
+    found, most = evppi(values, known, ("x",)), evpi(values).value
+    assert most == pytest.approx(worth * (known > 0.99).mean())
+    assert found.regression.value == most
+    if worth:
+        assert "cut at EVPI of the candidates" in found.doubts
 
 
 def test_what_is_not_known_to_matter_is_worth_nothing() -> None:
@@ -376,6 +389,20 @@ def test_intervals_of_quantiles_cover_as_often_as_they_say() -> None:
         (found,) = quantiles(rng.exponential(size=300), [0.75])
         inside += found.low <= np.log(4) <= found.high
     assert 0.92 < inside / 400 <= 1
+
+
+def test_intervals_of_quantiles_end_at_the_order_statistics_that_they_name() -> None:
+    """The ⌊np - z √(np(1-p))⌋-th smallest and the ⌈np + z √(np(1-p))⌉ + 1-th; the ends clipped."""
+    half, early = quantiles(np.arange(1.0, 1001.0)[::-1], [0.5, 0.1])
+    assert (half.low, half.value, half.high) == (469, 500.5, 532)
+    assert (early.low, early.high) == (81, 120)
+    for found, p in ((half, 0.5), (early, 0.1)):  # sorted, the k-th smallest is k
+        cover = binom.cdf(found.high - 1, 1000, p) - binom.cdf(found.low - 1, 1000, p)
+        shorter = binom.cdf(found.high - 2, 1000, p) - binom.cdf(found.low, 1000, p)
+        assert shorter < cover
+        assert 0.95 <= cover < 0.97
+    (least,) = quantiles(np.arange(1.0, 11.0), [0.025])
+    assert (least.low, least.high) == (1, 3)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The shared box of parameters: bounds of a policy and of its gradient, and exact extremes."""
 
+from collections.abc import Iterator
 from fractions import Fraction
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.analysis.sensitivity.robust.affine import Forms, mixed
-from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum, box_ranges, corners
+from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum, box_ranges
 from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.care.scenario import ScenarioFamily
@@ -20,11 +22,23 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SMALL = {"tasks": [1, 1], "max_trial": 2}
 F = Fraction
+HALF = F(1, 2)
 YUAN = Scenario.load("yuan2025")
 
 
 def value_at(scenario: Scenario, weights: np.ndarray, point: dict[str, Fraction]) -> float:
     return evaluate(scenario.with_(parameters=point).compile(), weights).mean
+
+
+def corners(ranges: dict[str, Range], number: int, seed: int) -> Iterator[dict[str, Fraction]]:
+    """Yield random corners of a box."""
+    rng = np.random.default_rng(seed)
+    for _ in range(number):
+        ends = rng.integers(0, 2, len(ranges)).tolist()
+        yield {
+            name: span.high if end else span.low
+            for (name, span), end in zip(ranges.items(), ends, strict=True)
+        }
 
 
 @settings(max_examples=6)
@@ -214,6 +228,29 @@ def test_rows_that_are_not_affine_are_refused() -> None:
     names = [Parameter(name=n, value=half, low=F(0), high=F(1)) for n in "pq"]
     with pytest.raises(ModelError, match="affine"):
         box_extreme(Family(parameters=tuple(names), build=build), "optimal")
+
+
+@pytest.mark.parametrize(
+    "p, q, r",
+    [
+        (1, F(1, 2), F(3, 5)),  # seen at the low corner alone
+        (0, 0, F(3, 5)),  # at the high one
+        (0, 1, F(3, 5)),  # at the one that crosses
+        (1, 0, F(1, 2)),  # inside
+    ],
+)
+def test_rows_that_are_affine_at_all_points_but_one_are_refused(p, q, r) -> None:
+    """(x - p) (y - q) (z - r) is 0, as from today, at three of the points that are looked at."""
+
+    def build(at):
+        x = HALF + (at["x"] - p) * (at["y"] - q) * (at["z"] - r) / 4
+        return MDP.from_arrays([[[x, 1 - x], [0, 1]]], [1, 0], discount="9/10")
+
+    today = {"x": F(p), "y": F(q), "z": F(1, 4)}
+    names = [Parameter(name=n, value=v, low=F(0), high=F(1)) for n, v in today.items()]
+    family = Family(parameters=tuple(names), build=build)
+    with pytest.raises(ModelError, match="affine in the parameters together"):
+        box_extreme(family, "optimal", dict.fromkeys("xyz", (0, 1)))
 
 
 @given(st.integers(0, 9999))

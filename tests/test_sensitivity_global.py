@@ -257,8 +257,9 @@ def test_care_parameters_without_range_are_left_out() -> None:
     assert {parameter.name for parameter in spans} == others
     assert [each.name for each in spans_of(model, ["discount"])] == ["discount"]
     assert [each.name for each in spans_of(model, None, {"discount": ("1/2", 1)})] == ["discount"]
-    # A model that has no other parameter has its discount varied.
-    assert [each.name for each in spans_of(parametric(chain().at({})))] == ["discount"]
+    # A plain model has its rewards varied.
+    plain = [each.name for each in spans_of(parametric(chain().at({})))]
+    assert plain == ["reward.2", "reward.3", "reward.4"]
     assert all(span.low < span.high for span in spans.values())
 
 

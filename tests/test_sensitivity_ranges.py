@@ -184,20 +184,21 @@ def test_figures() -> None:
     mpl.use("agg")
     from matplotlib import pyplot as plt
 
-    from exact_mdp.analysis import plots
+    from exact_mdp.analysis.plots import style
+    from exact_mdp.analysis.plots.sensitivity import plot_thresholds
 
     own, x = scenario(), "assistance.directive.confusion.persistence"
     found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
     bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
     surface = two_way(own, x, "base.anger", ranges={x: (0, 1)}, points=3)
-    with plots.style():
+    with style():
         figure, axes = plt.subplots(2, 3, figsize=(15, 8))
-        assert plots.plot_tornado(bars, ax=axes[0, 0]) is axes[0, 0]
-        assert "regret" in plots.plot_tornado(bars, show="regret", ax=axes[0, 1]).get_xlabel()
-        plots.plot_value_curves(one_way(own, x, (0, 1), points=3), ax=axes[0, 2])
-        plots.plot_thresholds(found, ax=axes[1, 0])
-        plots.plot_two_way(surface, ax=axes[1, 1])
-        plots.plot_two_way(surface, state=4, ax=axes[1, 2])
+        assert bars.plot(axes[0, 0]) is axes[0, 0]
+        assert "regret" in bars.plot(axes[0, 1], output="regret").get_xlabel()
+        one_way(own, x, (0, 1), points=3).plot(axes[0, 2])
+        plot_thresholds(found, ax=axes[1, 0])
+        surface.plot(axes[1, 1])
+        surface.plot(axes[1, 2], state=4)
         figure.savefig(io.BytesIO(), format="svg")
         plt.close(figure)
 

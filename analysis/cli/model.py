@@ -8,7 +8,7 @@ from typing import Any
 from exact_mdp.analysis.cli.options import given
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.load import load, save_model
 from exact_mdp.mdp.model import MDP
 

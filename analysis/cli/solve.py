@@ -42,7 +42,7 @@ def solve(
         wanted = {"--certify": certify, "--certificate": certificate}
         wanted["--horizon"] = shared.pop("horizon")
         asked = _as_operator(method, wanted, **shared)
-        method = "backward-induction"
+        method = "backward-induction" if method == "auto" else method
     else:
         asked = given(**shared)
     mdp = asked.mdp

@@ -18,7 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
-from exact_mdp.mdp.bellman import BellmanRows, bellman_rows
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly

@@ -23,7 +23,7 @@ from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -35,7 +35,7 @@ pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AccuracyCurves(Result):
+class AccuracyCurves(Pictured):
     """Values of a policy on perceptions along accuracies, status by status and for all.
 
     Attributes
@@ -46,6 +46,8 @@ class AccuracyCurves(Result):
     error : float
         No value is off by more than this.
     """
+
+    picture = "exact_mdp.analysis.plots.perception:plot_accuracy_curves"
 
     levels: Floats
     values: dict[str, Floats]
@@ -97,7 +99,7 @@ def accuracy_curves(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Hedging(Result):
+class Hedging(Pictured):
     """The best memoryless policy on perceptions as perception worsens.
 
     Attributes
@@ -109,6 +111,8 @@ class Hedging(Result):
     taken_as_true : (M,)
         The value of the policy given, taking what it perceives for true.
     """
+
+    picture = "exact_mdp.analysis.plots.perception:plot_hedging"
 
     mdp: MDP
     levels: Floats

@@ -29,7 +29,7 @@ from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.pomdp.values import acting, at_start, largest, rounding, values, visits
@@ -43,7 +43,7 @@ pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ErrorCosts(Result):
+class ErrorCosts(Pictured):
     """Which errors of perception cost a policy most.
 
     Attributes
@@ -62,6 +62,8 @@ class ErrorCosts(Result):
     error : float
         No entry of `derivative` or `loss`, and no rate, is off by more than this.
     """
+
+    picture = "exact_mdp.analysis.plots.perception:plot_error_costs"
 
     statuses: tuple[str, ...]
     value: Bounded

@@ -5,18 +5,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import comb
 
-import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from exact_mdp.analysis.plots.style import axes_or_new, plain_text
 from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.table import Floats
+
+nx = later("networkx")
 
 
-def influence_graph(scenario: Scenario) -> nx.DiGraph:
-    """Return the influences as a directed graph; an edge points at the status that it raises."""
-    graph = nx.DiGraph()
+@plain_text
+def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
+    """Draw who raises whom; widths and labels are percentage points per timestep.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    ax, graph = axes_or_new(ax), nx.DiGraph()
     graph.add_nodes_from(scenario.statuses)
     forwards = scenario.readings["influence_orientation"] == "row-to-column"
     for row in scenario.statuses:
@@ -24,16 +37,8 @@ def influence_graph(scenario: Scenario) -> nx.DiGraph:
             if row != column and (amount := scenario[f"influence.{row}.{column}"]):
                 origin, target = (row, column) if forwards else (column, row)
                 graph.add_edge(origin, target, amount=float(amount))
-    return graph
-
-
-@plain_text
-def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
-    """Draw the influence graph; widths and labels are percentage points per timestep."""
-    ax = axes_or_new(ax)
-    graph = influence_graph(scenario)
     place = nx.circular_layout(graph)
-    amounts = [graph.edges[edge]["amount"] for edge in graph.edges]
+    amounts = {edge: graph.edges[edge]["amount"] for edge in graph.edges}
     labels = {
         status: f"{status}\nbase {float(scenario[f'base.{status}']):.0%}\n"
         f"stays {float(scenario[f'persistence.{status}']):.0%}"
@@ -48,7 +53,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
         place,
         ax=ax,
         node_size=5600,
-        width=[40 * amount for amount in amounts],
+        width=[40 * amount for amount in amounts.values()],
         edge_color="0.45",
         connectionstyle="arc3,rad=0.14",
         arrowsize=11,
@@ -56,7 +61,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     nx.draw_networkx_edge_labels(
         graph,
         place,
-        {edge: f"+{100 * graph.edges[edge]['amount']:g}" for edge in graph.edges},
+        {edge: f"+{100 * amount:g}" for edge, amount in amounts.items()},
         ax=ax,
         font_size=8,
         label_pos=0.32,
@@ -71,30 +76,34 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
 
 @plain_text
 def plot_status_transitions(
-    law: NDArray[np.float64],
+    law: Floats,
     statuses: Sequence[str],
     *,
     threshold: float = 0.1,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the moves between status vectors whose probability is at least `threshold`.
+    """Draw the moves between status vectors; the likelier, the darker and thicker.
 
     Parameters
     ----------
-    law : (2^n, 2^n) probabilities of the next vector (column) given the present one (row)
-    statuses : names of the n status bits
-    threshold : probability below which a move is left out
+    law : (2^n, 2^n)
+        Probabilities of the next vector (column) given the present one (row).
+    statuses : sequence of n str
+    threshold : float
+        Probability below which a move is left out.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
     """
-    ax = axes_or_new(ax)
-    bits = len(statuses)
-    graph = nx.DiGraph()
+    ax, bits, graph = axes_or_new(ax), len(statuses), nx.DiGraph()
     graph.add_nodes_from(range(2**bits))
     for row, column in zip(*np.nonzero(law >= threshold), strict=True):
-        graph.add_edge(int(row), int(column), probability=float(law[row, column]))
-    place = _layers(bits)
-    widths = [3.2 * graph.edges[edge]["probability"] for edge in graph.edges]
-    inks = [str(0.75 - 0.75 * graph.edges[edge]["probability"]) for edge in graph.edges]
+        graph.add_edge(int(row), int(column))
+    chances = [float(law[edge]) for edge in graph.edges]
     done = ["0.85" if vector == 0 else "white" for vector in graph]
+    place = _layers(bits)
     nx.draw_networkx_nodes(
         graph, place, ax=ax, node_size=620, node_color=done, edgecolors="black", linewidths=0.8
     )
@@ -106,8 +115,8 @@ def plot_status_transitions(
         place,
         ax=ax,
         node_size=620,
-        width=widths,
-        edge_color=inks,
+        width=[3.2 * chance for chance in chances],
+        edge_color=[str(0.75 - 0.75 * chance) for chance in chances],
         arrowsize=7,
         connectionstyle="arc3,rad=0.10",
     )

@@ -1,30 +1,42 @@
-"""One look for every figure, and saving it as vector and raster without half-written files."""
+"""One look for every figure: colours, axes, legends, bars, cells; saving it whole or not at all.
+
+Every text is shown as it is written: names may hold "$", which matplotlib takes for a formula.
+"""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.table import Numbers
 
 Arguments = ParamSpec("Arguments")
 
 # Okabe and Ito's colours, ordered from light to dark so that greyscale keeps them apart.
 PALETTE = ("#FFFFFF", "#F0E442", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#0072B2", "#4D4D4D")
 HATCHES = ("", "...", "//", "", "xx", "\\\\", "++", "")
-LINES = ("-", "--", ":", "-.")
+LINES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)))
+MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
+WHITE, BLUE, BLACK = PALETTE[0], PALETTE[2], "#000000"
+INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7])
 
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "figure.dpi": 100,
     "savefig.dpi": 200,
     "font.size": 9,
@@ -37,6 +49,7 @@ SETTINGS = {
     "svg.fonttype": "none",
     "svg.hashsalt": "exact-mdp",
     "figure.constrained_layout.use": True,
+    "legend.frameon": False,
     "text.parse_math": False,
 }
 
@@ -55,6 +68,14 @@ class ActionStyle:
 def action_styles(actions: Sequence[str]) -> list[ActionStyle]:
     """Return one style for each action.
 
+    Parameters
+    ----------
+    actions : sequence of A str
+
+    Returns
+    -------
+    list of A ActionStyle
+
     Examples
     --------
     >>> [style.short for style in action_styles(["none", "supportive"])]
@@ -64,28 +85,13 @@ def action_styles(actions: Sequence[str]) -> list[ActionStyle]:
     for number, name in enumerate(actions):
         fill = PALETTE[number % len(PALETTE)]
         dark = sum(int(fill[i : i + 2], 16) for i in (1, 3, 5)) < 330
-        styles.append(
-            ActionStyle(
-                name=name,
-                short=f"a{number}",
-                fill=fill,
-                hatch=HATCHES[number % len(HATCHES)],
-                ink="white" if dark else "black",
-            )
-        )
+        hatch, ink = HATCHES[number % len(HATCHES)], "white" if dark else "black"
+        styles.append(ActionStyle(name=name, short=f"a{number}", fill=fill, hatch=hatch, ink=ink))
     return styles
 
 
 def plain_text(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
     """Let a function that draws on axes show every text as it is: names hold "$", not formulas.
-
-    Parameters
-    ----------
-    function : function that returns the axes it drew on
-
-    Returns
-    -------
-    function
 
     Examples
     --------
@@ -103,7 +109,7 @@ def plain_text(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]
         given = settings.get("ax")
         if isinstance(given, Axes):
             _as_written(given)
-        with mpl.rc_context({"text.parse_math": False}):
+        with mpl.rc_context({"text.parse_math": False, "legend.frameon": False}):
             ax = function(*arguments, **settings)
         _as_written(ax)
         return ax
@@ -112,8 +118,8 @@ def plain_text(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]
 
 
 def _as_written(drawn: Axes | Figure) -> None:
-    """Show every text of a drawing as it is written; matplotlib takes $…$ for a formula."""
     for text in drawn.findobj(Text):
+        assert isinstance(text, Text)
         text.set_parse_math(False)
 
 
@@ -126,12 +132,7 @@ def style() -> Iterator[None]:
 
 def axes_or_new(ax: Axes | None) -> Axes:
     """Return the axes, or those of a new figure."""
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    _, fresh = plt.subplots()
-    return fresh
+    return plt.subplots()[1] if ax is None else ax
 
 
 def titled(ax: Axes, text: str) -> Text:
@@ -139,8 +140,9 @@ def titled(ax: Axes, text: str) -> Text:
 
     Breaks in the text are kept. Set the figure's size, and what its layout depends on, before.
     """
-    title = ax.set_title("")
-    ax.figure.draw_without_rendering()
+    title, figure = ax.set_title(""), ax.get_figure(root=True)
+    assert isinstance(figure, Figure)
+    figure.draw_without_rendering()
     room = ax.get_window_extent().width
 
     def fits(words: Sequence[str]) -> bool:
@@ -156,6 +158,114 @@ def titled(ax: Axes, text: str) -> Text:
             lines[-1].append(word)
     title.set_text("\n".join(" ".join(line) for line in lines))
     return title
+
+
+def legend_beside(ax: Axes, handles: Sequence[Any] | None = None) -> None:
+    """Draw the legend to the right of the axes."""
+    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0))
+
+
+def action_legend(ax: Axes, styles: Sequence[ActionStyle], used: Collection[int]) -> None:
+    """Name the actions that are drawn, beside the axes."""
+    legend_beside(ax, [swatch(f"{styles[a].short} {styles[a].name}", styles[a]) for a in used])
+
+
+def swatch(label: str, drawn: ActionStyle | tuple[str, str]) -> Patch:
+    """Return a legend's handle for an action, or for a fill and a hatching."""
+    fill, hatch = drawn if isinstance(drawn, tuple) else (drawn.fill, drawn.hatch)
+    return Patch(facecolor=fill, edgecolor="black", hatch=hatch, label=label)
+
+
+def bars_across(
+    ax: Axes,
+    places: Numbers,
+    lengths: Numbers,
+    half: Numbers,
+    fill: str,
+    hatch: str,
+    label: str,
+    height: float = 0.7,
+) -> None:
+    """Draw horizontal bars with intervals."""
+    ax.barh(
+        places,
+        lengths,
+        height,
+        xerr=half,
+        color=fill,
+        hatch=hatch,
+        edgecolor=BLACK,
+        label=label,
+        error_kw={"ecolor": BLACK, "elinewidth": 1, "capsize": 2},
+    )
+
+
+def name_rows(ax: Axes, names: Sequence[str]) -> None:
+    """Name the rows 0, 1, …, the first on top."""
+    ax.set_yticks(range(len(names)), names)
+    ax.invert_yaxis()
+
+
+def plain_numbers(*axes: Axis) -> None:
+    """Write the numbers along logarithmic axes as numbers, not as formulas."""
+    for axis in axes:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def level(ax: Axes, value: float, label: str = "optimum") -> None:
+    """Draw a dotted line across at a value."""
+    ax.axhline(value, color="black", linestyle=":", linewidth=1, label=label)
+
+
+def cell(
+    ax: Axes,
+    column: float,
+    row: float,
+    drawn: ActionStyle,
+    *,
+    text: str = "",
+    fill: object = None,
+    ink: str = "",
+    pad: float = 1.2,
+    font: float | None = 8,
+    **frame: Any,
+) -> None:
+    """Draw a cell of a map in an action's style, with its letters or another text."""
+    face = drawn.fill if fill is None else fill
+    frame = {"edgecolor": "black", "hatch": drawn.hatch} | frame
+    ax.add_patch(Rectangle((column, row), 1, 1, facecolor=face, **frame))
+    ax.text(
+        column + 0.5,
+        row + 0.5,
+        text or drawn.short,
+        ha="center",
+        va="center",
+        color=ink or drawn.ink,
+        fontsize=font,
+        bbox={"facecolor": face, "edgecolor": "none", "pad": pad},
+    )
+
+
+def mark_cell(ax: Axes, column: float, row: float, width: float = 2.0) -> None:
+    """Draw a heavy frame within a cell."""
+    ax.add_patch(
+        Rectangle((column + 0.04, row + 0.05), 0.92, 0.9, fill=False, ec="black", lw=width)
+    )
+
+
+def status_grid(ax: Axes, statuses: Sequence[str]) -> list[tuple[int, int]]:
+    """Prepare a map of all status vectors; return (column, row) of each vector."""
+    bits = len(statuses)
+    high, low = bits - bits // 2, bits // 2
+    columns = [format(v, f"0{low}b") if low else "" for v in range(2**low)]
+    ax.set(xlim=(0, 2**low), ylim=(2**high, 0), aspect="equal")
+    ax.set_xticks(np.arange(2**low) + 0.5, columns)
+    ax.set_yticks(np.arange(2**high) + 0.5, [format(v, f"0{high}b") for v in range(2**high)])
+    ax.set_xlabel(", ".join(statuses[high:]))
+    ax.set_ylabel(", ".join(statuses[:high]))
+    ax.tick_params(length=0)
+    return [(vector & (2**low - 1), vector >> low) for vector in range(2**bits)]
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

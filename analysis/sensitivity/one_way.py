@@ -25,7 +25,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.solution import Bounded
@@ -82,7 +82,7 @@ class Bar:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Tornado(Result):
+class Tornado(Pictured):
     """Bars of all parameters, the widest first, and the values at today's parameters.
 
     Attributes
@@ -90,6 +90,8 @@ class Tornado(Result):
     today : Values
     bars : tuple of Bar
     """
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_tornado"
 
     today: Values
     bars: tuple[Bar, ...]
@@ -130,8 +132,10 @@ class Tornado(Result):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Curve(Result):
+class Curve(Pictured):
     """Values along one parameter's range."""
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_value_curves"
 
     parameter: Parameter
     points: tuple[Point, ...]

@@ -38,7 +38,7 @@ from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.errors import ModelError, ScenarioWarning
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy

@@ -29,7 +29,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.row_change import Piece, row_change
 from exact_mdp.solvers.solution import Claim
 
@@ -90,7 +90,7 @@ class Threshold:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Thresholds(Result):
+class Thresholds(Pictured):
     """All thresholds of one parameter within a range, in rising order.
 
     Attributes
@@ -102,6 +102,8 @@ class Thresholds(Result):
         Points at which the degree of a family's rows was checked, where it is not proven: there may
         be more thresholds. None where a proof says that there are no others.
     """
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_thresholds"
 
     parameter: Parameter
     range: Range

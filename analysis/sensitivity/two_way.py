@@ -24,7 +24,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import evaluate, solve
 
@@ -36,7 +36,7 @@ tqdm = later("tqdm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class TwoWay(Result):
+class TwoWay(Pictured):
     """Optimal policies over a grid of two parameters.
 
     Attributes
@@ -52,6 +52,8 @@ class TwoWay(Result):
     policy : (Y, X) int64
         Number of the policy on the states that it reaches, in order of appearance.
     """
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_two_way"
 
     mdp: MDP
     x: Parameter

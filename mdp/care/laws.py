@@ -1,21 +1,18 @@
-"""The chance of each status next, as sums of named parameters: the care model without a matrix.
+"""How a status vector moves: the chance of each status next, and the laws that they make.
 
 Every chance of the care model is a sum of numbers of its tables, cut off at 1:
 
-    p_i(s, a) = min(1, Σ of the parameters named by step[s, a, i])        under action a,
-    z_i(s)    = min(1, Σ of the parameters named by skip[s, i])           when a subtask is skipped.
+    p_i(s, a) = min(1, Σ of the parameters in terms[step[s, a, i]])       under action a,
+    z_i(s)    = min(1, Σ of the parameters in terms[skip[s, i]])          when a subtask is skipped.
 
-A sum above 1 is no probability: `warn_of_excess` names it wherever a model is made of it.
-So one array of positions says how the model follows from its parameters: exact laws, batches of
-drawn parameters and matrix-free operators all read it. Source: Yuan et al. (2025), Section 2.1.
-
-Laws of the next status vector, exact: under each action, and when a subtask is skipped.
-
-Given the present vector s and an action a, the next statuses are independent, so that
+A sum above 1 is not a probability: `warn_of_excess` names it wherever a model is made of it. The
+next statuses are independent, so that
 
     K_a(s, s') = Π_i p_i(s, a)^{s'_i} (1 - p_i(s, a))^{1 - s'_i},
 
-worked out as integers over one denominator for each row. Source: Yuan et al. (2025), Section 2.1.
+as integers over one denominator for each row in an exact model. One array of positions says how a
+model follows from its parameters: exact laws, batches of drawn parameters, operators and affine
+forms all read it. Source: Yuan et al. (2025), Section 2.1.
 """
 
 from __future__ import annotations
@@ -23,17 +20,14 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from fractions import Fraction
-from math import prod
+from functools import lru_cache
+from math import lcm, prod
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.care.tables import Tables
+from exact_mdp.mdp.care.tables import Tables, bits_of
 from exact_mdp.mdp.errors import ScenarioWarning
-from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, multiply, shown
-
-ZERO = Fraction(0)
-NEAR = 1e-9  # sums of floats this much below 1 are looked at exactly, far more than rounding
+from exact_mdp.mdp.table import Integers, Numbers, common, integers, multiply, shown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,24 +40,28 @@ class Chances:
         The P parameters of the scenario, in its order.
     bits : (2^n, n)
         The status vectors; the first status is the most significant digit.
-    step : (2^n, A, n, n) ints
-        Positions in `names` of the terms of p_i(s, a); P where there is no term.
-    skip : (2^n, n, n) ints
-        The same of z_i(s).
+    terms : (U, n) ints
+        Positions in `names` of the terms of each of U different chances; P where there is none.
+    step : (2^n, A, n) ints
+        Which chance p_i(s, a) is.
+    skip : (2^n, n) ints
+        Which chance z_i(s) is.
     """
 
     names: tuple[str, ...]
     bits: Integers
+    terms: Integers
     step: Integers
     skip: Integers
 
-    def step_chances(self, values: ArrayLike) -> Floats:
-        """Return p (…, 2^n, A, n) in floats, from values (…, P) of all parameters."""
-        return _sums(values, self.step)
-
-    def skip_chances(self, values: ArrayLike) -> Floats:
-        """Return z (…, 2^n, n) in floats, from values (…, P) of all parameters."""
-        return _sums(values, self.skip)
+    def sums(self, scenario: Tables) -> tuple[Numbers, int]:
+        """Return (U,) the sums of terms, not cut off, as integers over one denominator."""
+        used = np.flatnonzero(np.bincount(self.terms.reshape(-1))[: len(self.names)])
+        tops, bottom = common([scenario.parameters[k].value for k in used.tolist()])
+        small = bottom * (len(self.bits[0]) + 1) < 2**62
+        numbers = np.zeros(len(self.names) + 1, dtype=np.int64 if small else object)
+        numbers[used] = tops
+        return np.asarray(numbers[self.terms].sum(axis=1)), bottom
 
 
 def chances(scenario: Tables) -> Chances:
@@ -72,48 +70,92 @@ def chances(scenario: Tables) -> Chances:
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> scenario = Scenario.load("yuan2025")
-    >>> found = chances(scenario)
-    >>> [found.names[k] for k in found.step[0b0010, 0, 0] if k < len(found.names)]
+    >>> found = chances(Scenario.load("yuan2025"))
+    >>> [found.names[k] for k in found.terms[found.step[0b0010, 0, 0]] if k < len(found.names)]
     ['base.forgetfulness', 'influence.anger.forgetfulness']
-    >>> values = [float(parameter.value) for parameter in scenario.parameters]
-    >>> found.step_chances(values)[0b0010, 0].round(2).tolist()
-    [0.37, 0.38, 1.0, 0.3]
     """
-    names = scenario.names
-    position = {name: number for number, name in enumerate(names)}
-    statuses, count, none = scenario.statuses, len(scenario.statuses), len(names)
-    bits = (np.arange(2**count)[:, None] >> np.arange(count - 1, -1, -1)) & 1
+    readings = ("influence_orientation", "influence_on_present", "skip_onset")
+    return _chances(
+        scenario.names,
+        scenario.statuses,
+        scenario.actions,
+        tuple(sorted(scenario.others.items())),
+        *(scenario.readings[name] for name in readings),
+    )
+
+
+@lru_cache(maxsize=16)
+def _chances(
+    names: tuple[str, ...],
+    statuses: tuple[str, ...],
+    actions: tuple[str, ...],
+    others: tuple[tuple[str, str], ...],
+    orientation: str,
+    on_present: str,
+    onset: str,
+) -> Chances:
+    """Return the chances of all scenarios that differ in nothing but their numbers and rules."""
+    position, none, count = {name: k for k, name in enumerate(names)}, len(names), len(statuses)
+    bits = bits_of(count)
     present = bits.astype(bool)
-    kind = np.int16 if none < 2**15 else np.int32
-    step = np.full((2**count, len(scenario.actions), count, count), none, dtype=kind)
-    skip = np.full((2**count, count, count), none, dtype=kind)
-    rule, additive = scenario.readings["skip_onset"], scenario.readings["influence_on_present"]
+    step = np.empty((2**count, len(actions), count), dtype=np.int64)
+    skip = np.empty((2**count, count), dtype=np.int64)
+    terms: list[Integers] = []
+
+    def add(rows: Integers) -> int:
+        """Add rows of terms (k, n), and return the number of the first."""
+        terms.append(rows)
+        return sum(map(len, terms)) - len(rows)
+
+    def alone(name: str | None) -> int:
+        """Return the number of the chance that is one parameter, or 0."""
+        row = np.full((1, count), none)
+        row[0, 0] = none if name is None else position[name]
+        return add(row)
+
+    nothing = alone(None)
     for i, status in enumerate(statuses):
-        pushes = np.full((2**count, count), none, dtype=kind)  # column 0 is for the term pushed
-        others = [j for j in range(count) if j != i]
-        for column, j in enumerate(others, start=1):
-            pushes[present[:, j], column] = position[_influence(scenario, statuses[j], status)]
         here = present[:, i]
-        free = pushes.copy()
-        if additive == "none":
-            free[here] = none
+        free = np.full((2**count, count), none)
         free[:, 0] = np.where(here, position[f"persistence.{status}"], position[f"base.{status}"])
-        for number, action in enumerate(scenario.actions):
-            step[:, number, i] = free
+        for column, j in enumerate((j for j in range(count) if j != i), start=1):
+            pushed = present[:, j] & (~here if on_present == "none" else True)
+            free[pushed, column] = position[influence(orientation, statuses[j], status)]
+        # Where nothing is added to it, the persistence is one chance for all vectors.
+        kinds = np.arange(2**count)
+        kinds[here & (free[:, 1:] == none).all(axis=1)] = 1 << (count - 1 - i)
+        used, which = np.unique(kinds, return_inverse=True)
+        which = which + add(free[used])
+        for number, action in enumerate(actions):
+            step[:, number, i] = which
             for name, where in (("persistence", here), ("onset", ~here)):
-                assisted = position.get(f"assistance.{action}.{status}.{name}")
-                if assisted is not None:
-                    step[where, number, i] = none
-                    step[where, number, i, 0] = assisted
-        if rule != "reset":
-            skip[here, i, 0] = _staying(scenario, position, present, i)[here]
-        if rule == "base":
-            skip[~here, i] = free[~here]
-    return Chances(names=names, bits=bits, step=step, skip=skip)
+                assisted = f"assistance.{action}.{status}.{name}"
+                if assisted in position:
+                    step[where, number, i] = alone(assisted)
+        skip[:, i] = nothing
+        if onset == "base":
+            skip[~here, i] = which[~here]
+        if onset != "reset":
+            other = dict(others).get(status)
+            if other is None:
+                skip[here, i] = alone(f"skip.{status}.persistence")
+            else:
+                both = present[:, statuses.index(other)]
+                skip[here & ~both, i] = alone(f"skip.{status}.alone")
+                skip[here & both, i] = alone(f"skip.{status}.with-other")
+    found = np.concatenate(terms)
+    for array in (bits, found, step, skip):
+        array.setflags(write=False)
+    return Chances(names=names, bits=bits, terms=found, step=step, skip=skip)
 
 
-def excess(scenario: Tables, found: Chances | None = None) -> str | None:
+def influence(orientation: str, origin: str, target: str) -> str:
+    """Return the parameter by which one status pushes another."""
+    first, second = (origin, target) if orientation == "row-to-column" else (target, origin)
+    return f"influence.{first}.{second}"
+
+
+def excess(scenario: Tables) -> str | None:
     """Return in one line which chances pass 1 and are cut off there, or None where none does.
 
     Sums are compared exactly. No chance can be negative: every term lies in [0, 1].
@@ -127,43 +169,38 @@ def excess(scenario: Tables, found: Chances | None = None) -> str | None:
     >>> print(excess(scenario.with_(parameters={"base.anger": "9/10"})))
     a chance of 1.24 is cut off at 1: anger in status 1101 under none is base.anger 0.9 + ...
     """
-    found = chances(scenario) if found is None else found
-    values = [parameter.value for parameter in scenario.parameters]
-    rough = np.array([*map(float, values), 0.0])
-    greatest: tuple[Fraction, str, list[int]] | None = None
-    count = 0
-    for table, when in ((found.step, "under"), (found.skip[:, None], "on a skip")):
-        near = rough[table].sum(axis=-1) > 1 - NEAR
-        rows, which = np.unique(table[near], axis=0, return_inverse=True)
-        sums = [sum((values[k] for k in row if k < len(values)), ZERO) for row in rows.tolist()]
-        over = np.array([total > 1 for total in sums], dtype=bool)[which.reshape(-1)]
-        count += int(over.sum())
-        for (vector, action, status), number in zip(
-            np.argwhere(near)[over].tolist(), which.reshape(-1)[over].tolist(), strict=True
-        ):
-            if greatest is None or sums[number] > greatest[0]:
-                word = f"under {scenario.actions[action]}" if when == "under" else when
-                label = "".join(map(str, found.bits[vector].tolist()))
-                place = f"{scenario.statuses[status]} in status {label} {word}"
-                greatest = sums[number], place, rows[number].tolist()
-    if greatest is None:
+    found = chances(scenario)
+    sums, bottom = found.sums(scenario)
+    over = np.array(sums > bottom, dtype=bool)
+    if not over.any():
         return None
-    total, place, terms = greatest
-    added = " + ".join(f"{found.names[k]} {shown(values[k])}" for k in terms if k < len(values))
+    count = int(over[found.step].sum() + over[found.skip].sum())
+    greatest = max(sums[over].tolist())
+    first = np.array(sums == greatest, dtype=bool)
+    if first[found.step].any():
+        vector, action, status = np.argwhere(first[found.step])[0].tolist()
+        which, word = found.step[vector, action, status], f"under {scenario.actions[action]}"
+    else:
+        vector, status = np.argwhere(first[found.skip])[0].tolist()
+        which, word = found.skip[vector, status], "on a skip"
+    label = "".join(map(str, found.bits[vector].tolist()))
+    added = " + ".join(
+        f"{found.names[k]} {shown(scenario.parameters[k].value)}"
+        for k in found.terms[which].tolist()
+        if k < len(found.names)
+    )
     others = "; and so is 1 other" if count == 2 else f"; and so are {count - 1} others"
-    others = others if count > 1 else ""
-    return f"a chance of {shown(total)} is cut off at 1: {place} is {added}{others}"
+    return (
+        f"a chance of {shown(Fraction(greatest, bottom))} is cut off at 1: "
+        f"{scenario.statuses[status]} in status {label} {word} is {added}"
+        f"{others if count > 1 else ''}"
+    )
 
 
 def warn_of_excess(scenario: Tables, *, where: str = "", stacklevel: int = 2) -> bool:
     """Warn where a chance is cut off at 1, and say whether one is.
 
-    Parameters
-    ----------
-    where : str, optional
-        In which part of an analysis.
-    stacklevel : int
-        Whose line the warning names: 2 for the caller's own.
+    `where` is the part of an analysis; `stacklevel` as in `warnings.warn`, 2 for the caller's line.
     """
     message = excess(scenario)
     if message is not None:
@@ -172,81 +209,64 @@ def warn_of_excess(scenario: Tables, *, where: str = "", stacklevel: int = 2) ->
     return message is not None
 
 
-def _influence(scenario: Tables, origin: str, target: str) -> str:
-    by_row = scenario.readings["influence_orientation"] == "row-to-column"
-    first, second = (origin, target) if by_row else (target, origin)
-    return f"influence.{first}.{second}"
-
-
-def _staying(scenario: Tables, position: dict[str, int], present: np.ndarray, i: int) -> Integers:
-    """Return (2^n,) the parameter by which status i, where it is present, stays on a skip."""
-    status = scenario.statuses[i]
-    if status not in scenario.others:
-        return np.full(len(present), position[f"skip.{status}.persistence"])
-    other = present[:, scenario.statuses.index(scenario.others[status])]
-    alone, both = (position[f"skip.{status}.{word}"] for word in ("alone", "with-other"))
-    return np.where(other, both, alone)
-
-
-def _sums(values: ArrayLike, terms: Integers) -> Floats:
-    numbers = np.asarray(values, dtype=np.float64)
-    padded = np.concatenate([numbers, np.zeros((*numbers.shape[:-1], 1))], axis=-1)
-    total = padded[..., terms[..., 0]]
-    for column in range(1, terms.shape[-1]):
-        total = total + padded[..., terms[..., column]]
-    return np.asarray(np.minimum(total, 1.0))
-
-
 @dataclass(frozen=True, kw_only=True)
-class Kernels:
-    """Laws of the next status vector: integers over one denominator for each row."""
+class Laws:
+    """Laws of the next status vector, exact: integers over one denominator for each row."""
 
-    bits: Integers  # (2^n, n) the vectors; the first status is the most significant digit
     step: Numbers  # (2^n, A, 2^n) weights under each action
     step_denominator: Numbers  # (2^n, A)
     skip: Numbers  # (2^n, 2^n) weights when a subtask is skipped
     skip_denominator: int
 
 
-def status_kernels(scenario: Tables) -> Kernels:
-    """Return the laws of the status vector under every action and on a skip."""
-    found = chances(scenario)
-    vectors, actions, count, _ = found.step.shape
-    values = [parameter.value for parameter in scenario.parameters]
+class ExactChances:
+    """The chances of a scenario as fractions, and what they tell of the laws they make.
 
-    def chance(terms: list[int]) -> Fraction:
-        return min(
-            Fraction(1), sum((values[k] for k in terms if k < len(found.names)), Fraction(0))
+    Attributes
+    ----------
+    found : Chances
+    top, bottom : (U,) lists of int
+        Each chance in its lowest terms.
+    """
+
+    def __init__(self, scenario: Tables) -> None:
+        self.found = chances(scenario)
+        sums, shared = self.found.sums(scenario)
+        parts = [Fraction(min(total, shared), shared) for total in sums.tolist()]
+        self.top = [part.numerator for part in parts]
+        self.bottom = [part.denominator for part in parts]
+
+    def denominators(self, which: Integers) -> list[int]:
+        """Return the denominators of rows, whose chances `which` (R, n) names."""
+        return [prod(self.bottom[k] for k in row) for row in which.tolist()]
+
+    def reach(self, which: Integers) -> Integers:
+        """Return (…,) how many vectors each row leads to."""
+        open_ = np.array([0 < a < b for a, b in zip(self.top, self.bottom, strict=True)])
+        return np.asarray(2 ** open_[which].sum(axis=-1))
+
+    def laws(self) -> Laws:
+        """Return the laws of the status vector under every action and on a skip."""
+        vectors, actions, count = self.found.step.shape
+        weight, denominator = self._products(self.found.step.reshape(-1, count))
+        skip, bottoms = self._products(self.found.skip)
+        bottom = lcm(*bottoms.tolist())
+        shared = integers([bottom // each for each in bottoms.tolist()])
+        return Laws(
+            step=weight.reshape(vectors, actions, vectors),
+            step_denominator=denominator.reshape(vectors, actions),
+            # As wide as its denominator, below which every sum of a row's weights stays.
+            skip=multiply(skip, shared[:, None]).astype(integers([bottom]).dtype),
+            skip_denominator=bottom,
         )
 
-    weight, denominator = _products(
-        [[chance(terms) for terms in row] for row in found.step.reshape(-1, count, count).tolist()]
-    )
-    skip, skip_denominators = _products(
-        [[chance(terms) for terms in row] for row in found.skip.tolist()]
-    )
-    shared, _ = common([Fraction(1, int(d)) for d in skip_denominators])
-    bottom = shared[0] * int(skip_denominators[0])
-    return Kernels(
-        bits=found.bits,
-        step=weight.reshape(vectors, actions, vectors),
-        step_denominator=denominator.reshape(vectors, actions),
-        # As wide as its denominator, below which every sum of a row's weights stays.
-        skip=multiply(skip, integers(shared)[:, None]).astype(integers([bottom]).dtype),
-        skip_denominator=bottom,
-    )
-
-
-def _products(rows: list[list[Fraction]]) -> tuple[Numbers, Numbers]:
-    """Return the law of independent bits: (R, 2^n) integer weights over (R,) denominators."""
-    top = integers([p.numerator for row in rows for p in row]).reshape(len(rows), -1)
-    bottom = integers([p.denominator for row in rows for p in row]).reshape(len(rows), -1)
-    whole = [prod(p.denominator for p in row) for row in rows]
-    denominator = integers(whole)
-    if denominator.dtype == object:
-        top, bottom = top.astype(object), bottom.astype(object)
-    weight = np.ones((len(rows), 1), dtype=denominator.dtype)
-    for i in range(top.shape[1]):
-        one, zero = top[:, i : i + 1], bottom[:, i : i + 1] - top[:, i : i + 1]
-        weight = np.stack([weight * zero, weight * one], axis=2).reshape(len(rows), -1)
-    return weight, denominator
+    def _products(self, which: Integers) -> tuple[Numbers, Numbers]:
+        """Return the law of independent bits: (R, 2^n) integer weights over (R,) denominators."""
+        denominator = integers(self.denominators(which))
+        top = integers(self.top)[which].astype(denominator.dtype)
+        bottom = integers(self.bottom)[which].astype(denominator.dtype)
+        weight = np.ones((len(which), 1), dtype=denominator.dtype)
+        for i in range(which.shape[1]):
+            one, zero = top[:, i : i + 1], bottom[:, i : i + 1] - top[:, i : i + 1]
+            weight = np.stack([weight * zero, weight * one], axis=2).reshape(len(which), -1)
+        return weight, denominator

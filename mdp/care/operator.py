@@ -1,4 +1,13 @@
-"""How a status vector moves: independent next statuses, summed out one at a time.
+"""The care model without its matrix: states and rewards as ever, next statuses by their law.
+
+    q(s, a) = const(a, s) + E[x(s') | s, a],    x(s') = gain(s') + γ V(next(s')),
+
+where s' = 0 completes the subtask and every other s' fails the trial, and after the last trial
+x(s') is itself an expectation, over what a skip makes of s'. All gains but those of the action and
+of the present status depend on s' alone, so that one vector x serves all actions and states of a
+trial. The rules are those of `mdp.care.rules`.
+
+The next statuses are independent, and are summed out one at a time:
 
     E[x(s') | s, a] = Σ_s' x(s') Π_i p_i(s, a)^{s'_i} (1 - p_i(s, a))^{1 - s'_i}
 
@@ -10,20 +19,9 @@ other statuses if its own is absent, and on none if it is present or assisted, 2
 enough: sum over the 3^n ways in which each status is decided and folded, decided and kept, or
 undecided. Up to 6 statuses the law is a small matrix, made from the exact one and stored once.
 
-That a product law is applied factor by factor is due to Yates, The design and analysis of factorial
-experiments, 1937.
-
-The care model without its matrix: states and rewards as ever, next statuses by their law.
-
-    q(s, a) = const(a, s) + E[x(s') | s, a],    x(s') = gain(s') + γ V(next(s')),
-
-where s' = 0 completes the subtask and every other s' fails the trial, and after the last trial
-x(s') is itself an expectation, over what a skip makes of s'. All gains but those of the action and
-of the present status depend on s' alone, so that one vector x serves all actions and states of a
-trial. `mdp.care.operator` says how expectations are had in far fewer than 4^n steps.
-
 Memory is that of the 2^n · n · A chances and of a few vectors; no table of transitions exists.
-Source of the model: Yuan et al. (2025), Section 2.1, Equation 1 and Table 4.
+Sources: Yuan et al. (2025), Section 2.1, Equation 1 and Table 4; that a product law is applied
+factor by factor is due to Yates, The design and analysis of factorial experiments, 1937.
 """
 
 from __future__ import annotations
@@ -32,38 +30,35 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from math import lcm
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.care.laws import chances, status_kernels
-from exact_mdp.mdp.care.rules import Rules, kinds
+from exact_mdp.mdp.care.laws import ExactChances, chances
+from exact_mdp.mdp.care.rules import FINAL, PLACES, Rules
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import (
-    EXACT_IN_FLOAT,
-    Floats,
-    Integers,
-    Numbers,
-    as_float,
-    divide,
-    float_array,
-    integers,
+from exact_mdp.mdp.table import Floats, Integers, divide, float_array, integers
+
+DENSE_STATUSES = 6
+EXPLICIT = (
+    *("table", "transition", "reward", "components", "component_names", "events"),
+    *("n_transitions", "start_distribution", "pair", "pairs_of", "where", "with_"),
 )
+"""What an explicit model has and an operator lacks."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Law:
-    """How the status vector moves under R rules (actions, or the skip): apply it with `expect`.
+    """How the status vector moves under R laws (of actions, or of the skip).
 
     Attributes
     ----------
     chance : (R, 2^n, n)
-        Chance of each status next.
+        Chance of each status next, rounded once.
     ready : (R, n, 2) ints
         Statuses are decided from the last to the first; after how many of them, less one, the
         chance of status i is known, where it is absent or present itself.
@@ -78,57 +73,37 @@ class Law:
     dense: Floats
     error: float
 
-    @property
-    def vectors(self) -> int:
-        """2^n."""
-        return int(self.chance.shape[1])
+    @classmethod
+    def of(cls, chance: Floats, dense: Floats) -> Law:
+        """Return the law of some chances (R, 2^n, n)."""
+        rules, vectors, count = chance.shape
+        ready = np.zeros((rules, count, 2), dtype=np.int64)
+        for r in range(rules):
+            for i in range(count):
+                cube = chance[r, :, i].reshape((2,) * count)
+                for present in (0, 1):
+                    part, known = cube.take([present], axis=i), count - 1 - i
+                    for j in range(i):  # a status that is decided later than i, and matters
+                        if (part.take(0, axis=j) != part.take(1, axis=j)).any():
+                            known = count - 1 - j
+                            break
+                    ready[r, i, present] = known
+        # A fold is off by the error of p and four roundings of numbers of at most 2 max |x|; a row
+        # of the dense law is a sum of 2^n products.
+        error = vectors + 3.0 if len(dense) else count * 8.0
+        return cls(chance=chance, ready=ready, dense=dense, error=error)
 
     def expect(self, x: Floats) -> Floats:
         """Return (R, 2^n) the expectation of x (2^n,) from each present vector."""
-        rules = len(self.chance)
         if len(self.dense):
-            total = np.zeros(rules * self.vectors)
+            total = np.zeros(self.dense.shape[1])
             for following, worth in enumerate(x.tolist()):
                 total += self.dense[following] * worth
-            return total.reshape(rules, self.vectors)
-        return np.stack([_fold(self.chance[r], self.ready[r], x) for r in range(rules)])
+            return total.reshape(len(self.chance), -1)
+        return np.stack([_fold(*law, x) for law in zip(self.chance, self.ready, strict=True)])
 
 
 Expect = Callable[[Law, Floats], Floats]
-
-
-def chances_of(terms: Integers, values: list[Fraction]) -> tuple[Floats, float]:
-    """Return the chances (R, 2^n, n), and how many units of roundoff they may be off by."""
-    shared = lcm(*(value.denominator for value in values))
-    count = terms.shape[-1]
-    # Numbers over a common denominator add up exactly, and each chance is rounded once.
-    exact = max(abs(value) for value in values) * shared * (count + 1) < EXACT_IN_FLOAT
-    one = shared if exact else 1
-    numbers = np.array([as_float(value * one) for value in values] + [0.0])
-    total = numbers[terms[..., 0]]
-    for column in range(1, count):
-        total = total + numbers[terms[..., column]]
-    chance = np.minimum(total, float(one)) / float(one)
-    return np.ascontiguousarray(chance.transpose(1, 0, 2)), 1.0 if exact else count + 3.0
-
-
-def law_of(chance: Floats, off: float, dense: Floats) -> Law:
-    rules, vectors, count = chance.shape
-    ready = np.zeros((rules, count, 2), dtype=np.int64)
-    for r in range(rules):
-        for i in range(count):
-            cube = chance[r, :, i].reshape((2,) * count)
-            for present in (0, 1):
-                part = cube.take([present], axis=i)
-                known = count - 1 - i
-                for j in range(count):
-                    if j != i and (part.take(0, axis=j) != part.take(1, axis=j)).any():
-                        known = max(known, count - 1 - j)
-                ready[r, i, present] = known
-    # A fold is off by the error of p and four roundings of numbers of at most 2 max |x|; a row of
-    # the dense law is a sum of 2^n products.
-    error = vectors + 3.0 if len(dense) else count * (2 * off + 6.0)
-    return Law(chance=chance, ready=ready, dense=dense, error=error)
 
 
 def _fold(chance: Floats, ready: Integers, x: Floats) -> Floats:
@@ -155,14 +130,6 @@ def _fold(chance: Floats, ready: Integers, x: Floats) -> Floats:
     return found
 
 
-DENSE_STATUSES = 6
-EXPLICIT = (
-    *("table", "transition", "reward", "components", "component_names", "events"),
-    *("n_transitions", "start_distribution", "pair", "pairs_of", "where", "with_"),
-)
-"""What an explicit model has and an operator lacks."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CareOperator:
     """A care scenario as an operator on values; made by `Scenario.operator`.
@@ -181,13 +148,11 @@ class CareOperator:
     fail : (2^n,)
         Gain of a failed trial by next status vector.
     complete : (3, 2)
-        Gain of a completed one by kind of subtask and flag; the action's own is in `const`.
+        Gain of a completed one by place of the subtask and flag; the action's own is in `const`.
     skipped : (3,)
-        What a skip adds, by kind of subtask.
+        Gain of a skip by place of the subtask, but for statuses.
     alone : (2^n,)
-        Expected gain, but for `skipped`, of a skip that takes its own timestep.
-    kinds : (K,) ints
-        Each subtask: 0 inside a task, 1 last of one, 2 last of all.
+        What a skip that takes its own timestep charges for statuses, expected.
 
     Examples
     --------
@@ -208,7 +173,39 @@ class CareOperator:
     complete: Floats
     skipped: Floats
     alone: Floats
-    kinds: Integers
+
+    @classmethod
+    def of(cls, scenario: Tables) -> CareOperator:
+        """Return the operator of a scenario; see `Scenario.operator`."""
+        rules, found = Rules(scenario), chances(scenario)
+        sums, bottom = found.sums(scenario)
+        whole = integers([bottom])
+        chance = divide(np.minimum(sums, bottom), np.broadcast_to(whole, sums.shape))
+        step = np.ascontiguousarray(chance[found.step].transpose(1, 0, 2))
+        skip = chance[found.skip][None]
+        dense = dense_skip = np.empty((0, 0))
+        completing = np.prod(1.0 - step, axis=2)
+        if len(scenario.statuses) <= DENSE_STATUSES:
+            exact = ExactChances(scenario).laws()
+            bottoms = np.broadcast_to(exact.step_denominator[..., None], exact.step.shape)
+            law = divide(exact.step, bottoms).transpose(2, 1, 0)
+            dense = np.ascontiguousarray(law.reshape(rules.vectors, -1))
+            bottoms = np.broadcast_to(integers([exact.skip_denominator]), exact.skip.shape)
+            dense_skip = np.ascontiguousarray(divide(exact.skip, bottoms).T)
+            completing = dense[0].reshape(rules.assistive, -1)
+        skipping = Law.of(skip, dense_skip)
+        complete = [rules.gain("complete", place, flag) for place in PLACES for flag in (0, 1)]
+        return cls(
+            scenario=scenario,
+            rules=rules,
+            step=Law.of(step, dense),
+            skip=skipping,
+            const=rules.rounded(rules.assist)[:, None] * completing + rules.rounded(rules.present),
+            fail=rules.rounded(rules.gain("fail") + rules.following),
+            complete=rules.rounded(rules.gains(complete)).reshape(3, 2),
+            skipped=rules.rounded(rules.gains([rules.gain("skip", p, 1) for p in PLACES])),
+            alone=rules.rounded(rules.present) + skipping.expect(rules.rounded(rules.following))[0],
+        )
 
     def __repr__(self) -> str:
         return (
@@ -236,7 +233,7 @@ class CareOperator:
     @property
     def n_states(self) -> int:
         """Number of states, S."""
-        return len(self.kinds) * self.rules.size + 1
+        return len(self.rules.places) * self.rules.size + 1
 
     @property
     def n_actions(self) -> int:
@@ -246,7 +243,7 @@ class CareOperator:
     @property
     def n_pairs(self) -> int:
         """Number of available state-action pairs, L."""
-        return len(self.kinds) * len(self.rules.pairs()[0]) + 1
+        return len(self.rules.places) * len(self.rules.pairs()[0]) + 1
 
     @property
     def discount_exact(self) -> Fraction:
@@ -272,28 +269,24 @@ class CareOperator:
     def nbytes(self) -> int:
         """Bytes that the operator takes itself."""
         laws = [a for law in (self.step, self.skip) for a in (law.chance, law.ready, law.dense)]
-        own = (self.const, self.fail, self.complete, self.skipped, self.alone, self.kinds)
+        own = (self.const, self.fail, self.complete, self.skipped, self.alone, self.rules.places)
         return sum(array.nbytes for array in (*laws, *own))
 
     @cached_property
     def space(self) -> StateSpace:
         """What the state numbers mean."""
-        return self.rules.space(self.scenario)
+        return self.rules.space(len(self.rules.places))
 
     @cached_property
     def pair_state(self) -> Integers:
         """(L,) state of each pair."""
-        count, found = len(self.kinds), np.full(self.n_pairs, self.n_states - 1)
-        starts = np.arange(count)[:, None] * self.rules.size
-        np.add(starts, self.rules.pairs()[0], out=found[:-1].reshape(count, -1))
-        return found
+        starts = np.arange(len(self.rules.places))[:, None] * self.rules.size
+        return np.append((starts + self.rules.pairs()[0]).reshape(-1), self.n_states - 1)
 
     @cached_property
     def pair_action(self) -> Integers:
         """(L,) action of each pair."""
-        found = np.zeros(self.n_pairs, dtype=np.int64)
-        found[:-1].reshape(len(self.kinds), -1)[:] = self.rules.pairs()[1]
-        return found
+        return np.append(np.tile(self.rules.pairs()[1], len(self.rules.places)), 0)
 
     @cached_property
     def pair_offsets(self) -> Integers:
@@ -320,114 +313,59 @@ class CareOperator:
 
     def backup(self, value: ArrayLike) -> Floats:
         """Return (L,) action values r + γ P V for (S,) state values."""
-        value = float_array(value)
+        value, rules = float_array(value), self.rules
         if value.shape != (self.n_states,):
             raise ModelError(
                 f"values of shape {value.shape} for {self.n_states:,} states",
                 where=f"operator {self.name}",
                 fix="give one value for each state",
             )
-        q = np.zeros(self.n_pairs)
-        width = (self.n_pairs - 1) // len(self.kinds)
-        wide = self.rules.assistive * self.rules.vectors
-        for number in range(len(self.kinds)):
-            block = q[number * width : (number + 1) * width]
-            for layer, (trial, flag) in enumerate(self.layers()):
-                x, _ = self.ahead(value, number, trial, flag)
-                block[layer * wide : (layer + 1) * wide] = self.q(x).T.reshape(-1)
-            if self.rules.own:
-                alone = self.alone_q(value, number)
-                block[wide * len(self.layers()) :] = np.tile(alone, self.rules.flags)
-        return q
+        parts = []
+        for number in range(len(rules.places)):
+            for trial in range(rules.trials):
+                for flag in range(rules.flags):
+                    x = self.ahead(value, number, trial, flag)
+                    parts.append(self.q(x).T.reshape(-1))
+            if rules.own:
+                parts += [self.alone_q(value, number)] * rules.flags
+        return np.concatenate([*parts, np.zeros(1)])
 
     # ---- one trial -----------------------------------------------------------------------------
 
-    def layers(self) -> list[tuple[int, int]]:
-        """Return trial and flag of each group of states with a choice, in their order."""
-        return [(t, f) for t in range(self.rules.trials) for f in range(self.rules.flags)]
-
     def after(self, value: Floats, number: int, flag: int) -> Floats:
         """Return (2^n,) the values of the first trial behind subtask `number`; 0 at the end."""
-        kind, vectors = int(self.kinds[number]), self.rules.vectors
-        if kind == 2:
-            return np.zeros(vectors)
-        begin = (number + 1) * self.rules.size + self.rules.kept(flag, last=kind > 0) * vectors
-        return value[begin : begin + vectors]
+        rules, place = self.rules, int(self.rules.places[number])
+        if place == FINAL:
+            return np.zeros(rules.vectors)
+        begin = number * rules.size + int(rules.after(flag, place)[0])
+        return value[begin : begin + rules.vectors]
 
     def ahead(
         self, value: Floats, number: int, trial: int, flag: int, expect: Expect = Law.expect
-    ) -> tuple[Floats, float]:
-        """Return what a trial earns from its outcome on, by next status vector.
-
-        Also returns how far the expectation over a skip in it may be off, in units of roundoff.
-        """
-        rules, kind, rate = self.rules, int(self.kinds[number]), self.discount
-        next_first, error = self.after(value, number, flag)[0], 0.0
+    ) -> Floats:
+        """Return (2^n,) what a trial earns from its outcome on, by next status vector."""
+        rules, place, rate = self.rules, int(self.rules.places[number]), self.discount
         if trial + 1 < rules.trials or rules.own:
             begin = number * rules.size + ((trial + 1) * rules.flags + flag) * rules.vectors
             x = self.fail + rate * value[begin : begin + rules.vectors]
         else:
-            after = self.after(value, number, 1)
-            base = after[0]
-            spread = after - base
-            x = self.fail + (self.skipped[kind] + rate * (base + expect(self.skip, spread)[0]))
-            error = self.skip.error * float(np.abs(spread).max())
-        x[0] = self.complete[kind, flag] + rate * next_first
-        return x, error
+            x = self.fail + (self.skipped[place] + rate * self._skipping(value, number, expect))
+        x[0] = self.complete[place, flag] + rate * self.after(value, number, flag)[0]
+        return x
 
     def alone_q(self, value: Floats, number: int, expect: Expect = Law.expect) -> Floats:
         """Return (2^n,) the values of states in which a skip takes its own timestep."""
+        own = self.alone + self.skipped[self.rules.places[number]]
+        return np.asarray(own + self.discount * self._skipping(value, number, expect))
+
+    def _skipping(self, value: Floats, number: int, expect: Expect) -> Floats:
+        """Return (2^n,) the values of the next subtask, expected over what a skip makes of s'."""
         after = self.after(value, number, 1)
-        base = after[0]
-        law = base + expect(self.skip, after - base)[0]
-        return np.asarray((self.alone + self.skipped[self.kinds[number]]) + self.discount * law)
+        return np.asarray(after[0] + expect(self.skip, after - after[0])[0])
 
     def q(self, x: Floats, expect: Expect = Law.expect) -> Floats:
         """Return (A, 2^n) action values, from what each next status vector is worth."""
-        base = x[0]
-        return np.asarray(self.const + (base + expect(self.step, x - base)))
-
-
-def care_operator(scenario: Tables) -> CareOperator:
-    """Return the operator of a scenario; see `Scenario.operator`."""
-    count = len(scenario.statuses)
-    found = chances(scenario)
-    rules = Rules(scenario, found.bits)
-    values = [parameter.value for parameter in scenario.parameters]
-    step, off = chances_of(found.step, values)
-    skip, skip_off = chances_of(found.skip[:, None], values)
-    dense, dense_skip = np.empty((0, 0)), np.empty((0, 0))
-    if count <= DENSE_STATUSES:
-        exact = status_kernels(scenario)
-        law = divide(
-            exact.step, np.broadcast_to(exact.step_denominator[..., None], exact.step.shape)
-        )
-        dense = np.ascontiguousarray(law.transpose(2, 1, 0).reshape(rules.vectors, -1))
-        bottom = np.broadcast_to(integers([exact.skip_denominator]), exact.skip.shape)
-        dense_skip = np.ascontiguousarray(divide(exact.skip, bottom).T)
-    laws = law_of(step, off, dense), law_of(skip, skip_off, dense_skip)
-    none = np.prod(1.0 - step, axis=2)
-    assist = as_gains(rules, rules.assist)
-    cost = as_gains(rules, rules.cost)
-    present = np.zeros_like(cost) if rules.following else cost
-    following = rules.cost if rules.following else 0 * rules.cost
-    fixed = float(as_gains(rules, rules.gains([rules.worth["timestep"]]))[0])
-    alone = fixed + (laws[1].expect(cost)[0] if rules.following else cost)
-    places = range(3)
-    complete = [[rules.completing(last=k > 0, flag=f) for f in range(2)] for k in places]
-    return CareOperator(
-        scenario=scenario,
-        rules=rules,
-        step=laws[0],
-        skip=laws[1],
-        const=assist[:, None] * (dense[0].reshape(len(assist), -1) if len(dense) else none)
-        + present,
-        fail=as_gains(rules, rules.gains([rules.failing()]) + following),
-        complete=as_gains(rules, rules.gains([g for row in complete for g in row])).reshape(3, 2),
-        skipped=as_gains(rules, rules.gains([rules.skipping(last=k > 0) for k in places])),
-        alone=alone,
-        kinds=kinds(scenario),
-    )
+        return np.asarray(self.const + (x[0] + expect(self.step, x - x[0])))
 
 
 def _refuse(operator: CareOperator, name: str) -> NoReturn:
@@ -437,8 +375,3 @@ def _refuse(operator: CareOperator, name: str) -> NoReturn:
         fix="compile the scenario: Scenario.compile(); an operator serves solvers.solve (by "
         "backward induction), solvers.operator_mean and backup",
     )
-
-
-def as_gains(rules: Rules, values: Numbers) -> Floats:
-    """Return sums of weights as floats, each rounded once."""
-    return divide(values, np.broadcast_to(integers([rules.scale]), values.shape))

@@ -1,125 +1,176 @@
-"""What a trial of a care scenario earns, and where its rows lie: the rules without the chances.
+"""The rules of a care scenario, stated once: when a trial counts, what is charged, what follows.
 
-Every gain is a sum of reward weights, each at most once, as an integer over one common `scale`.
-Rows of a table and operators without one both read these. Source: Yuan et al. (2025), Equation 1,
-Table 4 and Section 3.2; the readings are those of `mdp.care.tables`.
+A state is (k, t, f, s): subtask k, t trials of it failed so far, f = 1 if a subtask of this task
+was skipped (kept only where the bonus asks for it), status vector s. Under an action a the next
+statuses follow the law K_a(s, ·), on a skip Z(s, ·). A subtask ends in one of two events:
+
+    event      when                             charges, in weights              leads to
+    complete   s' = 0 under K_a                 timestep, subtask-complete,      k + 1, flag f
+                                                assist.a, trial *, bonus
+    fail       s' ≠ 0 under K_a                 timestep, trial                  k, t + 1, s'
+    skip       after the M-th fail, s'' by Z    subtask-skip, timestep *, bonus  k + 1, flag 1, s''
+
+    trial *      where `trial_cost` is every-trial
+    timestep *   where `skip_timestep` is own: the skip is then a step of its own, t = M, in which
+                 *skip* is the only action; else it belongs to the step of the M-th fail
+    bonus        task-complete, where k is the last subtask of its task and `task_bonus` is
+                   always                   after both events
+                   last-subtask-completed   after `complete`
+                   no-subtask-skipped       after `complete` with f = 0
+    statuses     each step charges the weights of the statuses present in its next vector, or in
+                 its present one (`status_cost`); the vector 0 costs nothing
+    flag         a new task starts with f = 0; behind the last subtask of all is the end
+
+`CHARGES`, `BONUS` and `STATUS_COST` are this table as data, `Rules` is what it says of a scenario.
+The explicit matrix (`mdp.care.compile`), the operator (`mdp.care.operator`), batches of parameter
+draws (`solvers.care`) and affine forms (`analysis.sensitivity.robust.care`) read it there. Every
+gain is a sum of weights, each at most once, as an integer over one common `scale`.
+Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
-from exact_mdp.mdp.care.tables import SKIP, Tables
+from exact_mdp.mdp.care.tables import SKIP, Tables, bits_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, Numbers, common
+from exact_mdp.mdp.table import EXACT_IN_INT64, Floats, Integers, Numbers, common, divide, integers
+
+INSIDE, LAST, FINAL = 0, 1, 2
+"""Places of a subtask: inside a task, last of one, last of all."""
+
+PLACES = (INSIDE, LAST, FINAL)
+
+# Event, the weight that it charges, and the reading under which it does.
+CHARGES: tuple[tuple[str, str, tuple[str, str] | None], ...] = (
+    ("complete", "timestep", None),
+    ("complete", "subtask-complete", None),
+    ("complete", "trial", ("trial_cost", "every-trial")),
+    ("fail", "timestep", None),
+    ("fail", "trial", None),
+    ("skip", "subtask-skip", None),
+    ("skip", "timestep", ("skip_timestep", "own")),
+)
+
+# After which events, with which flag, the end of a task is rewarded.
+BONUS: Mapping[str, tuple[tuple[str, int], ...]] = MappingProxyType(
+    {
+        "always": (("complete", 0), ("complete", 1), ("skip", 1)),
+        "last-subtask-completed": (("complete", 0), ("complete", 1)),
+        "no-subtask-skipped": (("complete", 0),),
+    }
+)
+
+# Whether a step charges the statuses of its present vector, and those of its next one.
+STATUS_COST: Mapping[str, tuple[int, int]] = MappingProxyType({"next": (0, 1), "current": (1, 0)})
 
 
 class Rules:
-    """Gains and the layout of a subtask, which is a block of trials × flags × status vectors.
+    """The rules of one scenario, and the layout of a subtask: trials × flags × status vectors.
 
     Attributes
     ----------
     actions : tuple of str
-        The assistive ones, and *skip* where that takes a timestep of its own (`own`).
+        The `assistive` ones, and *skip* where that takes a timestep of its own (`own`).
     trials, flags, vectors, size : int
-        Trials with a choice; 2 flags where it matters whether a subtask was skipped; 2^n status
-        vectors; states of a block.
-    worth : {weight: int}, scale : int
-        Every reward weight is worth[name] / scale.
-    cost, assist : (2^n,), (A,)
-        What a status vector costs, and what an action adds where the subtask is completed.
-    following : bool
-        Whether the cost is that of the next status vector; else of the present one.
+        Trials with a choice, M; 2 flags where the bonus depends on them, else 1; 2^n status
+        vectors; states of a subtask.
+    kept : (3, 2) ints
+        The flag that the next subtask starts with, by place and flag: each task begins anew.
+    bits : (2^n, n)
+        The status vectors; the first status is the most significant digit.
+    names : tuple of str
+        The reward weights; `worth` has their values over `scale`.
+    now, next : int
+        Whether a step charges the statuses of its present and of its next vector.
+    present, following : (2^n,) ints
+        What that comes to.
+    assist : (A,) ints
+        What an action adds where the subtask is completed.
+    places : (K,) ints
+        The place of each subtask.
     """
 
-    def __init__(self, scenario: Tables, bits: Integers) -> None:
+    def __init__(self, scenario: Tables) -> None:
         self.readings = dict(scenario.readings)  # a dictionary, as views cannot be pickled
-        self.bits = bits
-        self.assistive = len(scenario.actions)
+        self.paid = BONUS[self.readings["task_bonus"]]
+        self.now, self.next = STATUS_COST[self.readings["status_cost"]]
         self.own = self.readings["skip_timestep"] == "own"
+        self.assistive = len(scenario.actions)
         self.actions = (*scenario.actions, SKIP) if self.own else scenario.actions
-        self.flags = 2 if self.readings["task_bonus"] == "no-subtask-skipped" else 1
+        told = {flag for event, flag in self.paid if event == "complete"}
+        self.flags = 2 if len(told) == 1 else 1  # the bonus depends on whether one was skipped
+        self.kept = np.zeros((3, 2), dtype=np.int64)
+        self.kept[INSIDE, 1] = self.flags - 1
         self.trials = scenario.trials
-        self.vectors = len(bits)
+        self.bits = bits_of(len(scenario.statuses))
+        self.vectors = len(self.bits)
         self.size = (self.trials + self.own) * self.flags * self.vectors
-        names = scenario.components
-        numbers, self.scale = common([scenario[f"reward.{name}"] for name in names])
-        self.names = names
-        self.worth = dict(zip(names, numbers, strict=True))
+        self.places = np.full(sum(scenario.tasks), INSIDE)
+        self.places[np.cumsum(scenario.tasks) - 1] = LAST
+        self.places[-1] = FINAL
+        self.names = scenario.components
+        numbers, self.scale = common([scenario[f"reward.{name}"] for name in self.names])
+        self.worth = dict(zip(self.names, numbers, strict=True))
         # A gain adds up weights, each at most once: this is the type that holds every such sum.
-        self.largest = sum(abs(number) for number in numbers)
-        self.kind = np.dtype(np.int64 if self.largest < EXACT_IN_INT64 else object)
+        largest = sum(abs(number) for number in numbers)
+        self.kind = np.dtype(np.int64 if largest < EXACT_IN_INT64 else object)
         self.assist = self.gains([self.worth[f"assist.{a}"] for a in scenario.actions])
-        statuses = [self.worth[scenario.weights[status]] for status in scenario.statuses]
-        self.cost = self.gains([0])
-        for worth in statuses:  # the first status is the most significant digit
-            self.cost = (self.cost[:, None] + self.gains([0, worth])).reshape(-1)
-        self.following = self.readings["status_cost"] == "next"
+        weights = [self.worth[scenario.weights[status]] for status in scenario.statuses]
+        cost = (self.bits.astype(self.kind) * self.gains(weights)).sum(axis=1)
+        self.present, self.following = self.now * cost, self.next * cost
+
+    def charged(self, event: str, place: int = INSIDE, flag: int = 0) -> tuple[str, ...]:
+        """Return the weights that an event charges, beside the action's own and the statuses'.
+
+        `flag` is that of the state, or 1 for a skip, which sets it.
+        """
+        found = [
+            weight
+            for of, weight, reading in CHARGES
+            if of == event and (reading is None or self.readings[reading[0]] == reading[1])
+        ]
+        bonus = place != INSIDE and (event, flag) in self.paid
+        return (*found, "task-complete") if bonus else tuple(found)
+
+    def gain(self, event: str, place: int = INSIDE, flag: int = 0) -> int:
+        """Return the sum of the weights `charged`, an integer over `scale`."""
+        return sum(self.worth[name] for name in self.charged(event, place, flag))
+
+    def after(self, flag: int, place: int) -> Integers:
+        """Return (2^n,) the states that follow a subtask, counted from its own first state."""
+        if place == FINAL:
+            return np.full(self.vectors, self.size)
+        return self.size + self.kept[place, flag] * self.vectors + np.arange(self.vectors)
 
     def gains(self, values: list[int]) -> Numbers:
         """Return integers of the type that holds every gain."""
         return np.array(values, dtype=self.kind)
 
-    def bonus(self, *, last: bool, skipped: bool, flag: int = 0) -> int:
-        """Return what is paid at the end of a task, where this is the `last` subtask of one."""
-        rule = self.readings["task_bonus"]
-        paid = last and (
-            rule == "always"
-            or (rule == "last-subtask-completed" and not skipped)
-            or (rule == "no-subtask-skipped" and not skipped and flag == 0)
-        )
-        return self.worth["task-complete"] if paid else 0
-
-    def completing(self, *, last: bool, flag: int) -> int:
-        """Return the gain of a trial that completes the subtask, but for the action's own."""
-        every = self.worth["trial"] * (self.readings["trial_cost"] == "every-trial")
-        fixed = self.worth["timestep"] + self.worth["subtask-complete"] + every
-        return fixed + self.bonus(last=last, skipped=False, flag=flag)
-
-    def failing(self) -> int:
-        """Return the gain of a failed trial, but for the cost of the status."""
-        return self.worth["timestep"] + self.worth["trial"]
-
-    def skipping(self, *, last: bool) -> int:
-        """Return what a skip adds; it comes with `timestep` where that is its own."""
-        return self.worth["subtask-skip"] + self.bonus(last=last, skipped=True)
-
-    def kept(self, flag: int, *, last: bool) -> int:
-        """Return the flag that the next subtask starts with: each task begins anew."""
-        return 0 if last or self.flags == 1 else flag
+    def rounded(self, values: Numbers) -> Floats:
+        """Return sums of weights as floats, each rounded once."""
+        return divide(values, np.broadcast_to(integers([self.scale]), values.shape))
 
     def pairs(self) -> tuple[Integers, Integers]:
-        """Return state and action of each row of a block, states counted from its start."""
+        """Return state and action of each row of a subtask, states counted from its first."""
         trying = self.trials * self.flags * self.vectors
         state, action = np.divmod(np.arange(trying * self.assistive), self.assistive)
         skipping = np.arange(trying, self.size)
-        return np.concatenate([state, skipping]), np.append(
-            action, np.full(len(skipping), self.assistive)
+        return (
+            np.concatenate([state, skipping]),
+            np.append(action, np.full(len(skipping), self.assistive)),
         )
 
-    def space(self, scenario: Tables) -> StateSpace:
+    def space(self, subtasks: int) -> StateSpace:
         """Return what the state numbers mean; the end comes last."""
         columns = [
-            Column(name="subtask", size=sum(scenario.tasks)),
+            Column(name="subtask", size=subtasks),
             Column(name="trial", size=self.trials + self.own),
-            Column(name="status", size=self.vectors, bits=len(scenario.statuses)),
+            Column(name="status", size=self.vectors, bits=self.bits.shape[1]),
         ]
         if self.flags == 2:
             columns.insert(2, Column(name="skipped", size=2))
         return StateSpace(columns=tuple(columns), extra=("end",))
-
-
-def kinds(scenario: Tables) -> Integers:
-    """Return (K,) the place of each subtask: 0 inside a task, 1 last of one, 2 last of all.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> kinds(Scenario.load("yuan2025").with_(tasks=[3, 1])).tolist()
-    [0, 0, 1, 2]
-    """
-    last = np.cumsum(scenario.tasks)
-    found = np.zeros(last[-1], dtype=np.int64)
-    found[last - 1] = 1
-    found[-1] = 2
-    return found

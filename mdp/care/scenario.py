@@ -20,8 +20,8 @@ from pathlib import Path
 
 from exact_mdp.mdp.care import toml
 from exact_mdp.mdp.care.compile import compile_scenario
-from exact_mdp.mdp.care.laws import excess, warn_of_excess
-from exact_mdp.mdp.care.operator import CareOperator, care_operator
+from exact_mdp.mdp.care.laws import excess, influence, warn_of_excess
+from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -43,11 +43,22 @@ class Scenario(Tables):
 
     @classmethod
     def load(cls, name: str | Path) -> Scenario:
-        """Read a shipped scenario by name, or any scenario from a `.toml` file."""
+        """Read a shipped scenario by name, or any scenario from a `.toml` file.
+
+        Raises
+        ------
+        ModelError
+            For an unknown name, or a file with a number or a name that does not belong there.
+        """
         return toml.load(name, cls)
 
     def compile(self) -> MDP:
         """Return the explicit model: one exact row for every state and action.
+
+        Raises
+        ------
+        ModelError
+            Where it would have more than 10 statuses, or outcomes of more than 10 GB.
 
         Warns
         -----
@@ -66,7 +77,7 @@ class Scenario(Tables):
         ScenarioWarning
             As `compile`.
         """
-        operator = care_operator(self)
+        operator = CareOperator.of(self)
         warn_of_excess(self)
         return operator
 
@@ -148,31 +159,30 @@ class ScenarioFamily:
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """See `Parametric.breakpoints`."""
         parameter_of(self, name)
-        inside = (point for point in self._cuts(name) if 0 < point < 1)
-        return tuple(sorted(set(inside)))
+        return tuple(sorted({point for point in self._cuts(name) if 0 < point < 1}))
 
     def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
-        """The scenarios with one trial less and one trial more."""
-        trials, below = self.scenario.max_trial, None
-        if trials > 1:
-            below = ScenarioFamily(
-                scenario=self.scenario.with_(max_trial=trials - 1), told=self.told
-            )
-        above = ScenarioFamily(scenario=self.scenario.with_(max_trial=trials + 1), told=self.told)
-        return {"max_trial": (below, above)}
+        """Return the scenarios with one trial less and one trial more."""
+
+        def beside(trials: int) -> ScenarioFamily:
+            return ScenarioFamily(scenario=self.scenario.with_(max_trial=trials), told=self.told)
+
+        trials = self.scenario.max_trial
+        return {"max_trial": (beside(trials - 1) if trials > 1 else None, beside(trials + 1))}
 
     def _cuts(self, name: str) -> Iterator[Fraction]:
-        scenario = self.scenario
-        additive = scenario.readings["influence_on_present"] == "additive"
-        by_row = scenario.readings["influence_orientation"] == "row-to-column"
+        scenario, readings = self.scenario, self.scenario.readings
+        starts = (
+            ("base", "persistence") if readings["influence_on_present"] == "additive" else ("base",)
+        )
         for target in scenario.statuses:
-            added = []
-            for origin in scenario.statuses:
-                if origin != target:
-                    first, second = (origin, target) if by_row else (target, origin)
-                    added.append(f"influence.{first}.{second}")
-            for alone in (f"base.{target}", *([f"persistence.{target}"] if additive else [])):
-                if name != alone and name not in added:
+            added = [
+                influence(readings["influence_orientation"], origin, target)
+                for origin in scenario.statuses
+                if origin != target
+            ]
+            for alone in (f"{start}.{target}" for start in starts):
+                if name not in (alone, *added):
                     continue
                 for count in range(len(added) + 1):
                     for present in combinations(added, count):

@@ -15,14 +15,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Self
 
+import numpy as np
+
 from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.table import MOST_DIGITS, exact
+from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
 from exact_mdp.mdp.validate import as_discount
 
 READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -98,10 +101,9 @@ class Tables:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        return {
-            key: dict(value) if isinstance(value, MappingProxyType) else value
-            for key, value in self.__dict__.items()
-        }
+        parts = {each.name: getattr(self, each.name) for each in fields(self)}
+        views = MappingProxyType  # which cannot be pickled
+        return {k: dict(part) if isinstance(part, views) else part for k, part in parts.items()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for key, value in state.items():
@@ -119,10 +121,14 @@ class Tables:
         charged = tuple(self.weights[status] for status in self.statuses)
         return (*charged, *SHARED_WEIGHTS, *(f"assist.{action}" for action in self.actions))
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Parameter names."""
         return tuple(parameter.name for parameter in self.parameters)
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: place for place, name in enumerate(self.names)}
 
     def values(self) -> dict[str, Fraction]:
         """Return every parameter's value by name."""
@@ -132,15 +138,14 @@ class Tables:
         return self.parameters[self._position(name)].value
 
     def _position(self, name: str) -> int:
-        names = self.names
-        if name not in names:
-            known = [*names, *SETTINGS, *(f"readings.{reading}" for reading in READINGS)]
+        if name not in self._places:
+            known = [*self.names, *SETTINGS, *(f"readings.{reading}" for reading in READINGS)]
             raise ModelError(
                 f"unknown parameter {name!r}",
                 where=f"scenario {self.name}",
                 fix=suggest(name, known),
             )
-        return names.index(name)
+        return self._places[name]
 
     def with_(
         self,
@@ -197,6 +202,11 @@ class Tables:
                 f"{assignment!r} is not a setting", where="--set", fix="write KEY=VALUE"
             )
         return self.with_(parameters={key.strip(): value.strip()})
+
+
+def bits_of(count: int) -> Integers:
+    """Return (2^n, n) the status vectors; the first status is the most significant digit."""
+    return (np.arange(2**count)[:, None] >> np.arange(count - 1, -1, -1)) & 1
 
 
 def as_tasks(value: object) -> tuple[int, ...]:

@@ -43,23 +43,6 @@ class Stream(Protocol):
 def read_array(path: str | Path, *, called: str) -> Numbers:
     """Return the array of a `.npy` file, or the one of that name (or the only one) of an `.npz`.
 
-    Parameters
-    ----------
-    path : str or path
-    called : str
-        Name of the array in an archive of several.
-
-    Returns
-    -------
-    array
-        Of the numbers and the type that the file holds; nothing is rounded.
-
-    Raises
-    ------
-    ModelError
-        Where the file is no regular file, is damaged, claims more than it can hold, or holds
-        something other than real numbers.
-
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
@@ -97,25 +80,6 @@ def read_arrays(
     ratio: int = RATIO,
 ) -> dict[str, Numbers]:
     """Return all arrays of an `.npz` file by name.
-
-    Parameters
-    ----------
-    path : str or path
-    names : function
-        Of the names of all arrays; raises ModelError where they are not as they should be.
-    check : function
-        Of name, type and shape of an array; raises ModelError for what it should not be.
-    ratio : int
-        How many times its own size a compressed archive may claim; 1,032 is what is possible.
-
-    Returns
-    -------
-    dict of arrays
-
-    Raises
-    ------
-    ModelError
-        As `read_array` does.
 
     Examples
     --------

@@ -52,21 +52,6 @@ INSTEAD = {
 def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     """Open a regular file of at most `most` bytes for reading.
 
-    Parameters
-    ----------
-    path : str or path
-    most : int
-        Bytes that it may have.
-
-    Yields
-    ------
-    binary file
-
-    Raises
-    ------
-    ModelError
-        Where it cannot be opened or read, is a folder, pipe, device or socket, or is larger.
-
     Examples
     --------
     >>> import os
@@ -121,21 +106,6 @@ def kind_of(mode: int) -> str:
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
     """Return what a regular file of at most `most` bytes holds.
 
-    Parameters
-    ----------
-    path : str or path
-    most : int
-        Bytes that it may have.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    ModelError
-        As `opened` does.
-
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
@@ -154,21 +124,6 @@ def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
 
 def read_text(path: str | Path, *, most: int = LARGE) -> str:
     """Return a UTF-8 file's text; raises ModelError where it cannot be read.
-
-    Parameters
-    ----------
-    path : str or path
-    most : int
-        Bytes that it may have.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    ModelError
-        As `opened` does, and where it is not UTF-8.
 
     Examples
     --------
@@ -205,13 +160,7 @@ def _unreadable(path: str | Path, error: OSError) -> ModelError:
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
     """Write a whole file or none: to a temporary file beside it, then one rename.
-
-    Raises
-    ------
-    ModelError
-        Where the path cannot be written to.
-    OSError
-        Where the disk is full, or the system fails in another way.
+    Where the disk is full, or the system fails in another way.
     """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content

@@ -22,12 +22,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import StateSpace
+
+gymnasium = later("gymnasium")
 
 END = "end"
 
@@ -38,20 +41,6 @@ Listed = list[tuple[int, int, list[tuple[Any, int, Any]]]]
 
 def outcomes_of(env: object, **names: Any) -> tuple[Listed, dict[str, Any]]:
     """Return what `MDP.from_outcomes` takes to build an environment's model: rows, and names.
-
-    Parameters
-    ----------
-    env : gymnasium.Env or str
-        An environment, wrapped or not; anything with an attribute `P`; or a registered id.
-    **names
-        `start` where the environment has no `initial_state_distrib`; `actions`, `states`, `name`;
-        `time_limit` instead of the environment's own.
-
-    Raises
-    ------
-    ModelError
-        Where the environment is unknown or exposes no `P`, or `P` is not a table of
-        distributions over its own states.
 
     Examples
     --------
@@ -168,11 +157,15 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
 def _items(table: Any, where: str, what: str) -> Iterable[tuple[int, Any]]:
     pairs = list(table.items() if isinstance(table, Mapping) else enumerate(_listed(table, where)))
     for key, _ in pairs:
-        if isinstance(key, bool) or not isinstance(key, int | np.integer) or key < 0:
+        if not _whole(key) or key < 0:
             raise ModelError(
                 f"{what} has the key {key!r}", where=where, fix="number states and actions from 0"
             )
     return [(int(key), value) for key, value in pairs]
+
+
+def _whole(number: Any) -> TypeGuard[int]:
+    return isinstance(number, int | np.integer) and not isinstance(number, bool)
 
 
 def _listed(values: Any, where: str) -> Sequence[Any]:
@@ -187,9 +180,7 @@ def _listed(values: Any, where: str) -> Sequence[Any]:
 
 def _outcome(outcome: Any, place: str) -> Outcome:
     values = _listed(outcome, place)
-    whole = len(values) == 4 and isinstance(values[1], int | np.integer)
-    whole = whole and not isinstance(values[1], bool)
-    if not whole or not isinstance(values[3], bool | np.bool_):
+    if len(values) != 4 or not _whole(values[1]) or not isinstance(values[3], bool | np.bool_):
         raise ModelError(
             f"an outcome is {outcome!r}",
             where=place,
@@ -227,16 +218,12 @@ def _time_limit(env: Any) -> int | None:
         seen.add(id(layer))
         limits.append(getattr(layer, "__dict__", {}).get("_max_episode_steps"))
         layer = getattr(layer, "env", None)
-    known = [limit for limit in limits if _positive(limit)]
-    if not known:
-        stated = getattr(getattr(env, "spec", None), "max_episode_steps", None)
-        known = [stated] if _positive(stated) else []
-    return int(min(known)) if known else None
-
-
-def _positive(limit: Any) -> bool:
-    whole = isinstance(limit, int | np.integer) and not isinstance(limit, bool)
-    return bool(whole and limit > 0)
+    stated = getattr(getattr(env, "spec", None), "max_episode_steps", None)
+    for known in (limits, [stated]):
+        positive = [int(limit) for limit in known if _whole(limit) and limit > 0]
+        if positive:
+            return min(positive)
+    return None
 
 
 def _name(env: Any) -> str:
@@ -245,20 +232,14 @@ def _name(env: Any) -> str:
 
 
 def _make(name: str) -> Any:
-    try:
-        import gymnasium
-    except ImportError as error:
-        raise ModelError(
-            "Gymnasium is not installed",
-            where=f"gymnasium:{name}",
-            fix='install it: pip install "exact-mdp[gymnasium]"',
-        ) from error
+    with located(f"gymnasium:{name}", instead=True):
+        make, errors = gymnasium.make, (gymnasium.error.Error, ImportError)
     try:
         with warnings.catch_warnings():
             # An outdated version is refused right after the warning of it, in the same words.
             warnings.simplefilter("ignore")
-            return gymnasium.make(name)
-    except (gymnasium.error.Error, ImportError) as error:
+            return make(name)
+    except errors as error:
         toy = [key for key, spec in gymnasium.registry.items() if "toy_text" in str(spec)]
         raise ModelError(
             f"Gymnasium cannot make {name!r}: {str(error)[:200]}",

@@ -13,6 +13,7 @@ from pathlib import Path
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io import npz, umb
 from exact_mdp.mdp.model import MDP
 
 GYMNASIUM = "gymnasium:"
@@ -67,13 +68,9 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
     if text.startswith(GYMNASIUM):
         mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), 1 if discount is None else discount)
     elif suffix == ".npz":
-        from exact_mdp.mdp.io import npz
-
         mdp = npz.load(text)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
     elif suffix == ".umb":
-        from exact_mdp.mdp.io import umb
-
         file, reward = _umb_parts(text)
         mdp = umb.load(file, discount=discount, reward=reward)
     else:
@@ -125,12 +122,8 @@ def save_model(mdp: MDP, path: str | Path) -> None:
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
-        from exact_mdp.mdp.io import npz
-
         npz.save(mdp, path)
     elif suffix == ".umb":
-        from exact_mdp.mdp.io import umb
-
         umb.save(mdp, path)
     else:
         raise ModelError(

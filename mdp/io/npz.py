@@ -1,8 +1,4 @@
-"""The JSON header of a saved model: names, discount, start, meaning of the states, parameters.
-
-See `mdp.io.npz` for its keys. Rationals are written "p/q", so that nothing is rounded.
-
-Models saved as NumPy archives, without loss, and read by any program that reads `.npz`.
+"""Models saved as NumPy archives, without loss, and read by any program that reads `.npz`.
 
 The arrays of an archive, nothing in it being a pickle:
 
@@ -41,17 +37,20 @@ from collections.abc import Collection, Mapping
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, shown_text
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers, OutcomeTable, exact
+
+T = TypeVar("T")
 
 FORMAT, VERSION = "exact-mdp model", 1
 LONGEST = 4000
@@ -89,7 +88,7 @@ def as_header(mdp: MDP) -> dict[str, Any]:
 
 def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
     """Return the constructor's arguments that a header states, for a model of L = `pairs` pairs."""
-    header = _object(content, "header")
+    header = _of_kind(content, "header", dict)
     if header.get("format") != FORMAT:
         raise ModelError(
             f"the format is {header.get('format')!r}",
@@ -103,7 +102,7 @@ def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
             fix=f"this release reads version {VERSION}; use the one that wrote the file",
         )
     space = StateSpace(
-        columns=tuple(_column(entry) for entry in _list(header, "columns")),
+        columns=tuple(map(_column, _of_kind(header.get("columns"), "columns", list))),
         extra=_words(header, "extra"),
     )
     if space.size > pairs:
@@ -112,22 +111,25 @@ def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
             where="header, columns",
             fix="every state has at least one pair; save the model again",
         )
+    limit = header.get("time_limit")  # files of before there were limits have none
     return {
         "space": space,
-        "name": _word(header, "name"),
+        "name": _of_kind(header.get("name"), "name", str),
         "discount_exact": _rational(header.get("discount"), "discount"),
-        "start": tuple(_weight(entry) for entry in _list(header, "start")),
+        "start": tuple(map(_weight, _of_kind(header.get("start"), "start", list))),
         "actions": _words(header, "actions"),
         "component_names": _words(header, "component_names"),
         "events": _words(header, "events"),
-        "parameters": tuple(_parameter(entry) for entry in _list(header, "parameters")),
-        "time_limit": _time_limit(header),
+        "parameters": tuple(
+            map(_parameter, _of_kind(header.get("parameters"), "parameters", list))
+        ),
+        "time_limit": None if limit is None else _of_kind(limit, "time_limit", int),
     }
 
 
 def _column(entry: object) -> Column:
-    column = _object(entry, "columns")
-    size, bits = _whole(column, "size"), _whole(column, "bits")
+    column = _of_kind(entry, "columns", dict)
+    size, bits = (_of_kind(column.get(key), key, int) for key in ("size", "bits"))
     words = _words(column, "words")
     fits = size > 0 and (not words or len(words) == size)
     if bits > 62 or not fits or (bits and size != 1 << bits):
@@ -136,12 +138,12 @@ def _column(entry: object) -> Column:
             where="header, columns",
             fix="give one word for each value, or bits for 2^bits of them",
         )
-    return Column(name=_word(column, "name"), size=size, bits=bits, words=words)
+    return Column(name=_of_kind(column.get("name"), "name", str), size=size, bits=bits, words=words)
 
 
 def _parameter(entry: object) -> Parameter:
-    given = _object(entry, "parameters")
-    name = _word(given, "name")
+    given = _of_kind(entry, "parameters", dict)
+    name = _of_kind(given.get("name"), "name", str)
     low, high = (
         None if given.get(key) is None else _rational(given[key], name) for key in ("low", "high")
     )
@@ -154,52 +156,27 @@ def _weight(entry: object) -> tuple[int, Fraction]:
     return entry[0], _rational(entry[1], "start")
 
 
-def _object(value: object, key: str) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise _wrong(key, "an object")
-    return value
+WANTED = {dict: "an object", list: "a list", str: "a text", int: "a whole number"}
 
 
-def _list(header: Mapping[str, Any], key: str) -> list[Any]:
-    value = header.get(key)
-    if not isinstance(value, list):
-        raise _wrong(key, "a list")
+def _of_kind(value: object, key: str, kind: type[T]) -> T:
+    if type(value) is not kind or (isinstance(value, int) and value < 0):
+        raise _wrong(key, WANTED[kind])
     return value
 
 
 def _words(header: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    values = _list(header, key)
+    values = _of_kind(header.get(key), key, list)
     if not all(isinstance(value, str) for value in values):
         raise _wrong(key, "a list of texts")
     return tuple(values)
 
 
-def _word(header: Mapping[str, Any], key: str) -> str:
-    value = header.get(key)
-    if not isinstance(value, str):
-        raise _wrong(key, "a text")
-    return value
-
-
-def _whole(header: Mapping[str, Any], key: str) -> int:
-    value = header.get(key)
-    if type(value) is not int or value < 0:
-        raise _wrong(key, "a whole number")
-    return value
-
-
-def _time_limit(header: Mapping[str, Any]) -> int | None:
-    """Return the number of steps; None where there is none, and in files of before there were."""
-    return None if header.get("time_limit") is None else _whole(header, "time_limit")
-
-
 def _rational(value: object, key: str) -> Fraction:
     if not isinstance(value, str):
         raise _wrong(key, 'a text such as "1/3"')
-    try:
+    with located(f"header, {key}", instead=True):
         return exact(value)
-    except ModelError as error:
-        raise ModelError(error.what, where=f"header, {key}", fix=error.fix) from error
 
 
 def _wrong(key: str, wanted: str) -> ModelError:
@@ -244,13 +221,8 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 WIDTH = 8
 
 
-def save(mdp: MDP, path: str | Path) -> None:
+def save(model: MDP, path: str | Path) -> None:
     """Write a model to `path`, whole or not at all.
-
-    Raises
-    ------
-    ModelError
-        Where the file cannot be written.
 
     Examples
     --------
@@ -261,55 +233,32 @@ def save(mdp: MDP, path: str | Path) -> None:
     ...     load(f"{folder}/small.npz").table.row(0)
     [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
     """
-    table = mdp.table
-    text = json.dumps(as_header(mdp)).encode("ascii")
-    arrays: dict[str, Numbers] = {
-        "header": np.frombuffer(text, dtype=np.uint8),
-        "pair_state": mdp.pair_state,
-        "pair_action": mdp.pair_action,
-        "components": mdp.components,
-    }
-    for name in TABLE:
-        array = getattr(table, name)
-        if array is not None:
-            arrays[name] = _as_bytes(array)
+    text = json.dumps(as_header(model)).encode("ascii")
+    parts = {name: getattr(model.table, name) for name in TABLE}
     stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays)
+    np.savez(
+        stream,
+        allow_pickle=False,
+        header=np.frombuffer(text, dtype=np.uint8),
+        pair_state=model.pair_state,
+        pair_action=model.pair_action,
+        components=model.components,
+        **{name: _as_bytes(array) for name, array in parts.items() if array is not None},
+    )
     write_atomically(path, stream.getvalue())
 
 
 def load(path: str | Path) -> MDP:
-    """Read a model that `save` wrote.
-
-    Raises
-    ------
-    ModelError
-        Where the file cannot be read, is damaged, claims more data than it holds, or does not
-        hold a valid model.
-    """
-    where = str(path)
-    try:
+    """Read a model that `save` wrote; raises ModelError for a damaged file, or no valid model."""
+    with located(str(path)):
         arrays = read_arrays(path, names=_check_names, check=_check_array)
-        parts = parts_of(_header(arrays["header"]), pairs=len(arrays["pair_state"]))
+        header = json_of(arrays["header"].tobytes(), "header")
+        parts = parts_of(header, pairs=len(arrays["pair_state"]))
         table = OutcomeTable(
             **{name: _as_integers(arrays[name]) for name in TABLE if name in arrays}
         )
         state, action = arrays["pair_state"], arrays["pair_action"]
         return MDP(table, state, action, components=arrays["components"], **parts)
-    except ModelError as error:
-        if error.where.startswith(shown_text(where)):
-            raise
-        place = f"{where}, {error.where}" if error.where else where
-        raise ModelError(error.what, where=place, fix=error.fix) from error
-
-
-def _header(data: Numbers) -> object:
-    try:
-        return json.loads(data.tobytes().decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ModelError(
-            f"broken JSON: {str(error)[:200]}", where="header", fix="save the model again"
-        ) from error
 
 
 def _check_names(names: Collection[str]) -> None:

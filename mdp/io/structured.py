@@ -21,18 +21,6 @@ DEEPEST = 100  # tables and lists within each other; the deepest file that is re
 def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> dict[str, Any]:
     """Return the content of a TOML text.
 
-    Parameters
-    ----------
-    where : str
-        The file, for messages.
-    number : callable
-        From the text of a decimal number to what stands for it.
-
-    Raises
-    ------
-    ModelError
-        For broken TOML, numbers of too many digits and tables that are nested too deeply.
-
     Examples
     --------
     >>> toml_of("[base]\\nanger = 0.05", "model.toml")
@@ -54,11 +42,6 @@ def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> d
 
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
     """Return the content of a JSON text; `hooks` are those of `json.loads`.
-
-    Raises
-    ------
-    ModelError
-        For broken JSON, numbers of too many digits and what is nested too deeply.
 
     Examples
     --------

@@ -28,6 +28,11 @@ Source of the format: https://pmc-tools.github.io/umb/spec
 
 from __future__ import annotations
 
+import gzip
+import io
+import json
+import re
+import tarfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
@@ -37,34 +42,45 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, shown_text
+from exact_mdp.mdp.errors import ModelError, located, shown_text
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.npz import parts_of
-from exact_mdp.mdp.io.umb_read import GROUP, Content, read
-from exact_mdp.mdp.io.umb_write import archive_of
+from exact_mdp.mdp.io.npz import as_header, parts_of
+from exact_mdp.mdp.io.umb_read import (
+    CARRIER,
+    DOUBTS,
+    GROUP,
+    REWARD,
+    Content,
+    component_key,
+    key_of,
+    read,
+)
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
-    common,
     exact,
-    integers,
     ones,
+    over_groups,
     shown,
 )
 from exact_mdp.mdp.validate import as_discount, as_start
 
+binary = later("umbi.binary")
+datatypes = later("umbi.datatypes")
+description = later("umbi.umb.index")
+encoding = later("umbi.umb.umb_to_tar")
+umb_package = later("umbi.umb")
+version = later("umbi.version")
+
+TERMINAL = "terminal"
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
 
 
-def save(mdp: MDP, path: str | Path) -> None:
+def save(model: MDP, path: str | Path) -> None:
     """Write a model as a UMB file, from which `load` returns all of it.
-
-    Raises
-    ------
-    ModelError
-        Where umbi is not installed or the file cannot be written.
 
     Examples
     --------
@@ -75,7 +91,7 @@ def save(mdp: MDP, path: str | Path) -> None:
     ...     load(f"{folder}/small.umb").table.row(0)
     [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
     """
-    write_atomically(path, archive_of(mdp))
+    write_atomically(path, _archive_of(model))
 
 
 def load(
@@ -86,67 +102,59 @@ def load(
     start: object = None,
 ) -> MDP:
     """Read a Markov chain or decision process from a UMB file.
-
-    Parameters
-    ----------
-    discount : number or "p/q", optional
-        Instead of the model's own. The format has none: where another program wrote the file, it
-        is 1 unless it is given, and a warning says so.
-    reward : str, optional
-        Name of a reward model; may be left out where there is one alone, or one called "reward".
-        Its rewards of states, choices and branches add up.
-    start : state, or {state: probability}, optional
-        Needed where the file has several initial states, or none, and no distribution over them.
-
-    Raises
-    ------
-    ModelError
-        Where the file cannot be read, is damaged, or holds a model of another kind: in continuous
-        time, of several players, partially observable, with intervals for probabilities.
+    time, of several players, partially observable, with intervals for probabilities.
     """
-    where = str(path)
-    try:
+    with located(str(path)):
         content = read(path, reward)
         if content.header is not None:
-            return _own(content, content.header, discount, start)
-        if discount is None:
-            warnings.warn(
-                f"{shown_text(where)}: a UMB file of another program says no discount, so that 1 "
-                "is taken; give one",
-                stacklevel=2,
-            )
-        rows = list(_rows(content))
-        return MDP.from_outcomes(
-            rows,
-            1 if discount is None else discount,
-            start=_start(content) if start is None else start,
-            actions=content.action_names,
-            name=content.name or Path(path).stem,
+            model = _own(content, content.header, discount, start)
+        else:
+            model = _others(content, Path(path), discount, start)
+        if content.ours and content.gain is not None:
+            _check_gains(content)
+    return model
+
+
+def _others(content: Content, path: Path, discount: object, start: object) -> MDP:
+    """Return a model of another program, of which the caller says what the format does not."""
+    if discount is None:
+        warnings.warn(
+            f"{shown_text(str(path))}: a UMB file of another program says no discount, so that 1 "
+            "is taken; give one",
+            stacklevel=3,
         )
-    except ModelError as error:
-        if error.where.startswith(shown_text(where)):
-            raise
-        place = f"{where}, {error.where}" if error.where else where
-        raise ModelError(error.what, where=place, fix=error.fix) from error
+    return MDP.from_outcomes(
+        list(_rows(content)),
+        1 if discount is None else discount,
+        start=_start(content) if start is None else start,
+        actions=content.action_names,
+        name=content.name or path.stem,
+    )
 
 
-# ---- our own files -------------------------------------------------------------------------------
+# ---- reading -------------------------------------------------------------------------------------
 
 
 def _own(content: Content, header: Mapping[str, Any], discount: object, start: object) -> MDP:
     """Return a model that `save` wrote, with everything that the header says of it."""
     choices = np.diff(content.state_to_choices)
-    if not choices.all():
-        raise _changed("a state without choices")
     parts = parts_of(header, pairs=len(content.actions))
-    if content.listed_actions != parts["actions"]:
-        raise _changed("the names of the actions")
-    if {state for state, yes in enumerate(content.initial) if yes} != {
-        state for state, weight in parts["start"] if weight > 0
-    }:
-        raise _changed("the initial states")
-    if len(content.components) not in (0, len(parts["component_names"])):
-        raise _changed("the components of the reward")
+    initial = {state for state, yes in enumerate(content.initial) if yes}
+    for what, same in (
+        ("a state without choices", bool(choices.all())),
+        ("the names of the actions", content.listed_actions == parts["actions"]),
+        ("the initial states", initial == {state for state, p in parts["start"] if p > 0}),
+        (
+            "the components of the reward",
+            len(content.components) in (0, len(parts["component_names"])),
+        ),
+    ):
+        if not same:
+            raise ModelError(
+                f"another program changed {what}",
+                where=f"annotations/{GROUP}",
+                fix=f"drop the annotations of the group {GROUP}, which are no longer of this model",
+            )
     if not content.ours:
         parts["component_names"] = ("reward",)
     elif content.components:
@@ -156,26 +164,21 @@ def _own(content: Content, header: Mapping[str, Any], discount: object, start: o
     if start is not None:
         parts["start"] = as_start(start)
     states = np.repeat(np.arange(len(choices)), choices)
-    mdp = MDP(_table(content), states, np.array(content.actions, dtype=np.int64), **parts)
-    if content.ours and content.gain is not None:
-        _check_rewards(content, mdp)
-    return mdp
+    return MDP(_table(content), states, np.array(content.actions, dtype=np.int64), **parts)
 
 
 def _table(content: Content) -> OutcomeTable:
     """Return the table of outcomes, every number as it was written."""
     offsets = np.array(content.choice_to_branches, dtype=np.int64)
     weight, denominator = _stored(content.probability, offsets)
+    fixed = _fixed(content)
     gains, ends = content.gain, offsets
-    if gains is None:
-        fixed = _fixed(content)
+    if gains is None and any(content.branch_reward):
+        each = np.repeat(np.array(fixed, dtype=object), np.diff(offsets)).tolist()
+        gains = [a + b for a, b in zip(each, content.branch_reward, strict=True)]
+    elif gains is None:
         gains, ends = fixed, np.arange(len(fixed) + 1)
-        if any(content.branch_reward):
-            counts = np.diff(offsets).tolist()
-            each = [value for value, count in zip(fixed, counts, strict=True) for _ in range(count)]
-            gains, ends = [a + b for a, b in zip(each, content.branch_reward, strict=True)], offsets
     gain, gain_denominator = _stored(gains, ends)
-    doubts = {name: np.array(values, dtype=np.float64) for name, values in content.doubts.items()}
     return OutcomeTable(
         offsets=offsets,
         next=np.array(content.target, dtype=np.int64),
@@ -184,7 +187,7 @@ def _table(content: Content) -> OutcomeTable:
         gain=gain,
         gain_denominator=gain_denominator,
         event=None if content.event is None else np.array(content.event, dtype=np.uint8),
-        **doubts,
+        **{name: np.array(values, dtype=np.float64) for name, values in content.doubts.items()},
     )
 
 
@@ -199,64 +202,36 @@ def _fixed(content: Content) -> list[Any]:
 
 def _stored(values: Sequence[Any], offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return numbers as an array with one denominator for each group of them."""
-    groups = len(offsets) - 1
     if values and all(isinstance(value, float) for value in values):
-        return np.array(values, dtype=np.float64), ones(groups)
-    tops: list[int] = []
-    bottoms: list[int] = []
-    for first, last in pairwise(offsets.tolist()):
-        top, bottom = common([exact(value) for value in values[first:last]])
-        tops += top
-        bottoms.append(bottom)
-    return integers(tops), integers(bottoms)
+        return np.array(values, dtype=np.float64), ones(len(offsets) - 1)
+    return over_groups([exact(value) for value in values], offsets)
 
 
-def _check_rewards(content: Content, mdp: MDP) -> None:
+def _check_gains(content: Content) -> None:
     """Raise ModelError unless the rewards of branches average to those of the choices.
 
     Exact numbers agree exactly. Floats agree within the rounding of a sum of n products, which is
     at most (n + 3) 2^-52 Σ |p r|, and (n + 1) 2^-1074 below the range of normal floats.
     """
-    fixed, table = _fixed(content), mdp.table
-    if np.float64 not in (table.weight.dtype, table.gain.dtype):
-        top, bottom = table.expected_gain_exact()
-        pairs = zip(top.tolist(), bottom.tolist(), fixed, strict=True)
-        wrong = np.array([Fraction(a, b) != exact(wanted) for a, b, wanted in pairs])
-    else:
-        counts = np.diff(table.offsets)
-        with np.errstate(over="ignore"):
-            scale = np.add.reduceat(
-                np.abs(table.probabilities() * table.gains()), table.offsets[:-1]
+    spans = list(pairwise(content.choice_to_branches))
+    for choice, (fixed, (first, last)) in enumerate(zip(_fixed(content), spans, strict=True)):
+        chances, gains = content.probability[first:last], (content.gain or [])[first:last]
+        terms = [exact(p) * exact(r) for p, r in zip(chances, gains, strict=True)]
+        total, wanted, slack = sum(terms, Fraction(0)), exact(fixed), Fraction(0)
+        if any(isinstance(number, float) for number in (*chances, *gains, fixed)):
+            tiny = (len(terms) + 1) * Fraction(2) ** -1074
+            slack = (len(terms) + 3) * Fraction(2) ** -52 * sum(map(abs, terms)) + tiny
+        if abs(total - wanted) > slack:
+            raise ModelError(
+                f"rewards of branches average {shown(total)}, the choice's is {shown(wanted)}",
+                where=f"choice {choice}",
+                fix=f"change both, or drop the annotation {GROUP}/gain",
             )
-            given = np.array([float(wanted) for wanted in fixed])
-            slack = (counts + 3) * 2.0**-52 * scale + (counts + 1) * 2.0**-1074
-            wrong = ~(np.abs(mdp.reward - given) <= slack)
-    if wrong.any():
-        pair = int(np.flatnonzero(wrong)[0])
-        raise _averaged(exact(float(mdp.reward[pair])), exact(fixed[pair]), mdp.where(pair))
-
-
-def _averaged(total: Fraction, wanted: Fraction, where: str) -> ModelError:
-    return ModelError(
-        f"rewards of branches average {shown(total)}, the choice's is {shown(wanted)}",
-        where=where,
-        fix=f"change both, or drop the annotation {GROUP}/gain",
-    )
-
-
-def _changed(what: str) -> ModelError:
-    return ModelError(
-        f"another program changed {what}",
-        where=f"annotations/{GROUP}",
-        fix=f"drop the annotations of the group {GROUP}, which are no longer of this model",
-    )
-
-
-# ---- files of other programs ---------------------------------------------------------------------
 
 
 def _rows(content: Content) -> Iterator[Row]:
     """Yield every pair; a state without choices is where the process ends, and stays put."""
+    fixed = _fixed(content)
     for state, (first, last) in enumerate(pairwise(content.state_to_choices)):
         if first == last:
             if content.state_reward[state] != 0:
@@ -267,29 +242,13 @@ def _rows(content: Content) -> Iterator[Row]:
                 )
             yield state, 0, [(1, state, 0)]
         for choice in range(first, last):
-            yield state, content.actions[choice], _outcomes(content, state, choice)
-
-
-def _outcomes(content: Content, state: int, choice: int) -> list[tuple[Any, int, Any]]:
-    first, last = content.choice_to_branches[choice : choice + 2]
-    fixed = content.state_reward[state] + content.choice_reward[choice]
-    if content.gain is None:
-        gains = [fixed + earned for earned in content.branch_reward[first:last]]
-    else:
-        gains = content.gain[first:last]
-        chances = content.probability[first:last]
-        exact_gains = [exact(gain) for gain in gains]
-        terms = [exact(p) * r for p, r in zip(chances, exact_gains, strict=True)]
-        total, wanted = sum(terms, Fraction(0)), exact(fixed)
-        slack = Fraction(0)
-        if any(isinstance(number, float) for number in (*chances, *gains, fixed)):
-            tiny = (len(terms) + 1) * Fraction(2) ** -1074
-            slack = (len(terms) + 3) * Fraction(2) ** -52 * sum(map(abs, terms)) + tiny
-        if abs(total - wanted) > slack:
-            raise _averaged(total, wanted, f"state {state}, choice {choice}")
-    return list(
-        zip(content.probability[first:last], content.target[first:last], gains, strict=True)
-    )
+            here = slice(*content.choice_to_branches[choice : choice + 2])
+            if content.gain is None:
+                gains = [fixed[choice] + earned for earned in content.branch_reward[here]]
+            else:
+                gains = content.gain[here]
+            outcomes = zip(content.probability[here], content.target[here], gains, strict=True)
+            yield state, content.actions[choice], list(outcomes)
 
 
 def _start(content: Content) -> object:
@@ -303,3 +262,151 @@ def _start(content: Content) -> object:
         where="state-is-initial",
         fix="pass start= to mdp.io.umb.load, or write the file with one initial state",
     )
+
+
+# ---- writing -------------------------------------------------------------------------------------
+
+
+def _archive_of(model: MDP) -> bytes:
+    """Return the gzipped archive; the same model gives the same bytes."""
+    encoder, umb = encoding.UmbEncoder(), _umb_of(model)
+    encoder.add_index_file(umb)
+    encoder.add_state_files(umb)
+    encoder.add_transition_files(umb)
+    encoder.add_annotation_files(umb)
+    if umb.index.valuations is not None:
+        # 32-bit integers in a row need no packing of bits.
+        columns = [model.space.values(name) for name in model.space.names]
+        values = np.stack(columns, axis=1).astype("<i4").tobytes()
+        encoder.add_file("valuations/states/valuations.bin", values)
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        for name, data in encoder.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(data)
+            archive.addfile(member, io.BytesIO(data))
+    return gzip.compress(stream.getvalue(), mtime=0)
+
+
+def _umb_of(model: MDP) -> Any:
+    table = model.table
+    start = {state: weight for state, weight in model.start if weight > 0}
+    kind, numbers = _typed(_ratios(table.weight, table.denominator, table.offsets))
+    index = description.UmbIndex(
+        format_version=version.__format_version__,
+        format_revision=version.__format_revision__,
+        file_data=description.FileData(tool="exact-mdp"),
+        model_data=description.ModelData(name=model.name) if model.name else None,
+        transition_system=description.TransitionSystem(
+            time="discrete",
+            num_players=1,
+            num_states=model.n_states,
+            num_initial_states=len(start),
+            num_choices=model.n_pairs,
+            num_choice_actions=model.n_actions,
+            num_branches=len(table.next),
+            branch_probability_type=kind,
+        ),
+        annotations={"rewards": {}, "aps": {}, GROUP: {}},
+        valuations=_valuations(model),
+    )
+    umb = umb_package.ExplicitUmb(
+        index=index,
+        state_is_initial=[state in start for state in range(model.n_states)],
+        state_to_choices=model.pair_offsets.tolist(),
+        choice_to_branches=table.offsets.tolist(),
+        branch_to_target=table.next.tolist(),
+        branch_to_probability=numbers,
+        choice_to_choice_action=model.pair_action.tolist(),
+        choice_action_to_string=list(model.actions),
+        annotations={"rewards": {}, "aps": {}, GROUP: {}},
+    )
+    _annotate(umb, "rewards", REWARD, "choices", _expected(model))
+    # A lone component of the usual name is the reward itself.
+    if model.component_names != (REWARD,) or (model.components[:, 0] != model.reward).any():
+        for number, name in enumerate(model.component_names):
+            values = model.components[:, number].tolist()
+            _annotate(umb, "rewards", component_key(number), "choices", values, alias=name)
+    _annotate(umb, "aps", TERMINAL, "states", model.terminal.tolist())
+    chances = [start.get(state, Fraction(0)) for state in range(model.n_states)]
+    header = json.dumps(as_header(model))
+    _annotate(umb, GROUP, CARRIER, "states", chances, about=header)
+    if len(table.gain) != model.n_pairs:
+        gains = _ratios(table.gain, table.gain_denominator, table.offsets)
+        _annotate(umb, GROUP, "gain", "branches", gains)
+    for name in ("event", *DOUBTS):
+        values = getattr(table, name)
+        if values is not None:
+            over = "choices" if len(values) == model.n_pairs and name != "event" else "branches"
+            _annotate(umb, GROUP, key_of(name), over, values.tolist())
+    return umb
+
+
+def _annotate(
+    umb: Any,
+    group: str,
+    key: str,
+    over: str,
+    values: Sequence[Any],
+    *,
+    alias: str = "",
+    about: str = "",
+) -> None:
+    """Add an annotation; an alias is its description too, and as an identifier its name."""
+    kind, numbers = _typed(values)
+    # The query language of PRISM and Storm knows no dots or hyphens in names.
+    word = re.sub(r"\W", "_", alias) if alias else None
+    taken = {entry.alias or other for other, entry in umb.index.annotations[group].items()}
+    while word in taken:
+        word = f"{word}_"
+    umb.index.annotations[group][key] = description.AnnotationDescription(
+        alias=word, description=about or alias or None, applies_to=[over], type=kind
+    )
+    umb.annotations[group][key] = {over: numbers}
+
+
+def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
+    """Return truth values and small integers as they are, floats as doubles, others as rationals
+    wide enough."""
+    kinds, numeric = set(map(type, values)), datatypes.NumericPrimitiveType
+    if kinds <= {bool}:
+        return binary.SizedType(datatypes.PrimitiveType.BOOL, 1), list(values)
+    if kinds == {float}:
+        return binary.SizedType(numeric.DOUBLE, 64), list(values)
+    if kinds == {int}:
+        return binary.SizedType(numeric.UINT, 64), list(values)
+    rationals = [Fraction(value) for value in values]
+    # The numerator is signed; each half of a rational takes a multiple of 64 bits.
+    bits = max(max(x.numerator.bit_length() + 1, x.denominator.bit_length()) for x in rationals)
+    return binary.SizedType(numeric.RATIONAL, 128 * -(-bits // 64)), rationals
+
+
+def _ratios(top: Numbers, bottom: Numbers, offsets: Numbers) -> list[Any]:
+    """Return top[i] / bottom[l] for the entries i of each pair l: Fractions, or floats."""
+    if top.dtype == np.float64:
+        return list(top.tolist())
+    below = np.repeat(bottom, np.diff(offsets)).tolist()
+    return [Fraction(a, b) for a, b in zip(top.tolist(), below, strict=True)]
+
+
+def _expected(model: MDP) -> list[Any]:
+    """Return the expected rewards of the pairs, exact where they follow from exact numbers."""
+    table = model.table
+    each = np.arange(model.n_pairs + 1)
+    if len(table.gain) == model.n_pairs:
+        return _ratios(table.gain, table.gain_denominator, each)
+    if np.float64 in (table.weight.dtype, table.gain.dtype):
+        return list(model.reward.tolist())
+    return _ratios(*table.expected_gain_exact(), each)
+
+
+def _valuations(model: MDP) -> dict[str, Any] | None:
+    """Return the columns of the states as 32-bit variables; a lone column is the state's number."""
+    names = model.space.names
+    if len(names) < 2 or len(set(names)) < len(names):
+        return None
+    struct = binary.StructType()
+    for name in names:
+        struct.add_attribute(name, binary.SizedType(datatypes.NumericPrimitiveType.INT, 32))
+    unique = len(model.space.extra) < 2
+    return {"states": description.ValuationDescription(unique=unique, classes=[struct])}

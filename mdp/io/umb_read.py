@@ -1,21 +1,36 @@
-"""What a UMB file says, as plain lists, after every length and range has been checked."""
+"""What a UMB file says, as plain lists, after every length and range has been checked.
+
+A UMB file is a tar archive, plain or compressed with gzip, xz or bzip2. It is unpacked here, within
+a limit that its size sets, and not by umbi: a compressed archive may expand a thousandfold, and the
+headers of a tar archive may state any size.
+"""
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import io
 import json
 import logging
+import lzma
+import tarfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.io.umb_archive import files_of
+from exact_mdp.mdp.io.files import LARGEST, read_bytes
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import OutcomeTable
+
+binary = later("umbi.binary")
+umb_package = later("umbi.umb")
+encoding = later("umbi.umb.umb_to_tar")
 
 GROUP, REWARD = "exact-mdp", "reward"
 CARRIER = "start"
@@ -26,6 +41,11 @@ DOUBTS = tuple(
 )
 """Arrays of floats that a table of outcomes may have, each an annotation where it has it."""
 
+FREE, RATIO = 2**26, 200
+"""An archive may unpack to 64 MiB, or to 200 times its own size, whichever is more."""
+
+MOST_FILES = 10_000
+LZMA_MEMORY = 2**27
 LARGEST_INDEX = 2**26
 ANY_SIZE = 10**6
 """Numbers of states, choices, branches and actions that need no data in the file to be believed."""
@@ -42,6 +62,62 @@ def key_of(name: str) -> str:
 def component_key(number: int) -> str:
     """Return the identifier of the reward model that holds a component."""
     return f"component-{number}"
+
+
+def _damaged(what: str, where: str) -> ModelError:
+    return ModelError(what, where=where, fix="write the file again")
+
+
+# ---- the archive ---------------------------------------------------------------------------------
+
+
+def files_of(path: str | Path) -> dict[str, bytes]:
+    """Return the regular files of an archive by name; raises ModelError for one too large."""
+    packed = read_bytes(path, most=LARGEST)
+    limit = max(FREE, RATIO * len(packed))
+    data = _unpacked(packed, limit)
+    found: dict[str, bytes] = {}
+    total = 0
+    with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
+        for number, member in enumerate(archive):
+            total += member.size
+            # A sparse file is stored in less than it claims.
+            if total > limit or number >= MOST_FILES:
+                raise _too_much(limit)
+            file = archive.extractfile(member) if member.isfile() else None
+            if file is not None:
+                found[member.name] = file.read()
+    return found
+
+
+def _unpacked(packed: bytes, limit: int) -> bytes:
+    """Return the tar archive in a compressed one of any kind; raises where it is too large."""
+    stream = io.BytesIO(packed)
+    if packed.startswith(b"\xfd7zXZ\x00"):
+        # Headers of xz may ask for gigabytes of memory to begin with.
+        decoder = lzma.LZMADecompressor(format=lzma.FORMAT_XZ, memlimit=LZMA_MEMORY)
+        data = decoder.decompress(packed, max_length=limit + 1)
+        if len(data) <= limit and not decoder.eof:
+            raise EOFError("the archive is cut short")
+    elif packed.startswith((b"\x1f\x8b", b"BZh")):
+        opened = gzip.GzipFile(fileobj=stream) if packed[0] == 0x1F else bz2.BZ2File(stream)
+        with cast(IO[bytes], opened) as unpacking:
+            data = unpacking.read(limit + 1)
+    else:
+        return packed
+    if len(data) > limit:
+        raise _too_much(limit)
+    return data
+
+
+def _too_much(limit: int) -> ModelError:
+    return ModelError(
+        f"the archive unpacks to over {limit:,} bytes, or {MOST_FILES:,} files",
+        fix="use an uncompressed file",
+    )
+
+
+# ---- its content ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +148,7 @@ class Content:
 def read(path: str | Path, reward: str | None) -> Content:
     """Return what a file says of the model and of one reward model; raises ModelError."""
     try:
-        from umbi.umb import ExplicitUmb
-        from umbi.umb.umb_to_tar import UmbDecoder
-    except ImportError as error:
-        raise needs_umbi() from error
-    try:
-        decoder, umb = UmbDecoder(), ExplicitUmb()
+        decoder, umb = encoding.UmbDecoder(), umb_package.ExplicitUmb()
         decoder.update(files_of(path))
         if len(decoder.get("index.json", b"")) > LARGEST_INDEX:
             raise ModelError("the index is too large", where="index.json", fix="check the file")
@@ -86,17 +157,17 @@ def read(path: str | Path, reward: str | None) -> Content:
         _check_files(umb.index.transition_system, decoder)
         decoder.read_state_files(umb)
         decoder.read_transition_files(umb)
-        rewards = (umb.index.annotations or {}).get("rewards") or {}
-        chosen = _chosen(rewards, reward)
-        own = (umb.index.annotations or {}).get(GROUP) or {}
-        header = _header(own)
+        listed = umb.index.annotations or {}
+        rewards, own = listed.get("rewards") or {}, listed.get(GROUP) or {}
+        chosen, header = _chosen(rewards, reward), _header(own)
         ours = chosen == REWARD
         umb.annotations = {"rewards": {}, GROUP: {}}
-        parts = [key for key in _component_keys(header) if ours and key in rewards]
+        names = (header or {}).get("component_names")
+        keys = map(component_key, range(len(names) if isinstance(names, list) else 0))
+        parts = [key for key in keys if ours and key in rewards]
         for name in (chosen, *parts):
             _read_annotation(decoder, umb, "rewards", name, rewards[name])
-        numbers = ("gain", *map(key_of, DOUBTS))
-        for name in (CARRIER, "event", *(numbers if ours else ())):
+        for name in (CARRIER, "event", *(("gain", *map(key_of, DOUBTS)) if ours else ())):
             if name in own:
                 _read_annotation(decoder, umb, GROUP, name, own[name])
         return _content(umb, chosen, header, parts)
@@ -111,13 +182,6 @@ def read(path: str | Path, reward: str | None) -> Content:
             f"the file is damaged, or of a kind that umbi cannot read: {str(error)[:200]}",
             fix="write the file again",
         ) from error
-
-
-def needs_umbi() -> ModelError:
-    """Return the error that says how to install umbi."""
-    return ModelError(
-        "the package umbi is not installed", fix='install it: pip install "exact-mdp[umb]"'
-    )
 
 
 def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -137,10 +201,9 @@ def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 def _read_annotation(decoder: Any, umb: Any, group: str, name: str, about: Any) -> None:
     """Read one annotation, after the sizes of its files have been compared with the model's."""
-    system = umb.index.transition_system
     for over in about.applies_to or ():
         path = f"annotations/{group}/{name}/{over}/values.bin"
-        _check_size(decoder, path, _sizes(system)[over], about.type)
+        _check_size(decoder, path, _sizes(umb.index.transition_system)[over], about.type)
     decoder.read_annotation(umb, group, name, about)
 
 
@@ -154,49 +217,35 @@ def _sizes(system: Any) -> dict[str, int]:
 
 def _check_files(system: Any, files: Mapping[str, bytes]) -> None:
     """Raise ModelError unless the model's files have the sizes that its index gives them."""
-    from umbi.binary import BOOL1, UINT32, UINT64
-
     states, choices, branches = _sizes(system).values()
-    listed: list[tuple[str, int, Any]] = [
-        ("state-is-initial.bin", states, BOOL1),
-        ("state-to-choices.bin", states + 1, UINT64),
-        ("state-to-player.bin", states, UINT32),
-        ("choice-to-branches.bin", choices + 1, UINT64),
-        ("branch-to-target.bin", branches, UINT64),
+    for name, count, kind in (
+        ("state-is-initial.bin", states, binary.BOOL1),
+        ("state-to-choices.bin", states + 1, binary.UINT64),
+        ("state-to-player.bin", states, binary.UINT32),
+        ("choice-to-branches.bin", choices + 1, binary.UINT64),
+        ("branch-to-target.bin", branches, binary.UINT64),
         ("branch-to-probability.bin", branches, system.branch_probability_type),
-        ("actions/choices/values.bin", choices, UINT32),
-        ("actions/choices/string-mapping.bin", system.num_choice_actions + 1, UINT64),
-    ]
-    for name, count, kind in listed:
+        ("actions/choices/values.bin", choices, binary.UINT32),
+        ("actions/choices/string-mapping.bin", system.num_choice_actions + 1, binary.UINT64),
+    ):
         _check_size(files, name, count, kind)
-    mapping = files.get("actions/choices/string-mapping.bin")
-    if mapping is not None:
-        ends = np.frombuffer(mapping, "<u8")
-        # Ranges that overlap would make much text of little.
-        if (ends[1:] < ends[:-1]).any():
-            raise ModelError(
-                "the ranges of the names fall", where="actions", fix="write the file again"
-            )
+    ends = np.frombuffer(files.get("actions/choices/string-mapping.bin", b""), "<u8")
+    if (ends[1:] < ends[:-1]).any():  # ranges that overlap would make much text of little
+        raise _damaged("the ranges of the names fall", "actions")
     system.num_branch_actions = 0  # names of branches, which nothing here reads
 
 
 def _check_size(files: Mapping[str, bytes], name: str, count: int, kind: Any) -> None:
     """Raise ModelError where a file has not the size of `count` values of a type."""
-    from umbi.binary import BOOL1
-
     data = files.get(name)
     if data is None or kind is None:
         return
-    if kind == BOOL1:
+    if kind == binary.BOOL1:
         good = -(-count // 8) <= len(data) <= 8 * -(-count // 64)
     else:
         good = len(data) * 8 == count * kind.size_bits
     if not good:
-        raise ModelError(
-            f"a file of {len(data):,} bytes for {count:,} values",
-            where=name,
-            fix="write the file again",
-        )
+        raise _damaged(f"a file of {len(data):,} bytes for {count:,} values", name)
 
 
 def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
@@ -215,13 +264,9 @@ def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
             )
     # A state, choice or branch takes at least eight bytes where there are many of them.
     core = sum(len(data) for name, data in files.items() if "/" not in name)
-    counts = (*_sizes(system).values(), system.num_choice_actions)
-    if max(counts) > max(core // 8, ANY_SIZE):
-        raise ModelError(
-            f"the index claims {max(counts):,} entries in {core:,} bytes",
-            where="index.json",
-            fix="write the file again",
-        )
+    most = max(*_sizes(system).values(), system.num_choice_actions)
+    if most > max(core // 8, ANY_SIZE):
+        raise _damaged(f"the index claims {most:,} entries in {core:,} bytes", "index.json")
 
 
 def _chosen(rewards: Any, wanted: str | None) -> str:
@@ -242,27 +287,20 @@ def _chosen(rewards: Any, wanted: str | None) -> str:
     return names.get(wanted, wanted)
 
 
-def _component_keys(header: Mapping[str, Any] | None) -> list[str]:
-    names = header.get("component_names") if header else None
-    return [component_key(number) for number in range(len(names) if isinstance(names, list) else 0)]
-
-
 def _content(
     umb: Any, chosen: str, header: Mapping[str, Any] | None, parts: Iterable[str]
 ) -> Content:
     reward, own = umb.annotations["rewards"][chosen], umb.annotations[GROUP]
-    system = umb.index.transition_system
-    states, choices, branches = system.num_states, system.num_choices, system.num_branches
+    sizes = _sizes(umb.index.transition_system)
+    states, choices, branches = sizes.values()
     state_to_choices = _mapping(umb.state_to_choices, states, choices, "state-to-choices")
     actions, names = _actions(umb, state_to_choices, choices)
     earned = {
         key: _numbers(reward.get(key, [0] * size), size, f"rewards of {key}")
-        for key, size in _sizes(system).items()
-    }
-    doubts = {
-        name: next(iter(own[key_of(name)].values())) for name in DOUBTS if key_of(name) in own
+        for key, size in sizes.items()
     }
     gain, start = own.get("gain", {}).get("branches"), own.get(CARRIER, {}).get("states")
+    chances = umb.branch_to_probability
     data = umb.index.model_data
     return Content(
         name=(data.name or "") if data is not None else "",
@@ -272,9 +310,7 @@ def _content(
         ),
         target=_targets(umb.branch_to_target, states, branches),
         probability=_numbers(
-            [1] * branches if umb.branch_to_probability is None else umb.branch_to_probability,
-            branches,
-            "branch-to-probability",
+            [1] * branches if chances is None else chances, branches, "branch-to-probability"
         ),
         actions=actions,
         action_names=names,
@@ -287,7 +323,7 @@ def _content(
         start=None if start is None else _numbers(start, states, f"{GROUP}/{CARRIER}"),
         header=header,
         event=own.get("event", {}).get("branches"),
-        doubts=doubts,
+        doubts={n: next(iter(own[key_of(n)].values())) for n in DOUBTS if key_of(n) in own},
         components=[umb.annotations["rewards"][key]["choices"] for key in parts],
         ours=chosen == REWARD,
     )
@@ -300,18 +336,14 @@ def _actions(
     action, or none has one, actions are the places of the choices in their state."""
     count = umb.index.transition_system.num_choice_actions
     given = umb.choice_to_choice_action
-    spans = [
-        range(*state_to_choices[state : state + 2]) for state in range(len(state_to_choices) - 1)
-    ]
+    spans = [range(first, last) for first, last in pairwise(state_to_choices)]
     if count and given is not None:
         given = _of_length(given, choices, "actions of choices")
         names = umb.choice_action_to_string or [f"a{number}" for number in range(count)]
         names = [name or "unnamed" for name in names]
         if any(not 0 <= action < count for action in given) or len(names) != count:
-            raise ModelError(
-                f"{len(names)} names for {count} actions, or an action beyond them",
-                where="actions",
-                fix="write the file again",
+            raise _damaged(
+                f"{len(names)} names for {count} actions, or an action beyond them", "actions"
             )
         distinct = all(len({given[choice] for choice in span}) == len(span) for span in spans)
         if distinct and len(set(names)) == len(names):
@@ -325,23 +357,14 @@ def _mapping(given: Sequence[int] | None, size: int, end: int, where: str) -> li
     offsets = list(range(size + 1)) if given is None else list(given)
     rising = all(a <= b for a, b in pairwise(offsets))
     if len(offsets) != size + 1 or offsets[0] != 0 or offsets[-1] != end or not rising:
-        raise ModelError(
-            f"{len(offsets)} offsets that do not run from 0 to {end}",
-            where=where,
-            fix="write the file again",
-        )
+        raise _damaged(f"{len(offsets)} offsets that do not run from 0 to {end}", where)
     return offsets
 
 
 def _targets(given: Sequence[int] | None, states: int, branches: int) -> list[int]:
     targets = _of_length([0] * branches if given is None else given, branches, "branch-to-target")
-    for target in targets:
-        if target >= states:
-            raise ModelError(
-                f"a branch leads to state {target} of {states}",
-                where="branch-to-target",
-                fix="write the file again",
-            )
+    if max(targets, default=-1) >= states:
+        raise _damaged(f"a branch leads to state {max(targets)} of {states}", "branch-to-target")
     return targets
 
 
@@ -358,9 +381,5 @@ def _numbers(values: Sequence[Any], size: int, where: str) -> list[Any]:
 
 def _of_length(values: Sequence[Any] | None, size: int, where: str) -> list[Any]:
     if values is None or len(values) != size:
-        raise ModelError(
-            f"{0 if values is None else len(values)} values, not {size}",
-            where=where,
-            fix="write the file again",
-        )
+        raise _damaged(f"{0 if values is None else len(values)} values, not {size}", where)
     return list(values)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.policies.arrays import check_action
 from exact_mdp.paper_repro.agents import DISCLAIMER
 from exact_mdp.paper_repro.agents.prompts import (

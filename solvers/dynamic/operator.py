@@ -3,7 +3,7 @@
     V(k, t, s) = max over a of  E[gain + γ V(next) | s, a],
 
 one subtask after the other from the last, one trial after the other, each a vector over the status
-vectors s; see `mdp.care.operator` for how the expectation is had. The error bound is that of
+vectors s; `mdp.care.operator` says how the expectation is computed. The error bound is that of
 `solvers.dynamic.backward_induction`, with the rounding error of a layer bounded once for all its
 states: expectations are averages, so that an error of x passes on at most as it is, and with the
 value of the first outcome taken off x before and added after, what rounding does inside is set by
@@ -26,8 +26,9 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.care.operator import CareOperator, Expect, Law, as_gains
+from exact_mdp.mdp.care.operator import CareOperator, Expect, Law
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import ladder
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
@@ -35,6 +36,8 @@ from exact_mdp.solvers.solution import Bounded, Solution, SolverError, Status
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.model import MDP
+
+loops = later("exact_mdp.solvers.kernels.operator")
 
 UNITS = UNIT * (1 + 2.0**-10)
 COMPILED_FROM, LOADED_FROM = 0.3, 0.002  # seconds that the loops in NumPy would take, about
@@ -44,7 +47,7 @@ POLICY = "give an action for each status vector or state, or probabilities (2^n,
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def solve_operator(operator: CareOperator) -> Solution:
+def solve_operator(model: CareOperator) -> Solution:
     """Return optimal values and policy of an operator, with bounds on their error.
 
     The solution is that of the explicit model up to rounding; its `mdp` is the operator.
@@ -57,16 +60,20 @@ def solve_operator(operator: CareOperator) -> Solution:
     146.235870743 ± ... (bounded)
     """
     started = perf_counter()
-    value, actions, above, below = _induced(operator)
-    high, low = _ladder(operator, above), _ladder(operator, below)
+    dense = bool(len(model.step.dense))
+    induced = compiled_induce(model) if dense and _compiled(model) else induce(model)
+    value, actions, above, below = induced
+    high, low = _ladder(model, above), _ladder(model, below)
     if not (np.isfinite(value).all() and np.isfinite(high[0]) and np.isfinite(low[0])):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+    errors = np.zeros(model.n_states)
+    errors[:-1].reshape(len(high), -1)[:] = np.maximum(high, low)[:, None]
     return Solution(
         # A solution reads pair_action, start and backup of its model, which operators have too.
-        mdp=cast("MDP", operator),
+        mdp=cast("MDP", model),
         value=value,
-        pairs=_pairs(operator, actions),
-        state_error=_by_state(operator, np.maximum(high, low)),
+        pairs=_pairs(model, actions),
+        state_error=errors,
         regret_bound=float((high + low).max()),
         status=Status.DIRECT,
         method=METHOD,
@@ -76,14 +83,24 @@ def solve_operator(operator: CareOperator) -> Solution:
     )
 
 
-def operator_mean(operator: CareOperator, policy: ArrayLike) -> Bounded:
+def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
     """Return the mean return of a policy from the start, with a bound on its error.
 
     Parameters
     ----------
+    model : CareOperator
     policy : (2^n,) or (S,) ints, or (2^n, A) floats
         Actions by status vector or by state, or probabilities of the assistive actions by status
         vector. A skip of its own is taken where it is the only action.
+
+    Returns
+    -------
+    Bounded
+
+    Raises
+    ------
+    ModelError
+        For an array that is not a policy.
 
     Examples
     --------
@@ -91,36 +108,30 @@ def operator_mean(operator: CareOperator, policy: ArrayLike) -> Bounded:
     >>> print(operator_mean(Scenario.load("yuan2025").operator(), np.full((16, 4), 0.25)))
     85.0285... ± ... (bounded)
     """
-    rules = operator.rules
+    rules, where = model.rules, f"operator {model.name}"
     try:
         given = np.asarray(policy)
     except ValueError as fault:
-        raise ModelError(
-            "rows of a policy differ in length", where=f"operator {operator.name}", fix=POLICY
-        ) from fault
+        raise ModelError("rows of a policy differ in length", where=where, fix=POLICY) from fault
     by_status = given.shape == (rules.vectors,)
-    whole = given.dtype.kind in "iu" and (by_status or given.shape == (operator.n_states,))
-    mixed = given.shape == (rules.vectors, rules.assistive)
+    whole = given.dtype.kind in "iu" and (by_status or given.shape == (model.n_states,))
     if whole:
-        choice = given.reshape(-1)
-        state = operator.space.values("trial")
+        state = model.space.values("trial")
         trying = given if by_status else given[(state >= 0) & (state < rules.trials)]
         valid = bool(((trying >= 0) & (trying < rules.assistive)).all())
     else:
-        total = given.sum(axis=1) if mixed else np.zeros(1)
-        valid = mixed and bool((given >= 0).all() and (np.abs(total - 1) <= 1e-9).all())
+        valid = given.shape == (rules.vectors, rules.assistive) and bool(
+            (given >= 0).all() and (np.abs(given.sum(axis=1) - 1) <= 1e-9).all()
+        )
     if not valid:
         raise ModelError(
-            f"an array of shape {given.shape} that is no policy",
-            where=f"operator {operator.name}",
-            fix=POLICY,
+            f"an array of shape {given.shape} that is no policy", where=where, fix=POLICY
         )
 
     def choose(first: int, q: Floats) -> tuple[Floats, Integers]:
-        columns = np.arange(rules.vectors)
         if whole:
-            taken = choice if by_status else choice[first : first + rules.vectors]
-            return q[taken, columns], taken
+            taken = given if by_status else given[first : first + rules.vectors]
+            return q[taken, np.arange(rules.vectors)], taken
         share = (given / given.sum(axis=1, keepdims=True)).T
         value = share[0] * q[0]
         for action in range(1, rules.assistive):
@@ -128,8 +139,8 @@ def operator_mean(operator: CareOperator, policy: ArrayLike) -> Bounded:
         return value, np.zeros(rules.vectors, dtype=np.int64)
 
     # A mixture adds A products, and shares that are off by a few units each.
-    value, _, error, _ = induce(operator, _expect(operator), choose, mixing=3.0 * rules.assistive)
-    bound = float(_ladder(operator, error)[0])
+    value, _, error, _ = induce(model, choose=choose, mixing=3.0 * rules.assistive)
+    bound = float(_ladder(model, error)[0])
     if not np.isfinite(bound):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
     return Bounded(value=float(value[0]), error=bound)
@@ -137,7 +148,7 @@ def operator_mean(operator: CareOperator, policy: ArrayLike) -> Bounded:
 
 def induce(
     operator: CareOperator,
-    expect: Expect,
+    expect: Expect | None = None,
     choose: Callable[[int, Floats], tuple[Floats, Integers]] | None = None,
     *,
     mixing: float = 0.0,
@@ -146,57 +157,58 @@ def induce(
 
     Parameters
     ----------
-    expect : function
-        Applies a law to a vector.
+    expect : function, optional
+        Applies a law to a vector; by compiled loops where that is worth while, unless given.
     choose : function, optional
         From the number of a layer's first state and (A, 2^n) action values to values and actions;
         the best ones unless given.
     mixing : float
         Units of roundoff that `choose` may add, in parts of the largest value.
     """
+    if expect is None:
+        folding = not len(operator.step.dense)
+        expect = compiled_expect if folding and _compiled(operator) else Law.expect
     rules, rate = operator.rules, operator.discount
-    unit, largest, fixed, step_error, skip_error, factor, skip_factor = units(operator).tolist()
-    value = np.zeros(operator.n_states)
-    actions = np.zeros(operator.n_states, dtype=np.int64)
-    above = np.zeros((len(operator.kinds), rules.trials + rules.own))
-    below = np.zeros_like(above)
-    for number in range(len(operator.kinds) - 1, -1, -1):
+    unit, largest, fixed, step_error, skip_error, factor = units(operator).tolist()
+    value, actions, above, below = _empty(operator)
+    vectors = rules.vectors
+    for number in range(len(rules.places) - 1, -1, -1):
         behind = operator.after(value, number, 1)
         spread = float(np.abs(behind - behind[0]).max())
         clear = float(operator.after(value, number, 0)[0])
         magnitude = max(abs(clear), float(np.abs(behind).max()))
         if rules.own:
-            doubt = (skip_error + 1.0) * spread + skip_factor * (largest + rate * magnitude)
+            doubt = (skip_error + 1.0) * spread + factor * (largest + rate * magnitude)
             above[number, -1] = below[number, -1] = unit * (doubt + fixed)
-            first = number * rules.size + rules.trials * rules.flags * rules.vectors
+            first = number * rules.size + rules.trials * rules.flags * vectors
             alone = operator.alone_q(value, number, expect)
             value[first : (number + 1) * rules.size] = np.tile(alone, rules.flags)
             actions[first : (number + 1) * rules.size] = rules.assistive
         for trial in range(rules.trials - 1, -1, -1):
             ends = trial + 1 == rules.trials and not rules.own
             for flag in range(rules.flags):
-                first = number * rules.size + (trial * rules.flags + flag) * rules.vectors
-                x, _ = operator.ahead(value, number, trial, flag, expect)
+                first = number * rules.size + (trial * rules.flags + flag) * vectors
+                x = operator.ahead(value, number, trial, flag, expect)
                 seen = magnitude
                 if not ends:
-                    later = first + rules.flags * rules.vectors
-                    seen = max(seen, float(np.abs(value[later : later + rules.vectors]).max()))
+                    later = first + rules.flags * vectors
+                    seen = max(seen, float(np.abs(value[later : later + vectors]).max()))
                 width = float(np.abs(x - x[0]).max())
                 doubt = (step_error + 1.0) * width + (skip_error * spread if ends else 0.0)
-                doubt += (factor + (skip_factor if ends else 0.0)) * (largest + rate * seen)
+                doubt += (2 * factor if ends else factor) * (largest + rate * seen)
                 doubt = unit * (doubt + fixed)
                 q = operator.q(x, expect)
                 if choose is None:
                     best = q.max(axis=0)
                     slack = 2 * doubt + 16 * unit * np.abs(best)
                     taken = np.argmax(q + slack >= best - slack, axis=0)
-                    short = float((doubt + (best - q[taken, np.arange(rules.vectors)])).max())
+                    short = float((doubt + (best - q[taken, np.arange(vectors)])).max())
                 else:
                     best, taken = choose(first, q)
                     doubt += unit * mixing * float(np.abs(q).max())
                     short = doubt
-                value[first : first + rules.vectors] = best
-                actions[first : first + rules.vectors] = taken
+                value[first : first + vectors] = best
+                actions[first : first + vectors] = taken
                 above[number, trial] = max(above[number, trial], doubt)
                 below[number, trial] = max(below[number, trial], short)
     return value, actions, above, below
@@ -205,48 +217,33 @@ def induce(
 def units(operator: CareOperator) -> Floats:
     """Return what rounding errors are made of; see `solvers.kernels.operator.induce`."""
     rules = operator.rules
-    top = {
-        name: float(np.abs(getattr(operator, name)).max())
+    complete, fail, skipped, alone, const = (
+        float(np.abs(getattr(operator, name)).max())
         for name in ("complete", "fail", "skipped", "alone", "const")
-    }
-    largest = top["const"] + max(
-        top["complete"], top["fail"] + top["skipped"], top["alone"] + top["skipped"]
     )
-    discounted = 0.0 if operator.discount_exact == 1 else 2.0
+    largest = const + max(complete, fail + skipped, alone + skipped)
     step, skip = operator.step.error, operator.skip.error
     # Gains are rounded themselves; `const` and `alone` hold expectations.
-    fixed = 8.0 * largest + step * float(np.abs(as_gains(rules, rules.assist)).max()) * (1 + UNITS)
-    cost = float(np.abs(as_gains(rules, rules.cost)).max())
-    fixed += skip * cost * (1 + UNITS) if rules.own else 0.0
-    return np.array([UNITS, largest, fixed, step, skip, 3.0 + discounted, 3.0 + discounted])
+    fixed = 8.0 * largest + step * float(np.abs(rules.rounded(rules.assist)).max()) * (1 + UNITS)
+    cost = np.abs(rules.rounded(rules.present)) + np.abs(rules.rounded(rules.following))
+    fixed += skip * float(cost.max()) * (1 + UNITS) if rules.own else 0.0
+    factor = 3.0 if operator.discount_exact == 1 else 5.0
+    return np.array([UNITS, largest, fixed, step, skip, factor])
 
 
-# ---- which loops ---------------------------------------------------------------------------------
+# ---- compiled loops ------------------------------------------------------------------------------
 
 
 def _compiled(operator: CareOperator) -> bool:
+    """Return whether compiled loops save more time than it takes to load them."""
     rules = operator.rules
-    layers = len(operator.kinds) * rules.trials * rules.flags
-    each = 1e-5 if not len(operator.step.dense) else 2e-6
-    seconds = layers * rules.vectors * each * (1 if len(operator.step.dense) else rules.assistive)
+    states = len(operator.rules.places) * rules.trials * rules.flags * rules.vectors
+    seconds = states * (2e-6 if len(operator.step.dense) else 1e-5 * rules.assistive)
     return seconds >= (LOADED_FROM if "numba" in sys.modules else COMPILED_FROM)
-
-
-def _induced(operator: CareOperator) -> tuple[Floats, Integers, Floats, Floats]:
-    if len(operator.step.dense) and _compiled(operator):
-        return compiled_induce(operator)
-    return induce(operator, _expect(operator))
-
-
-def _expect(operator: CareOperator) -> Expect:
-    folding = not len(operator.step.dense)
-    return compiled_expect if folding and _compiled(operator) else Law.expect
 
 
 def compiled_expect(law: Law, x: Floats) -> Floats:
     """Return what `Law.expect` does, by the compiled loops; the same bits on any threads."""
-    from exact_mdp.solvers.kernels.operator import expect
-
     rules, vectors, count = law.chance.shape
     found = np.empty((rules, vectors))
 
@@ -254,7 +251,7 @@ def compiled_expect(law: Law, x: Floats) -> Floats:
         even, odd = np.empty((count, vectors // 2)), np.empty((count, vectors // 2))
         kept = np.zeros((count + 1, count + 1), dtype=np.int64)
         places = np.zeros((count + 1, 5), dtype=np.int64)
-        expect(law.chance[rule], law.ready[rule], x, found[rule], even, odd, kept, places)
+        loops.expect(law.chance[rule], law.ready[rule], x, found[rule], even, odd, kept, places)
 
     if rules == 1 or vectors < THREADED_FROM:
         for rule in range(rules):
@@ -267,42 +264,39 @@ def compiled_expect(law: Law, x: Floats) -> Floats:
 
 def compiled_induce(operator: CareOperator) -> tuple[Floats, Integers, Floats, Floats]:
     """Return what `induce` does, by compiled loops over the small matrix of the law."""
-    from exact_mdp.solvers.kernels import operator as kernels
-
     rules = operator.rules
-    value = np.zeros(operator.n_states)
-    actions = np.zeros(operator.n_states, dtype=np.int64)
-    above = np.zeros((len(operator.kinds), rules.trials + rules.own))
-    below = np.zeros_like(above)
-    const = operator.const.reshape(-1)
-    kernels.induce(
+    induced = _empty(operator)
+    loops.induce(
         operator.step.dense,
         operator.skip.dense,
-        const,
+        operator.const.reshape(-1),
         operator.fail,
         operator.complete,
         operator.skipped,
         operator.alone,
-        operator.kinds,
+        rules.places,
+        rules.kept,
         rules.trials,
         rules.flags,
         rules.own,
         operator.discount,
         units(operator),
-        value,
-        actions,
-        above,
-        below,
-        np.empty(rules.vectors),
-        np.empty(rules.vectors),
-        np.zeros(rules.vectors),
-        np.empty(len(const)),
-        np.empty(len(const)),
+        *induced,
+        np.zeros((3, rules.vectors)),
+        np.empty((2, operator.const.size)),
     )
-    return value, actions, above, below
+    return induced
 
 
 # ---- errors and numbers --------------------------------------------------------------------------
+
+
+def _empty(operator: CareOperator) -> tuple[Floats, Integers, Floats, Floats]:
+    """Return values, actions and errors to fill."""
+    rules = operator.rules
+    layers = len(rules.places), rules.trials + rules.own
+    actions = np.zeros(operator.n_states, dtype=np.int64)
+    return np.zeros(operator.n_states), actions, np.zeros(layers), np.zeros(layers)
 
 
 def _ladder(operator: CareOperator, step: Floats) -> Floats:
@@ -315,26 +309,14 @@ def _ladder(operator: CareOperator, step: Floats) -> Floats:
     return total[:0:-1] * SLACK
 
 
-def _by_state(operator: CareOperator, errors: Floats) -> Floats:
-    wide = operator.rules.flags * operator.rules.vectors
-    found = np.zeros(operator.n_states)
-    found[:-1].reshape(-1, wide)[:] = errors[:, None]
-    return found
-
-
 def _pairs(operator: CareOperator, actions: Integers) -> Integers:
     """Return the pair (S,) of each state's action (S,), in the memory of the actions."""
     rules = operator.rules
     trying = rules.trials * rules.flags * rules.vectors
-    state = np.arange(rules.size)
-    first = np.where(
-        state < trying, state * rules.assistive, trying * (rules.assistive - 1) + state
-    )
-    per_block = trying * rules.assistive + rules.size - trying
-    count = len(operator.kinds)
-    table = actions[:-1].reshape(count, rules.size)
+    state, _ = rules.pairs()
+    table = actions[:-1].reshape(len(rules.places), rules.size)
     table[:, trying:] = 0  # a skip is the only pair of its state
-    table += first
-    table += np.arange(count)[:, None] * per_block
+    table += np.searchsorted(state, np.arange(rules.size))  # the first pair of each state
+    table += np.arange(len(rules.places))[:, None] * len(state)
     actions[-1] = operator.n_pairs - 1
     return actions

@@ -10,8 +10,8 @@ cancellation (Sobel, Journal of Applied Probability 19, 1982):
 
     Var(s) = Σ_s' K(s, s') [(u(s') - m(s))² + γ² Var(s')].
 
-Sums run over s' in one order, so that neither blocks nor threads change a bit. Rules: Yuan et al.
-(2025), Equation 1, Table 4 and Section 3.2, under every reading.
+Sums run over s' in one order, so that neither blocks nor threads change a bit. What each event
+charges and where it leads are numbers here, made from `mdp.care.rules`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from typing import NamedTuple
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
-TRIAL, COMPLETE, SKIPPED, TIMESTEP, TASK = 0, 1, 2, 3, 4
-ALWAYS, LAST_COMPLETED, NONE_SKIPPED = 0, 1, 2
+COMPLETE, FAIL, SKIP = 0, 1, 2
 
 
 class Care(NamedTuple):
@@ -37,13 +36,16 @@ class Care(NamedTuple):
     step, skip : (n, A·V), (n, V) int64
         Which chance each status has in each row: under each action, and on a skip.
     bits : (V, n) bool
-    statuses, shared, assist : (n,), (5,), (A,) int64
-        Positions of the reward weights.
-    last : (K,) bool
-        Whether each subtask is the last of its task.
-    trials, flags, bonus : int
-    following, every, own : bool
-        Status cost of the next vector, trial cost on completion, a skip's own timestep.
+    statuses, assist : (n,), (A,) int64
+        Positions of the reward weights of statuses and of actions.
+    charges : (G, C) int64
+        Positions of the weights that add up to each of G different gains.
+    gains : (3, 3, 2) int64
+        Which gain each event earns, by place of the subtask and flag.
+    places, kept : (K,), (3, 2) int64
+    trials, flags, now, next : int
+    own : bool
+        As in `mdp.care.rules.Rules`.
     """
 
     terms: Numbers
@@ -51,14 +53,15 @@ class Care(NamedTuple):
     skip: Numbers
     bits: Numbers
     statuses: Numbers
-    shared: Numbers
     assist: Numbers
-    last: Numbers
+    charges: Numbers
+    gains: Numbers
+    places: Numbers
+    kept: Numbers
     trials: int
     flags: int
-    bonus: int
-    following: bool
-    every: bool
+    now: int
+    next: int
     own: bool
 
 
@@ -68,7 +71,7 @@ class Room(NamedTuple):
     Attributes
     ----------
     numbers : (P+2,)
-    chance, weight, assist : (U,), (5,), (A,)
+    chance, gain, assist : (U,), (G,), (A,)
     p, q : (A·V,)
     law, skip : (V, A·V), (V, V)
         Next vector first.
@@ -83,7 +86,7 @@ class Room(NamedTuple):
 
     numbers: Floats
     chance: Floats
-    weight: Floats
+    gain: Floats
     assist: Floats
     p: Floats
     q: Floats
@@ -130,28 +133,33 @@ def place(care: Care, base: Floats, positions: Numbers, drawn: Floats, room: Roo
         room.chance[i] = min(total, 1.0)
     product_law(room.chance, care.step, room.p, room.law)
     product_law(room.chance, care.skip, room.p, room.skip)
-    for i in range(5):
-        room.weight[i] = numbers[care.shared[i]]
     for i in range(len(care.assist)):
         room.assist[i] = numbers[care.assist[i]]
+    for i in range(care.charges.shape[0]):
+        total = numbers[care.charges[i, 0]]
+        for j in range(1, care.charges.shape[1]):
+            total += numbers[care.charges[i, j]]
+        room.gain[i] = total
     for s in range(care.bits.shape[0]):
         cost = 0.0
         for i in range(care.bits.shape[1]):
             if care.bits[s, i]:
                 cost += numbers[care.statuses[i]]
-        room.vector[NEXT, s] = cost if care.following else 0.0
-        room.vector[PRESENT, s] = 0.0 if care.following else cost
+        room.vector[NEXT, s] = care.next * cost
+        room.vector[PRESENT, s] = care.now * cost
     return float(numbers[len(base) - 1])
 
 
 @inlined
 def beyond(care: Care, room: Room, k: int, discount: float, second: bool) -> None:
     """Write what failing the last trial of a subtask with vector s' earns and leads to."""
-    vectors = care.bits.shape[0]
-    w, vector, ahead, skip = room.weight, room.vector, room.ahead, room.skip
-    to = 1 if care.flags == 2 and not care.last[k] else 0
-    bonus = w[TASK] if care.last[k] and care.bonus == ALWAYS else 0.0
-    earned = w[SKIPPED] + bonus
+    vectors, at = care.bits.shape[0], care.places[k]
+    vector, ahead, skip = room.vector, room.ahead, room.skip
+    to, earned, failed = (
+        care.kept[at, 1],
+        room.gain[care.gains[SKIP, at, 1]],
+        room.gain[care.gains[FAIL, at, 0]],
+    )
     mean, spread = vector[BEYOND], vector[BEYOND2]
     for s in range(vectors):
         mean[s] = 0.0
@@ -170,25 +178,23 @@ def beyond(care: Care, room: Room, k: int, discount: float, second: bool) -> Non
     for s in range(vectors):
         value = earned + mean[s]
         if care.own:  # a timestep in which *skip* is the only action
-            value = discount * (w[TIMESTEP] + vector[PRESENT, s] + value)
+            value = discount * (vector[PRESENT, s] + value)
             spread[s] *= discount * discount
-        mean[s] = w[TIMESTEP] + w[TRIAL] + vector[NEXT, s] + value
+        mean[s] = failed + vector[NEXT, s] + value
 
 
 @inlined
 def completing(care: Care, room: Room, k: int, flag: int, discount: float) -> float:
     """Return what completing a subtask earns and leads to, but for the action's own reward."""
-    w = room.weight
-    to = flag if care.flags == 2 and not care.last[k] else 0
-    paid = care.last[k] and (care.bonus != NONE_SKIPPED or flag == 0)
-    reward = w[TIMESTEP] + w[COMPLETE] + (w[TRIAL] if care.every else 0.0)
-    return float(reward + (w[TASK] if paid else 0.0) + discount * room.ahead[0, to, 0])
+    at = care.places[k]
+    later = discount * room.ahead[0, care.kept[at, flag], 0]
+    return float(room.gain[care.gains[COMPLETE, at, flag]] + later)
 
 
 @inlined
-def continuation(care: Care, room: Room, t: int, discount: float, second: bool) -> None:
+def continuation(care: Care, room: Room, k: int, t: int, discount: float, second: bool) -> None:
     """Write what failing trial t with vector s' earns and leads to, into U and U2."""
-    vector, w = room.vector, room.weight
+    vector, failed = room.vector, room.gain[care.gains[FAIL, care.places[k], 0]]
     vectors = care.bits.shape[0]
     if t == care.trials - 1:
         for s in range(vectors):
@@ -196,10 +202,19 @@ def continuation(care: Care, room: Room, t: int, discount: float, second: bool) 
             vector[U2, s] = vector[BEYOND2, s]
         return
     for s in range(vectors):
-        vector[U, s] = w[TIMESTEP] + w[TRIAL] + vector[NEXT, s] + discount * vector[M, s]
+        vector[U, s] = failed + vector[NEXT, s] + discount * vector[M, s]
     if second:
         for s in range(vectors):
             vector[U2, s] = discount * discount * vector[M2, s]
+
+
+@inlined
+def pass_on(care: Care, room: Room) -> None:
+    """Let what was worked out for this subtask be what follows the one before it."""
+    for of in range(2):
+        for f in range(care.flags):
+            for s in range(care.bits.shape[0]):
+                room.ahead[of, f, s] = room.here[of, f, s]
 
 
 @compiled
@@ -232,15 +247,13 @@ def optimal_values(
     vector, law, q = room.vector, room.law, room.q
     for d in range(first, last):
         discount = place(care, base, positions, draws[d], room)
-        for f in range(care.flags):
-            for s in range(vectors):
-                room.ahead[0, f, s] = 0.0
-        for k in range(len(care.last) - 1, -1, -1):
+        room.ahead[:] = 0.0
+        for k in range(len(care.places) - 1, -1, -1):
             beyond(care, room, k, discount, False)
             for f in range(care.flags):
                 done = completing(care, room, k, f, discount)
                 for t in range(care.trials - 1, -1, -1):
-                    continuation(care, room, t, discount, False)
+                    continuation(care, room, k, t, discount, False)
                     for a in range(number):
                         worth = done + room.assist[a]
                         for s in range(vectors):
@@ -270,9 +283,7 @@ def optimal_values(
                         vector[M, s] += vector[PRESENT, s]
                 for s in range(vectors):
                     room.here[0, f, s] = vector[M, s]
-            for f in range(care.flags):
-                for s in range(vectors):
-                    room.ahead[0, f, s] = room.here[0, f, s]
+            pass_on(care, room)
         start[d] = room.ahead[0, 0, 0]
 
 
@@ -357,18 +368,15 @@ def policy_moments(
         for n in range(low, high):
             held = 0
             follow(care, room, chosen, shares, n, 0, mixed)
-            for f in range(care.flags):
-                for s in range(vectors):
-                    room.ahead[0, f, s] = 0.0
-                    room.ahead[1, f, s] = 0.0
-            for k in range(len(care.last) - 1, -1, -1):
+            room.ahead[:] = 0.0
+            for k in range(len(care.places) - 1, -1, -1):
                 beyond(care, room, k, discount, second)
                 for f in range(care.flags):
                     done = completing(care, room, k, f, discount)
-                    to = f if care.flags == 2 and not care.last[k] else 0
+                    to = care.kept[care.places[k], f]
                     noise = discount * discount * room.ahead[1, to, 0]
                     for t in range(care.trials - 1, -1, -1):
-                        continuation(care, room, t, discount, second)
+                        continuation(care, room, k, t, discount, second)
                         if staged:
                             stage = (k * care.trials + t) * care.flags + f
                             if mixed:
@@ -396,10 +404,7 @@ def policy_moments(
                     for s in range(vectors):
                         room.here[0, f, s] = vector[M, s]
                         room.here[1, f, s] = vector[M2, s]
-                for f in range(care.flags):
-                    for s in range(vectors):
-                        room.ahead[0, f, s] = room.here[0, f, s]
-                        room.ahead[1, f, s] = room.here[1, f, s]
+                pass_on(care, room)
                 of = len(mean) - 1 - k  # a value of the subtasks from here on
                 if of >= 0:
                     mean[of, d, n] = room.ahead[0, 0, 0]

@@ -108,7 +108,8 @@ def induce(
     complete: Floats,
     skipped: Floats,
     alone: Floats,
-    kinds: Numbers,
+    places: Numbers,
+    kept: Numbers,
     trials: int,
     flags: int,
     own: bool,
@@ -118,37 +119,37 @@ def induce(
     chosen: Numbers,
     above: Floats,
     below: Floats,
-    x: Floats,
-    y: Floats,
-    zero: Floats,
-    total: Floats,
-    q: Floats,
+    room: Floats,
+    wide: Floats,
 ) -> None:
     """Do what `solvers.dynamic.operator.induce` does for a model whose law is a small matrix.
 
     Parameters
     ----------
-    units : (7,)
-        Unit of roundoff, largest reward, its factor in a layer, error of the step and of the skip,
-        factors of the size of values in trials and in skips.
+    places, kept : (K,), (3, 2) ints
+        As in `mdp.care.rules.Rules`; what else is earned, as in `mdp.care.operator.CareOperator`.
+    units : (6,)
+        Unit of roundoff, largest reward, its factor in a layer, errors of the step and of the skip,
+        factor of the size of values.
     chosen : (S,) ints
         Filled with actions.
     above, below : (K, layers)
         Filled with rounding errors, trials from the first to the last, then the skip.
-    x, y, zero, total, q : (2^n,) thrice, zero with zeros, (A · 2^n,) twice
-        Room to work in.
+    room, wide : (3, 2^n), (2, A · 2^n)
+        Room to work in, the last row of `room` with zeros.
     """
     vectors = len(fail)
     actions = len(const) // vectors
+    x, y, zero, total, q = room[0], room[1], room[2], wide[0], wide[1]
     size = (trials + (1 if own else 0)) * flags * vectors
     unit, largest, fixed = units[0], units[1], units[2]
-    step_error, skip_error, factor, skip_factor = units[3], units[4], units[5], units[6]
-    for number in range(len(kinds) - 1, -1, -1):
-        kind = kinds[number]
+    step_error, skip_error, factor = units[3], units[4], units[5]
+    for number in range(len(places) - 1, -1, -1):
+        place = places[number]
         begin = (number + 1) * size
-        flagged = begin + (vectors if flags == 2 and kind == 0 else 0)
-        behind = value[flagged : flagged + vectors] if kind < 2 else zero
-        clear = value[begin] if kind < 2 else 0.0
+        flagged = begin + kept[place, 1] * vectors
+        behind = value[flagged : flagged + vectors] if place < 2 else zero
+        clear = value[begin + kept[place, 0] * vectors] if place < 2 else 0.0
         base = behind[0]
         apply(dense_skip, behind, base, y)
         spread, magnitude = 0.0, abs(clear)
@@ -156,14 +157,14 @@ def induce(
             spread = max(spread, abs(behind[v] - base))
             magnitude = max(magnitude, abs(behind[v]))
         if own:
-            doubt = (skip_error + 1.0) * spread + skip_factor * (largest + discount * magnitude)
+            doubt = (skip_error + 1.0) * spread + factor * (largest + discount * magnitude)
             doubt = unit * (doubt + fixed)
             above[number, trials], below[number, trials] = doubt, doubt
             for flag in range(flags):
                 first = number * size + (trials * flags + flag) * vectors
                 for v in range(vectors):
                     law = base + y[v]
-                    value[first + v] = (alone[v] + skipped[kind]) + discount * law
+                    value[first + v] = (alone[v] + skipped[place]) + discount * law
                     chosen[first + v] = actions
         for trial in range(trials - 1, -1, -1):
             for flag in range(flags):
@@ -171,23 +172,20 @@ def induce(
                 seen = magnitude
                 if ends:
                     for v in range(vectors):
-                        x[v] = fail[v] + (skipped[kind] + discount * (base + y[v]))
+                        x[v] = fail[v] + (skipped[place] + discount * (base + y[v]))
                 else:
                     first = number * size + ((trial + 1) * flags + flag) * vectors
                     for v in range(vectors):
                         x[v] = fail[v] + discount * value[first + v]
                         seen = max(seen, abs(value[first + v]))
-                earlier = clear
-                if flag == 1 and kind == 0:
-                    earlier = behind[0]
-                x[0] = complete[kind, flag] + discount * earlier
+                earlier = base if flag == 1 else clear
+                x[0] = complete[place, flag] + discount * earlier
                 origin, width = x[0], 0.0
                 for v in range(vectors):
                     width = max(width, abs(x[v] - origin))
                 apply(dense, x, origin, total)
-                scale = largest + discount * seen
                 doubt = (step_error + 1.0) * width + (skip_error * spread if ends else 0.0)
-                doubt += (factor + (skip_factor if ends else 0.0)) * scale
+                doubt += (2 * factor if ends else factor) * (largest + discount * seen)
                 doubt = unit * (doubt + fixed)
                 first = number * size + (trial * flags + flag) * vectors
                 for j in range(len(q)):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun

@@ -38,7 +38,7 @@ class Certificate(ExactClaims):
     Attributes
     ----------
     model : str
-        `mdp.fingerprint` of the model.
+        `mdp.exact` of the model.
     numerator : (S,) sequence of int
     group : (S,) int64
     denominator : sequence of int
@@ -133,7 +133,7 @@ class BoundedCertificate(BoundedClaims):
     Attributes
     ----------
     model : str
-        `mdp.fingerprint` of the model.
+        `mdp.exact` of the model.
     lower, upper : (S,)
         lower ≤ V^π ≤ V ≤ upper in every state, for the policy π given here.
     policy : (S,) int64

@@ -17,11 +17,10 @@ from typing import Literal, overload
 
 import numpy as np
 
-from exact_mdp.mdp.bellman import BellmanRows, bellman_rows
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable, require_termination, termination, topological_levels
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights

@@ -26,9 +26,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.mdp.bellman import BellmanRows, bellman_rows, row_sums
 from exact_mdp.mdp.chain import reachable
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.bellman import BellmanRows, row_sums
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import BellmanRows, row_sums
 from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.proof.linear import Equations
 

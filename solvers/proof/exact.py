@@ -28,8 +28,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.bellman import BellmanRows
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.proof.cycle import LARGEST, Cycle, Product, RightSides, endless
 
@@ -54,7 +54,7 @@ def stages(rows: BellmanRows) -> Iterator[Stage]:
     Examples
     --------
     >>> from exact_mdp import MDP
-    >>> from exact_mdp.mdp.bellman import bellman_rows
+    >>> from exact_mdp.mdp.exact import bellman_rows
     >>> round_trip = [[[0, 1, 0], ["1/2", 0, "1/2"], [0, 0, 1]]]
     >>> mdp = MDP.from_arrays(round_trip, [1, 0, 1], discount="1/2")
     >>> [(stage.states.tolist(), stage.cyclic) for stage in stages(bellman_rows(mdp))]
@@ -167,7 +167,7 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
     Examples
     --------
     >>> from exact_mdp import MDP
-    >>> from exact_mdp.mdp.bellman import bellman_rows
+    >>> from exact_mdp.mdp.exact import bellman_rows
     >>> mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, 1), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])])
     >>> found = solve_exactly(bellman_rows(mdp))
     >>> found.numerator, found.denominator[found.group[0]]

@@ -5,7 +5,7 @@ Both kinds have the keys
     format        "exact-mdp certificate"
     version       1
     kind          "exact" or "bounded"
-    model         SHA-256 of the model, see `mdp.fingerprint`
+    model         SHA-256 of the model, see `mdp.exact`
     states        S
     policy        [S action numbers]
 

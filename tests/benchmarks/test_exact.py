@@ -13,7 +13,7 @@ from cases.reference import solve_exact
 from strategies import model_of
 
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.bellman import bellman_rows
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers import certify
 from exact_mdp.solvers.proof.exact import solve_exactly
 

@@ -14,7 +14,7 @@ from cli_runner import run, strict
 
 from exact_mdp.analysis import assert_policy_optimal, check
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io import npz
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration

@@ -49,9 +49,8 @@ def over(scenario: Scenario) -> int:
     """Count sums above 1 in fractions, one by one."""
     found = chances(scenario)
     values = [*(parameter.value for parameter in scenario.parameters), Fraction(0)]
-    count = found.bits.shape[1]
-    rows = [*found.step.reshape(-1, count).tolist(), *found.skip.reshape(-1, count).tolist()]
-    return sum(sum(values[k] for k in row) > 1 for row in rows)
+    which = [*found.step.reshape(-1).tolist(), *found.skip.reshape(-1).tolist()]
+    return sum(sum(values[k] for k in found.terms[number]) > 1 for number in which)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,8 @@ from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
 from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, STATED, Asked, stated_ranges
 from exact_mdp.analysis.sensitivity.ranges import RELATIVE, Range
 from exact_mdp.analysis.sensitivity.robust.box import (
+    BoxExtreme,
+    BoxOptimum,
     box_extreme,
     box_optimum,
     box_ranges,
@@ -22,7 +24,6 @@ from exact_mdp.analysis.sensitivity.robust.robust import (
     difference,
     robust,
 )
-from exact_mdp.analysis.sensitivity.robust.search import BoxExtreme, BoxOptimum
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.table import LARGEST, beside, exact, shown

@@ -48,7 +48,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.randomness import RNG, seed_of
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.learning.sampler import child
 
@@ -115,7 +115,7 @@ Part = TypeVar("Part", Indices, Effects)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Global(Result, Generic[Part]):
+class Global(Pictured, Generic[Part]):
     """What a design says of every parameter, output by output; see `Sobol` and `Morris`.
 
     Attributes
@@ -205,6 +205,7 @@ class Sobol(Global[Indices]):
         "total ±": "total_half",
     }
     LARGEST = "total"
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_sobol"
 
     @property
     def draws(self) -> int:
@@ -226,6 +227,7 @@ class Morris(Global[Effects]):
         "sigma ±": "sigma_half",
     }
     LARGEST = "mu_star"
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_morris"
 
     @property
     def draws(self) -> int:

@@ -25,7 +25,7 @@ from exact_mdp.analysis.sensitivity.draws.solver import (
     tell_cut,
 )
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import Parametric, parameter_of
 from exact_mdp.mdp.result import Result

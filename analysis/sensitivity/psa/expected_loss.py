@@ -30,12 +30,12 @@ from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss
 from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric, placed
 from exact_mdp.mdp.randomness import RNG, seed_of
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.parallel.pieces import Arrays
 
@@ -50,7 +50,7 @@ SIZES = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class LossCurve(Result):
+class LossCurve(Pictured):
     """Expected losses of N policies at X points.
 
     Attributes
@@ -67,6 +67,8 @@ class LossCurve(Result):
     optimal : (X, N)
         Share of draws in which the policy is optimal, up to rounding.
     """
+
+    picture = "exact_mdp.analysis.plots.psa:plot_expected_loss"
 
     along: str
     unit: str

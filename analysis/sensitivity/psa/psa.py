@@ -52,12 +52,12 @@ from exact_mdp.analysis.sensitivity.psa.intervals import (
 from exact_mdp.analysis.sensitivity.psa.value_of_information import PartialInformation, evpi, evppi
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.fingerprint import fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.randomness import RNG, seed_of
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.parallel.pieces import Arrays
 from exact_mdp.solvers.solution import Bounded, Estimated
@@ -113,7 +113,7 @@ class Information:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PSA(Result):
+class PSA(Pictured):
     """The draws of a probabilistic sensitivity analysis and what was found in each.
 
     Attributes
@@ -142,6 +142,8 @@ class PSA(Result):
     cut : (D,) bool
         Whether some chance was cut off at 1, where `compiled`.
     """
+
+    picture = "exact_mdp.analysis.plots.psa:plot_acceptability"
 
     model: str
     start: Bounded

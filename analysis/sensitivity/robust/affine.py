@@ -37,7 +37,11 @@ from exact_mdp.solvers.bounds.gains import UNIT
 ROUNDINGS = 16 * UNIT  # of one operation, relative to the sizes that go into it
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+Span = tuple[Floats, Floats]  # lower and upper bounds
+OUT = 1e-13  # intervals are widened by this share of their size after each step
+
+
+@dataclass(frozen=True, eq=False)
 class Forms:
     """An array of numbers, each an affine form over J unknowns and an interval.
 
@@ -72,7 +76,7 @@ class Forms:
         centre: Floats,
         slope: Floats,
         rest: Floats,
-        within: tuple[Floats, Floats] | None = None,
+        within: Span | None = None,
     ) -> Self:
         """Return forms, each with the narrowest interval known: its own range, or `within`.
 
@@ -117,22 +121,20 @@ class Forms:
         open_end = any(part is Ellipsis for part in keys)
         longer = (*keys, slice(None)) if open_end else (*keys, ...)
         return Forms(
-            centre=self.centre[keys],
-            slope=self.slope[longer],
-            rest=self.rest[keys],
-            low=self.low[keys],
-            high=self.high[keys],
+            **{name: part[longer if name == "slope" else keys] for name, part in vars(self).items()}
         )
 
     def __add__(self, other: Forms) -> Forms:
-        centre, slope = self.centre + other.centre, self.slope + other.slope
-        rest = self.rest + other.rest + ROUNDINGS * (self.size + other.size)
-        return Forms.of(centre, slope, rest, (self.low + other.low, self.high + other.high))
+        within = self.low + other.low, self.high + other.high
+        return self._combined(other, self.centre + other.centre, self.slope + other.slope, within)
 
     def __sub__(self, other: Forms) -> Forms:
-        centre, slope = self.centre - other.centre, self.slope - other.slope
+        within = self.low - other.high, self.high - other.low
+        return self._combined(other, self.centre - other.centre, self.slope - other.slope, within)
+
+    def _combined(self, other: Forms, centre: Floats, slope: Floats, within: Span) -> Forms:
         rest = self.rest + other.rest + ROUNDINGS * (self.size + other.size)
-        return Forms.of(centre, slope, rest, (self.low - other.high, self.high - other.low))
+        return Forms.of(centre, slope, rest, within)
 
     def scaled(self, factor: Floats | float) -> Forms:
         """Return the forms times constants (…) of at least 0."""
@@ -196,28 +198,14 @@ def mixed(without: Forms, having: Forms, chance: Forms) -> Forms:
 
 def stacked(parts: list[Forms], axis: int = 0) -> Forms:
     """Return forms side by side along a new axis, counted from the front."""
-    return Forms(
-        centre=np.stack([part.centre for part in parts], axis=axis),
-        slope=np.stack([part.slope for part in parts], axis=axis),
-        rest=np.stack([part.rest for part in parts], axis=axis),
-        low=np.stack([part.low for part in parts], axis=axis),
-        high=np.stack([part.high for part in parts], axis=axis),
-    )
+    arrays = zip(*(vars(part).values() for part in parts), strict=True)
+    return Forms(*(np.stack(each, axis=axis) for each in arrays))
 
 
 def chained(first: Forms, rest: Forms) -> Forms:
     """Return forms (k,) and (n,) one after the other."""
-    return Forms(
-        centre=np.concatenate([first.centre, rest.centre]),
-        slope=np.concatenate([first.slope, rest.slope]),
-        rest=np.concatenate([first.rest, rest.rest]),
-        low=np.concatenate([first.low, rest.low]),
-        high=np.concatenate([first.high, rest.high]),
-    )
-
-
-Span = tuple[Floats, Floats]  # lower and upper bounds
-OUT = 1e-13  # intervals are widened by this share of their size after each step
+    pairs = zip(vars(first).values(), vars(rest).values(), strict=True)
+    return Forms(*(np.concatenate(pair) for pair in pairs))
 
 
 def expected(payoff: Forms, slopes: Span, chance: Forms, use: Span) -> tuple[Forms, Span]:
@@ -241,42 +229,32 @@ def expected(payoff: Forms, slopes: Span, chance: Forms, use: Span) -> tuple[For
     count = chance.centre.shape[-1]
     least, most = (np.clip(end, 0.0, 1.0) for end in (chance.low, chance.high))
     low, high = slopes
-    for _bit in range(count):  # the most significant bit first
+    for bit in range(count):  # the most significant bit first
         half = low.shape[-2] // 2
-        p, q = least[..., _bit, None, None], most[..., _bit, None, None]
+        p, q = least[..., bit, None, None], most[..., bit, None, None]
         apart = low[..., half:, :] - low[..., :half, :]
         low = low[..., :half, :] + np.minimum(p * apart, q * apart)
         apart = high[..., half:, :] - high[..., :half, :]
         high = high[..., :half, :] + np.maximum(p * apart, q * apart)
     low, high = low[..., 0, :], high[..., 0, :]
     for bit in range(count):
-        ahead = _flip(payoff, chance, bit)
-        down, up = ahead.low, ahead.high
+        on = (np.arange(2**count) >> (count - 1 - bit)) & 1 == 1
+        apart = payoff[..., np.flatnonzero(on)] - payoff[..., np.flatnonzero(~on)]
+        ahead = _averaged(apart, [chance[..., n : n + 1] for n in range(count) if n != bit])
+        down, up = ahead.low[..., None], ahead.high[..., None]
         sure, moving = (part[..., bit, :] for part in use)
-        down, up = down[..., None], up[..., None]
         low = low + np.where(down < 0, moving * down, sure * down)
         high = high + np.where(up > 0, moving * up, sure * up)
-    total = payoff
-    for bit in range(count):
-        half = total.centre.shape[-1] // 2
-        without, having = total[..., :half], total[..., half:]
-        total = mixed(without, having, chance[..., bit : bit + 1])
-    return total[..., 0], wider(low, high)
+    total = _averaged(payoff, [chance[..., n : n + 1] for n in range(count)])
+    return total, wider(low, high)
 
 
-def _flip(payoff: Forms, chance: Forms, bit: int) -> Forms:
-    """Return E[payoff with the bit - payoff without it] over the other bits."""
-    count = chance.centre.shape[-1]
-    number = np.arange(2**count)
-    on = (number >> (count - 1 - bit)) & 1 == 1
-    total = payoff[..., np.flatnonzero(on)] - payoff[..., np.flatnonzero(~on)]
-    for other in range(count):
-        if other == bit:
-            continue
-        half = total.centre.shape[-1] // 2
-        without, having = total[..., :half], total[..., half:]
-        total = mixed(without, having, chance[..., other : other + 1])
-    return total[..., 0]
+def _averaged(payoff: Forms, chances: list[Forms]) -> Forms:
+    """Return expectations over bits, the most significant first, of (…, 2^n) forms."""
+    for chance in chances:
+        half = payoff.centre.shape[-1] // 2
+        payoff = mixed(payoff[..., :half], payoff[..., half:], chance)
+    return payoff[..., 0]
 
 
 def wider(low: Floats, high: Floats) -> Span:

@@ -28,11 +28,13 @@ from exact_mdp.mdp.row_change import (
     row_change,
     transition_entries,
 )
-from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.robust.robust import RobustSolution, solve_robust
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Intervals
 
 ROOM = 1e-14  # what rounding may do to an entry
+
+Ends = Mapping[str, Fraction]
 
 
 class FamilyBox:
@@ -51,43 +53,40 @@ class FamilyBox:
         Where rows are not affine in the parameters together, and for the discount.
     """
 
-    def __init__(
-        self,
-        model: Parametric,
-        weights: Floats,
-        low: Mapping[str, Fraction],
-        high: Mapping[str, Fraction],
-    ) -> None:
+    def __init__(self, model: Parametric, weights: Floats, low: Ends, high: Ends) -> None:
         self.names = tuple(low)
         self.base = base = model.at({})
         self.weights = weights
         self.today = {name: parameter_of(model, name).value for name in self.names}
         changes = [_change(model, name, low[name], high[name], base) for name in self.names]
-        _check(model, changes, low, high)
+        _check(model, base, changes, low, high)
         places = [change.transition.key for change in changes]
         keys, top, bottom = transition_entries(base)
-        self.key: Integers = np.unique(np.concatenate([keys, *places]))
-        self.pair, self.next = np.divmod(self.key, base.n_states)
-        self.probability = np.zeros(len(self.key))
-        self.probability[np.searchsorted(self.key, keys)] = (top / bottom).astype(np.float64)
-        self.slope = np.zeros((len(changes), len(self.key)))
+        key: Integers = np.unique(np.concatenate([keys, *places]))
+        self.pair, self.next = np.divmod(key, base.n_states)
+        self.probability = np.zeros(len(key))
+        self.probability[np.searchsorted(key, keys)] = (top / bottom).astype(np.float64)
+        self.slope = np.zeros((len(changes), len(key)))
         self.reward_slope = np.zeros((len(changes), base.n_pairs))
         for j, change in enumerate(changes):
-            at = np.searchsorted(self.key, change.transition.key)
+            at = np.searchsorted(key, change.transition.key)
             self.slope[j, at] = change.transition.slope.astype(np.float64)
             self.reward_slope[j, change.reward.key] = change.reward.slope.astype(np.float64)
 
-    def bounds(self, low: Mapping[str, Fraction], high: Mapping[str, Fraction]) -> BoxBounds:
+    def bounds(self, low: Ends, high: Ends) -> BoxBounds:
         """Return bounds over {name: low} … {name: high}, both with all names."""
         moved = np.array([float((low[n] + high[n]) / 2 - self.today[n]) for n in self.names])
         half = np.array([float((high[n] - low[n]) / 2) for n in self.names])
         middle = self.probability + moved @ self.slope
         reach = half @ np.abs(self.slope)
-        kept = (middle > ROOM) | (reach > 0)
+        kept = np.flatnonzero((middle > ROOM) | (reach > 0))
         earned = self.base.reward + moved @ self.reward_slope
         apart = half @ np.abs(self.reward_slope) + ROOM * np.abs(earned)
-        worst = self._solved(middle, reach, kept, earned - apart, "worst")
-        best = self._solved(middle, reach, kept, earned + apart, "best")
+
+        def solved(reward: Floats, nature: Nature) -> RobustSolution:
+            return self._solved(middle[kept], reach[kept], kept, reward, nature)
+
+        worst, best = solved(earned - apart, "worst"), solved(earned + apart, "best")
         least, most = worst.value - worst.state_error, best.value + best.state_error
         value, spread = (least + most) / 2, (most - least) / 2 * (1 + 1e-12)
         slopes = {}
@@ -98,8 +97,8 @@ class FamilyBox:
             gain = self._by_pair(step * value[self.next]) + self.reward_slope[j]
             doubt = self._by_pair(np.abs(step) * spread[self.next])
             doubt += ROOM * self._by_pair(np.abs(step * value[self.next]))
-            below = self._solved(middle, reach, kept, gain - doubt, "worst").start.interval[0]
-            above = self._solved(middle, reach, kept, gain + doubt, "best").start.interval[1]
+            below = solved(gain - doubt, "worst").start.interval[0]
+            above = solved(gain + doubt, "best").start.interval[1]
             slopes[name] = below, above
         return BoxBounds(low=worst.start.interval[0], high=best.start.interval[1], slopes=slopes)
 
@@ -108,11 +107,11 @@ class FamilyBox:
         return np.asarray(total, dtype=np.float64)
 
     def _solved(
-        self, middle: Floats, reach: Floats, kept: Integers, reward: Floats, nature: str
+        self, middle: Floats, reach: Floats, kept: Numbers, reward: Floats, nature: Nature
     ) -> RobustSolution:
         """Return the policy's robust value where pairs earn (L,), entries within their reach."""
         base = self.base
-        entries = (middle[kept], (self.pair[kept], self.next[kept]))
+        entries = (middle, (self.pair[kept], self.next[kept]))
         mdp = MDP.from_pairs(
             base.pair_state,
             base.pair_action,
@@ -121,13 +120,10 @@ class FamilyBox:
             base.discount_exact,
             start=dict(base.start),
         )
-        room = np.where(reach[kept] > 0, reach[kept] * (1 + 1e-12) + ROOM, ROOM)
-        intervals = Intervals(
-            lower=np.clip(middle[kept] - room, 0.0, 1.0),
-            upper=np.clip(middle[kept] + room, 0.0, 1.0),
-        )
-        side = "worst" if nature == "worst" else "best"
-        return solve_robust(mdp, intervals, nature=side, policy=self.weights)
+        room = np.where(reach > 0, reach * (1 + 1e-12) + ROOM, ROOM)
+        lower, upper = np.clip(middle - room, 0.0, 1.0), np.clip(middle + room, 0.0, 1.0)
+        sets = Intervals(lower=lower, upper=upper)
+        return solve_robust(mdp, sets, nature=nature, policy=self.weights)
 
 
 def _change(model: Parametric, name: str, low: Fraction, high: Fraction, base: MDP) -> RowChange:
@@ -140,26 +136,25 @@ def _change(model: Parametric, name: str, low: Fraction, high: Fraction, base: M
             where=f"parameter {name}",
             fix="narrow its range, or leave it out",
         )
-    left, right = pieces(model, name, parameter_of(model, name).value)
-    piece = left if left is not None and high <= parameter_of(model, name).value else right
-    assert piece is not None or left is not None
-    chosen = piece if piece is not None else left
-    assert chosen is not None
-    return row_change(model, name, chosen, base=base)
+    today = parameter_of(model, name).value
+    left, right = pieces(model, name, today)
+    piece = left if right is None or (left is not None and high <= today) else right
+    assert piece is not None
+    return row_change(model, name, piece, base=base)
 
 
 def _check(
-    model: Parametric,
-    changes: Sequence[RowChange],
-    low: Mapping[str, Fraction],
-    high: Mapping[str, Fraction],
+    model: Parametric, base: MDP, changes: Sequence[RowChange], low: Ends, high: Ends
 ) -> None:
-    """Raise ModelError unless rows at corners are what the changes add up to, exactly."""
-    base = model.at({})
+    """Raise ModelError unless rows at four points are what the changes add up to, exactly.
+
+    Where rows are not affine in the parameters together, they may still agree at some of the
+    corners: p q does where p or q is today's. Two corners that cross and a point inside find it.
+    """
     names = list(low)
-    thirds = {n: low[n] + (high[n] - low[n]) * Fraction(k % 3 + 1, 5) for k, n in enumerate(names)}
+    inside = {n: low[n] + (high[n] - low[n]) * Fraction(k % 3 + 1, 5) for k, n in enumerate(names)}
     crossed = {n: (low if k % 2 else high)[n] for k, n in enumerate(names)}
-    for point in (low, high, crossed, thirds):
+    for point in (low, high, crossed, inside):
         there = model.at(dict(point))
         for part, entries in (("transition", transition_entries), ("reward", reward_entries)):
             expected = _numbers(entries(base))

@@ -1,20 +1,17 @@
-"""What nature can do to a policy, and to the best policy against it, as it is told.
+"""How much a policy can lose where each row's probabilities may be off, and what hedging costs.
+
+Uncertainty is (s, a)-rectangular: each row has a set of laws around the tables' one, and nature
+picks from each on its own, against the agent or with it. An error in a table is something else:
+many rows share one number; for that see `analysis.sensitivity.robust.box`. The sets are those of
+Iyengar (Mathematics of Operations Research 30, 2005).
 
 Four values at the start, the policy re-optimised against the sets (robust) or held as it is
-(nominal), and
+(nominal), under the tables' laws or nature's worst, give
 
     price of robustness = nominal value of the nominal policy - nominal value of the robust one,
     worst-case gain     = worst case of the robust policy - worst case of the nominal one
 
 (Bertsimas and Sim, Operations Research 52, 2004, for the price).
-
-How much a policy can lose where each row's probabilities may be off, and what hedging costs.
-
-Uncertainty is (s, a)-rectangular: each row has a set of laws around the tables' one, and nature
-picks from each on its own, against the agent or with it. An error in a table is something else:
-many rows share one number; for that see `analysis.sensitivity.robust.box`. The sets are those of
-Iyengar (Mathematics of Operations Research 30, 2005); what is made of the values under them is told
-in `analysis.sensitivity.robust.robust`.
 """
 
 from __future__ import annotations
@@ -28,9 +25,11 @@ import numpy as np
 
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers import evaluate, solve
+from exact_mdp.mdp.result import Pictured, Result
+from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, Objective, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_of
@@ -40,9 +39,11 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+pandas = later("pandas")
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Robust:
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Robust(Result):
     """Values at the start under nominal, worst and best laws, and the policies behind them.
 
     Attributes
@@ -72,6 +73,11 @@ class Robust:
     robust_best: Bounded
 
     @property
+    def error(self) -> float:
+        """The error bound of `value`."""
+        return self.value.error
+
+    @property
     def price(self) -> Bounded:
         """What the robust policy gives up where the tables are right."""
         return difference(self.value, self.robust_value)
@@ -82,12 +88,9 @@ class Robust:
         return difference(self.robust.start, self.worst)
 
     @property
-    def changed(self) -> Integers:
+    def changed(self) -> Numbers:
         """(K,) states in which the policies differ, of those that either of them reaches."""
-        mdp, pairs = self.mdp, self.robust.pairs
-        assert pairs is not None
-        taken = np.zeros(mdp.n_pairs)
-        taken[pairs] = 1.0
+        mdp, taken = self.mdp, _weights(self.robust)
         apart = np.abs(taken - self.policy) > 1e-12
         differs = np.logical_or.reduceat(apart, mdp.pair_offsets[:-1])
         seen = reachable(mdp, pairs=taken > 0) | reachable(mdp, pairs=self.policy > 0)
@@ -95,8 +98,6 @@ class Robust:
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each policy and law."""
-        from pandas import DataFrame
-
         rows = [
             ("nominal", "nominal", self.value),
             ("nominal", "worst", self.worst),
@@ -106,39 +107,31 @@ class Robust:
             ("robust", "best", self.robust_best),
             ("optimistic", "best", self.optimistic.start),
         ]
-        return DataFrame(
-            [
-                {
-                    "policy": policy,
-                    "laws": laws,
-                    "value (reward)": found.value,
-                    "error bound (reward)": found.error,
-                }
-                for policy, laws, found in rows
-            ]
-        )
+        headings = ["policy", "laws", "value (reward)", "error bound (reward)"]
+        table = [(policy, laws, found.value, found.error) for policy, laws, found in rows]
+        return pandas.DataFrame(table, columns=headings)
 
     def changes_frame(self) -> DataFrame:
         """Return the states in which the robust policy does something else."""
-        from pandas import DataFrame
+        mdp, policies = self.mdp, (self.policy, _weights(self.robust))
+        table = [
+            (mdp.space.label(state), *(_actions(mdp, state, weights) for weights in policies))
+            for state in self.changed.tolist()
+        ]
+        return pandas.DataFrame(table, columns=["state", "nominal", "robust"])
 
-        mdp, pairs = self.mdp, self.robust.pairs
-        assert pairs is not None
-        return DataFrame(
-            [
-                {
-                    "state": mdp.space.label(state),
-                    "nominal": " or ".join(
-                        mdp.actions[mdp.pair_action[pair]]
-                        for pair in mdp.pairs_of(state)
-                        if self.policy[pair] > 0
-                    ),
-                    "robust": mdp.actions[mdp.pair_action[pairs[state]]],
-                }
-                for state in self.changed.tolist()
-            ],
-            columns=["state", "nominal", "robust"],
-        )
+
+def _weights(found: RobustSolution) -> Floats:
+    """Return (L,) probabilities of pairs of the policy that was found."""
+    assert found.pairs is not None
+    taken = np.zeros(found.mdp.n_pairs)
+    taken[found.pairs] = 1.0
+    return taken
+
+
+def _actions(mdp: MDP, state: int, weights: Floats) -> str:
+    taken = [pair for pair in mdp.pairs_of(state) if weights[pair] > 0]
+    return " or ".join(mdp.actions[mdp.pair_action[pair]] for pair in taken)
 
 
 def difference(one: Bounded, other: Bounded) -> Bounded:
@@ -147,8 +140,8 @@ def difference(one: Bounded, other: Bounded) -> Bounded:
     return Bounded(value=value, error=one.error + other.error + 2.0**-52 * abs(value))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RobustCurve:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RobustCurve(Pictured):
     """How values move with the radius of the sets.
 
     Attributes
@@ -158,14 +151,14 @@ class RobustCurve:
     points : tuple of (radius, Robust)
     """
 
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_robust_curve"
+
     kind: str
     points: tuple[tuple[float, Robust], ...]
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each radius."""
-        from pandas import DataFrame
-
-        return DataFrame(
+        return pandas.DataFrame(
             [
                 {
                     "set": self.kind,
@@ -203,7 +196,7 @@ def ambiguity_of(mdp: MDP, kind: str, radius: object) -> Ambiguity:
 
 
 def robust(
-    mdp: MDP,
+    model: MDP,
     ambiguity: Ambiguity | None = None,
     *,
     policy: object = "optimal",
@@ -213,11 +206,16 @@ def robust(
 
     Parameters
     ----------
+    model : MDP
     ambiguity : Ambiguity, optional
         Sets of laws; p ± 20 % of itself unless given.
-    policy : "optimal", or anything that `solvers.evaluate` takes
+    policy : PolicyLike
         The nominal policy.
     objective : "max" or "min"
+
+    Returns
+    -------
+    Robust
 
     Raises
     ------
@@ -231,45 +229,52 @@ def robust(
     >>> print(f"{found.value.value:.4f} {found.worst.value:.4f} {found.robust.start.value:.4f}")
     146.2359 140.7817 140.7817
     """
-    sets = Intervals.relative(mdp, "1/5") if ambiguity is None else ambiguity
-    if isinstance(policy, str) and policy == "optimal":
-        policy = _optimum(mdp, objective)
-    chain = PolicyChain.of(mdp, policy)
-    kept = chain.weights
+    sets = Intervals.relative(model, "1/5") if ambiguity is None else ambiguity
+    if isinstance(policy, str) and policy == "optimal" and objective == "min":
+        # The least of all policies: nature has nothing to choose where every radius is 0.
+        policy = solve_robust(model, L1Ball(radius=0.0), objective="min").policy
+    chain = PolicyChain.of(model, policy)
 
     def held(weights: Floats, nature: Nature) -> Bounded:
-        return solve_robust(mdp, sets, nature=nature, objective=objective, policy=weights).start
+        return solve_robust(model, sets, nature=nature, objective=objective, policy=weights).start
 
-    best = solve_robust(mdp, sets, objective=objective)
-    assert best.pairs is not None
-    own = np.zeros(mdp.n_pairs)
-    own[best.pairs] = 1.0
+    best = solve_robust(model, sets, objective=objective)
+    own = _weights(best)
     return Robust(
-        mdp=mdp,
-        policy=kept,
-        value=evaluate(mdp, chain).numbers["mean"],
-        worst=held(kept, "worst"),
-        best=held(kept, "best"),
+        mdp=model,
+        policy=chain.weights,
+        value=evaluate(model, chain).numbers["mean"],
+        worst=held(chain.weights, "worst"),
+        best=held(chain.weights, "best"),
         robust=best,
-        optimistic=solve_robust(mdp, sets, nature="best", objective=objective),
-        robust_value=evaluate(mdp, own).numbers["mean"],
+        optimistic=solve_robust(model, sets, nature="best", objective=objective),
+        robust_value=evaluate(model, own).numbers["mean"],
         robust_best=held(own, "best"),
     )
 
 
-def _optimum(mdp: MDP, objective: Objective) -> object:
-    if objective == "max":
-        return solve(mdp)
-    # The least of all policies: nature has nothing to choose where every radius is 0.
-    found = solve_robust(mdp, L1Ball(radius=0.0), objective="min")
-    assert found.policy is not None
-    return found.policy
-
-
 def robust_curve(
-    mdp: MDP, kind: str, radii: Iterable[object], *, policy: object = "optimal"
+    model: MDP, kind: str, radii: Iterable[object], *, policy: object = "optimal"
 ) -> RobustCurve:
     """Return `robust` at each radius of one kind of set.
+
+    Parameters
+    ----------
+    model : MDP
+    kind : str
+        As in `SETS`.
+    radii : iterable of numbers
+    policy : PolicyLike
+        The nominal policy.
+
+    Returns
+    -------
+    RobustCurve
+
+    Raises
+    ------
+    ModelError
+        For an unknown kind, and where no radius or one that cannot be is given.
 
     Examples
     --------
@@ -281,11 +286,6 @@ def robust_curve(
     numbers = [radius_of(radius, "a radius") for radius in radii]
     if not numbers:
         raise ModelError("no radius", where="robust curve", fix="give some")
-    held = solve(mdp) if isinstance(policy, str) and policy == "optimal" else policy
-    return RobustCurve(
-        kind=kind,
-        points=tuple(
-            (radius, robust(mdp, ambiguity_of(mdp, kind, radius), policy=held))
-            for radius in numbers
-        ),
-    )
+    held = PolicyChain.of(model, policy)
+    points = [(x, robust(model, ambiguity_of(model, kind, x), policy=held)) for x in numbers]
+    return RobustCurve(kind=kind, points=tuple(points))

@@ -1,0 +1,115 @@
+"""The rules of a care scenario are stated once: whoever changes one changes it everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from exact_mdp.analysis.sensitivity.robust.care import CareBox
+from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.care import rules
+from exact_mdp.mdp.care.tables import Tables
+from exact_mdp.solvers import evaluate, operator_mean, solve
+from exact_mdp.solvers.care import optimal, policy_values
+
+READINGS = (
+    {},
+    {"task_bonus": "no-subtask-skipped", "status_cost": "current"},
+    {"task_bonus": "last-subtask-completed", "skip_timestep": "own", "skip_onset": "base"},
+    {"task_bonus": "no-subtask-skipped", "skip_timestep": "own", "trial_cost": "failed-trials"},
+)
+Patch = pytest.MonkeyPatch
+
+
+def pay_the_bonus_on_a_skip(patch: Patch) -> None:
+    every = (("complete", 0), ("skip", 1))
+    patch.setattr(rules, "BONUS", dict.fromkeys(rules.BONUS, every))
+
+
+def never_pay_the_bonus(patch: Patch) -> None:
+    patch.setattr(rules, "BONUS", dict.fromkeys(rules.BONUS, ()))
+
+
+def charge_a_trial_on_a_skip(patch: Patch) -> None:
+    patch.setattr(rules, "CHARGES", (*rules.CHARGES, ("skip", "trial", None)))
+
+
+def charge_nothing_on_completing(patch: Patch) -> None:
+    kept = tuple(row for row in rules.CHARGES if row[0] != "complete")
+    patch.setattr(rules, "CHARGES", kept)
+
+
+def charge_statuses_twice(patch: Patch) -> None:
+    patch.setattr(rules, "STATUS_COST", {"next": (1, 1), "current": (1, 1)})
+
+
+def charge_no_statuses(patch: Patch) -> None:
+    patch.setattr(rules, "STATUS_COST", {"next": (0, 0), "current": (0, 0)})
+
+
+def skip_one_trial_later(patch: Patch) -> None:
+    patch.setattr(Tables, "trials", property(lambda scenario: scenario.max_trial + 1))
+
+
+CHANGES = (
+    pay_the_bonus_on_a_skip,
+    never_pay_the_bonus,
+    charge_a_trial_on_a_skip,
+    charge_nothing_on_completing,
+    charge_statuses_twice,
+    charge_no_statuses,
+    skip_one_trial_later,
+)
+
+
+def optimum(scenario: Scenario) -> float:
+    """Return the optimal start value, in which matrix, operator and batch agree."""
+    known, found = solve(scenario.compile()).start.value, solve(scenario.operator()).start.value
+    batch = optimal(scenario)
+    assert found == pytest.approx(known, abs=1e-9)
+    assert batch.start[0] == pytest.approx(known, abs=1e-9)
+    return known
+
+
+def mean(scenario: Scenario) -> float:
+    """Return the mean of one policy, in which all four forms agree."""
+    mdp, always = scenario.compile(), np.full((1, 16), 3)
+    known = evaluate(mdp, "always:directive")
+    found = operator_mean(scenario.operator(), always[0])
+    batch = policy_values(scenario, (), None, always, second_moment=True)
+    box = CareBox(scenario, "always:directive", []).bounds({}, {})
+    assert found.value == pytest.approx(known.mean, abs=1e-9)
+    assert batch.mean[0, 0] == pytest.approx(known.mean, abs=1e-9)
+    assert batch.variance is not None
+    assert np.sqrt(batch.variance[0, 0]) == pytest.approx(known.sd, rel=1e-7)
+    assert box.low <= known.mean <= box.high
+    assert box.high - box.low < 1e-8
+    assert sum(known.components.values()) == pytest.approx(known.mean, abs=1e-9)
+    return float(known.mean)
+
+
+@pytest.mark.parametrize("readings", READINGS)
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_rule_that_is_changed_in_its_one_place_is_followed_by_all(
+    change: Callable[[Patch], None], readings: dict[str, str], monkeypatch: Patch
+) -> None:
+    scenario = Scenario.load("yuan2025").with_(
+        tasks=[2, 1], max_trial=2, discount="19/20", readings=readings
+    )
+    before = optimum(scenario), mean(scenario)
+    change(monkeypatch)
+    after = optimum(scenario), mean(scenario)
+    assert after[0] != pytest.approx(before[0], abs=1e-6)
+    assert after[1] != pytest.approx(before[1], abs=1e-6)
+
+
+def test_the_statement_is_that_of_the_paper() -> None:
+    """By default: Equation 1 and Table 4; each weight at most once in an event."""
+    stated = rules.Rules(Scenario.load("yuan2025"))
+    assert stated.charged("complete", rules.INSIDE) == ("timestep", "subtask-complete", "trial")
+    assert stated.charged("fail") == ("timestep", "trial")
+    assert stated.charged("skip", rules.INSIDE, 1) == ("subtask-skip",)
+    assert stated.charged("skip", rules.FINAL, 1) == ("subtask-skip", "task-complete")
+    assert stated.charged("complete", rules.LAST)[-1] == "task-complete"
