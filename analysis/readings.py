@@ -18,17 +18,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import prod
-from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers
 
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.scenario import Scenario
+special = later("scipy.special")
 
 FAVOURED, IDENTIFIED, EXCLUDED = 3.0, 20.0, 150.0  # Bayes factors
 
@@ -58,13 +56,14 @@ class ReadingSpace:
         for name, values in self.options.items():
             if not values:
                 raise ModelError(f"reading {name} has no option", where="readings", fix="give one")
-        object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return _space, (dict(self.options),)
+        object.__setattr__(self, "options", dict(self.options))
 
     def __len__(self) -> int:
-        return prod(len(values) for values in self.options.values())
+        return prod(self._sizes)
+
+    @property
+    def _sizes(self) -> list[int]:
+        return [len(values) for values in self.options.values()]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -74,8 +73,7 @@ class ReadingSpace:
     @property
     def codes(self) -> Integers:
         """(R, F) which option of each reading every combination chooses."""
-        sizes = [len(values) for values in self.options.values()]
-        return np.stack(np.unravel_index(np.arange(len(self)), sizes), axis=1)
+        return np.stack(np.unravel_index(np.arange(len(self)), self._sizes), axis=1)
 
     def settings(self, number: int) -> dict[str, object]:
         """Return the options of one combination by name."""
@@ -83,22 +81,19 @@ class ReadingSpace:
             raise ModelError(
                 f"there is no reading {number}", where="readings", fix=f"give 0 to {len(self) - 1}"
             )
-        sizes = [len(values) for values in self.options.values()]
-        chosen = np.unravel_index(number, sizes)
-        pairs = zip(self.options.items(), chosen, strict=True)
+        pairs = zip(self.options.items(), np.unravel_index(number, self._sizes), strict=True)
         return {name: values[int(place)] for (name, values), place in pairs}
 
     def number(self, **settings: object) -> int:
         """Return the combination with these options; the first option where none is given."""
-        sizes = [len(values) for values in self.options.values()]
-        place = [0] * len(sizes)
+        place = dict.fromkeys(self.options, 0)
         for name, option in settings.items():
             if name not in self.options or option not in self.options[name]:
                 raise ModelError(
                     f"no option {option!r} of {name!r}", where="readings", fix="see `options`"
                 )
-            place[self.names.index(name)] = self.options[name].index(option)
-        return int(np.ravel_multi_index(place, sizes))
+            place[name] = self.options[name].index(option)
+        return int(np.ravel_multi_index(list(place.values()), self._sizes))
 
     def label(self, number: int) -> str:
         """Return what one combination changes from the default, in words."""
@@ -119,18 +114,8 @@ class ReadingSpace:
         )
 
 
-def _space(options: dict[str, tuple[object, ...]]) -> ReadingSpace:
-    return ReadingSpace(options=options)
-
-
 def option_label(option: object) -> str:
-    """Return an option as it is printed.
-
-    Examples
-    --------
-    >>> option_label((3, 1)), option_label("next")
-    ('[3, 1]', 'next')
-    """
+    """Return an option as it is printed."""
     return str(list(option)) if isinstance(option, tuple) else str(option)
 
 
@@ -200,45 +185,43 @@ def support(space: ReadingSpace, log_likelihood: Floats) -> list[OptionSupport]:
     >>> [each.verdict for each in found[2:]]
     ['identified', 'excluded']
     """
-    from scipy.special import logsumexp
-
     codes, found = space.codes, []
-    whole = float(logsumexp(log_likelihood))
+    whole = float(special.logsumexp(log_likelihood))
     for column, (name, options) in enumerate(space.options.items()):
         logs = np.array(
-            [logsumexp(log_likelihood[codes[:, column] == o]) for o in range(len(options))]
+            [
+                special.logsumexp(log_likelihood[codes[:, column] == number])
+                for number in range(len(options))
+            ]
         )
         against = (logs.max() - logs) / np.log(10)
         best = int(np.argmin(against))
         nearest = 10 ** min(float(np.delete(against, best).min(initial=np.inf)), 300.0)
         for number, option in enumerate(options):
-            word = _winner(nearest) if number == best else _other(10 ** min(against[number], 300))
+            factor = nearest if number == best else 10 ** min(float(against[number]), 300.0)
             found.append(
                 OptionSupport(
                     reading=name,
                     option=option,
                     weight=float(np.exp(logs[number] - whole)),
                     log10_against=float(against[number]),
-                    verdict=word,
+                    verdict=_verdict(factor, best=number == best),
                 )
             )
     return found
 
 
-def _winner(factor: float) -> str:
-    if factor >= IDENTIFIED:
-        return "identified"
-    return "favoured" if factor >= FAVOURED else "not identified"
+def _verdict(factor: float, *, best: bool) -> str:
+    """Return the word for a Bayes factor: of the best option, or against another one."""
+    if best:
+        if factor >= IDENTIFIED:
+            return "identified"
+        return "favoured" if factor >= FAVOURED else "not identified"
+    words = ((EXCLUDED, "excluded"), (IDENTIFIED, "disfavoured"), (FAVOURED, "less likely"))
+    return next((word for least, word in words if factor >= least), "open")
 
 
-def _other(factor: float) -> str:
-    for least, word in ((EXCLUDED, "excluded"), (IDENTIFIED, "disfavoured")):
-        if factor >= least:
-            return word
-    return "less likely" if factor >= FAVOURED else "open"
-
-
-def equivalent(values: NDArray[np.float64], tolerance: float) -> Integers:
+def equivalent(values: Floats, tolerance: float) -> Integers:
     """Return (R,) for each row of values (R, V) the first row equal to it within the tolerance.
 
     Rows are equal where all their numbers are: no evidence that depends on these numbers alone can

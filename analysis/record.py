@@ -17,29 +17,20 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 
 PACKAGES = ("exact-mdp", "numpy", "scipy", "python-flint", "cvxpy", "clarabel", "highspy", "numba")
+COMMIT = ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
 
 
 def run_record(
-    mdp: MDP, *, model: str, solver: str, seed: int | None = None, command: Sequence[str] = ()
+    mdp: object, *, model: str, solver: str, seed: int | None = None, command: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Return what a result rests on: model hash, solver, seed, versions and commit.
 
-    Parameters
-    ----------
-    mdp : MDP
-    model : str
-        The model as the user named it.
-    solver : str
-        The solver with its settings.
-    seed : int, optional
-        None where nothing was drawn.
-    command : sequence of str
-        The words of the command line.
+    `model` is the model as the user named it, `solver` the solver with its settings, `command` the
+    words of the command line. An operator has no rows to hash.
     """
     return {
         "command": list(command),
         "model": model,
-        # An operator has no rows to hash.
         "model_hash": fingerprint(mdp) if isinstance(mdp, MDP) else None,
         "solver": solver,
         "seed": seed,
@@ -72,16 +63,7 @@ def _commit() -> str | None:
     root = Path(__file__).resolve().parent.parent
     if not (root / ".git").exists():
         return None
-    words = [
-        "git",
-        "-C",
-        str(root),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=40",
-        "--exclude=*",
-    ]
+    words = ["git", "-C", str(root), *COMMIT]
     try:
         done = subprocess.run(words, capture_output=True, text=True, timeout=10)
     except (OSError, subprocess.TimeoutExpired):

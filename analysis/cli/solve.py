@@ -11,7 +11,7 @@ import numpy as np
 from exact_mdp import solvers
 from exact_mdp.analysis.cli.options import Given, check_outputs, given, number_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
-from exact_mdp.analysis.optimum import Optimum, optimum, stationary
+from exact_mdp.analysis.optimum import Optimum, optimum
 from exact_mdp.analysis.record import run_record, write_record
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
@@ -76,7 +76,7 @@ def solve(
         facts["exact start value"] = exact if len(exact) <= SHOWN_DIGITS else long
         facts["unique optimum"] = proof.unique
     if "status" in mdp.space.names and isinstance(mdp, MDP):
-        result["stationary"] = stationary(mdp, found)
+        result["stationary"] = found.stationary()
     facts["stationary"] = {
         None: None,
         True: "yes, an optimal policy reads the status alone",
