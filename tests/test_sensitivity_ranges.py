@@ -12,6 +12,7 @@ from oracle import Oracle
 
 from exact_mdp.analysis.sensitivity import (
     Range,
+    around,
     load_ranges,
     one_way,
     thresholds,
@@ -19,9 +20,11 @@ from exact_mdp.analysis.sensitivity import (
     two_way,
     whole,
 )
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
+from exact_mdp.mdp.care import scenario as care_scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
 from exact_mdp.mdp.row_change import pieces, row_change, transition_entries
+from exact_mdp.solvers import BackwardInduction
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}
@@ -95,6 +98,16 @@ def test_rows_make_room_in_proportion() -> None:
         moving(mdp, {"a": [(0, 0), (0, 0)]})
 
 
+def test_what_is_left_of_a_float_row_is_what_is_there() -> None:
+    """A row of floats misses 1: the other outcomes share what the named ones leave of 1."""
+    given = [0.1, 0.2, 0.7 - 2.0**-34]
+    assert sum(map(F, given)) < 1 - F(1, 10**11)
+    family = moving(MDP.from_arrays([[given, [0, 1, 0], [0, 0, 1]]], [1, 0, 0]), {"a": [(0, 0)]})
+    row = [p for p, _, _ in family.at({"a": "1/4"}).table.row(0)]
+    assert (row[0], sum(row)) == (F(1, 4), 1)
+    assert row[1] / row[2] == F(given[1]) / F(given[2])
+
+
 # ---- one-way ---------------------------------------------------------------------------------
 
 
@@ -154,6 +167,40 @@ def test_ranges_from_a_file(tmp_path: Path) -> None:
         with pytest.raises(ModelError, match=message):
             load_ranges(family, file)
     assert whole(family.parameters[0]) == Range(low=F(0), high=F(1))
+
+
+def test_a_wide_range_ends_where_the_parameter_does() -> None:
+    rare = Parameter(name="p", value=F(1, 10), low=F(0), high=F(1))
+    assert around(rare, 2) == Range(low=F(0), high=F(3, 10))
+    often = Parameter(name="p", value=F(9, 10), low=F(0), high=F(1))
+    assert around(often, "1/2") == Range(low=F(9, 20), high=F(1))
+    assert around(Parameter(name="r", value=F(-5)), 2) == Range(low=F(-15), high=F(5))
+    (bar,) = tornado(scenario(), names=["base.anger"], relative=2).bars
+    assert (bar.low.at, bar.high.at) == (0, F(3, 20))
+
+
+def test_one_bar_compiles_and_solves_the_base_once_and_each_end_once(monkeypatch) -> None:
+    done = {"compiled": 0, "solved": 0}
+
+    def count(name: str, place: object, what: str) -> None:
+        real = getattr(place, what)
+
+        def counted(*given):
+            done[name] += 1
+            return real(*given)
+
+        monkeypatch.setattr(place, what, counted)
+
+    count("compiled", care_scenario, "compile_scenario")
+    count("solved", BackwardInduction, "solve")
+    (bar,) = tornado(scenario(), names=["base.anger"]).bars
+    assert bar.swing > 0
+    assert done == {"compiled": 3, "solved": 3}
+    done.update(compiled=0, solved=0)
+    words = ("--parameter", "base.anger", "--json")
+    found = run("sensitivity", "yuan2025", "tornado", *SET, *words).result
+    assert found["bars"][0]["swing"] == bar.swing
+    assert done == {"compiled": 3, "solved": 3}
 
 
 # ---- two-way ---------------------------------------------------------------------------------

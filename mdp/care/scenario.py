@@ -99,6 +99,7 @@ class ScenarioFamily:
 
     scenario: Scenario
     told: list[str] = field(default_factory=list, compare=False, repr=False)
+    base: MDP | None = field(default=None, compare=False, repr=False)  # the compiled scenario
 
     @property
     def name(self) -> str:
@@ -115,7 +116,10 @@ class ScenarioFamily:
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
-        there = self.scenario.with_(parameters=placed(self, values))
+        if not values and self.base is not None:
+            return self.base
+        everything = placed(self, values)
+        there = self.scenario.with_(parameters={name: everything[name] for name in values})
         mdp = compile_scenario(there)
         self._tell(there)
         return mdp

@@ -15,6 +15,7 @@ from exact_mdp.analysis.sensitivity.ranges import (
     load_ranges,
     ranges_of,
 )
+from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.load import Loaded
 from exact_mdp.mdp.parametric import Parametric, parametric
@@ -38,9 +39,10 @@ class Asked:
 
     @cached_property
     def model(self) -> Parametric:
-        """The model with its parameters."""
-        loaded = self.loaded
-        return parametric(loaded.scenario if loaded.scenario is not None else loaded.mdp)
+        """The model with its parameters; a scenario that is compiled stays so."""
+        if self.loaded.scenario is None:
+            return parametric(self.loaded.mdp)
+        return ScenarioFamily(scenario=self.loaded.scenario, base=self.loaded.mdp)
 
     @property
     def form(self) -> str:
