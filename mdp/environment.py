@@ -47,7 +47,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
 
     Parameters
     ----------
-    mdp : MDP
+    model : MDP
     columns : names of columns, optional
         What the agent sees; the whole state unless given.
     pass_forced : bool
@@ -73,7 +73,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
 
     def __init__(
         self,
-        mdp: MDP,
+        model: MDP,
         *,
         columns: Sequence[str] | None = None,
         pass_forced: bool = False,
@@ -83,6 +83,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             raise ModelError(
                 f"unknown render mode {render_mode!r}", where="environment", fix='use "ansi"'
             )
+        mdp = model
         self.mdp, self.pass_forced, self.render_mode = mdp, pass_forced, render_mode
         self.observed, self._seen = _observations(mdp, columns)
         choosing = np.logical_not(mdp.forced)[mdp.pair_state]

@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.space import TIME, Column, StateSpace
@@ -27,12 +28,17 @@ from exact_mdp.mdp.table import (
     by_outcome,
     spans,
 )
-from exact_mdp.mdp.validate import Model, counted
+from exact_mdp.mdp.validate import Parts, counted
+
+Flags = NDArray[np.bool_]
 
 
-def unrolled(model: Model, steps: object) -> dict[str, Any]:
-    """Return the parts that change where episodes stop after N steps; see `MDP.within`."""
-    count, space = counted(steps, "horizon"), _in_columns(model)
+def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags) -> dict[str, Any]:
+    """Return the parts that change where episodes stop after N steps; see `MDP.within`.
+
+    `offsets` (S+1,) says where the pairs of each state begin, `terminal` (S,) where all is over.
+    """
+    count, space = counted(steps, "horizon"), _in_columns(model, terminal)
     own, states, parts = space.regular, model.n_states, len(model.component_names)
     if TIME in space.names:
         raise ModelError(
@@ -40,10 +46,10 @@ def unrolled(model: Model, steps: object) -> dict[str, Any]:
             where="state space",
             fix="unroll the model that it was made from, or name that column differently",
         )
-    table, first = model.table, model.pair_offsets
+    table, first = model.table, offsets
     # A terminal state stays one, whatever the time, and needs no more than one action.
-    kept = ~model.terminal[model.pair_state]
-    kept[first[:-1][model.terminal]] = True
+    kept = ~terminal[model.pair_state]
+    kept[first[:-1][terminal]] = True
     rows = np.flatnonzero(kept[: first[own]])
     lengths = np.diff(table.offsets)[rows]
     _check_size(model, own, count, int(lengths.sum()))
@@ -64,7 +70,7 @@ def unrolled(model: Model, steps: object) -> dict[str, Any]:
             lambda name, values: ending(name, values[chosen]),
         ),
         offsets=np.concatenate([[0], np.cumsum(layers(lengths, np.ones(states, np.int64)))]),
-        next=_following(model, own, rows, chosen, count),
+        next=_following(model, own, terminal, rows, chosen, count),
     )
     time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
     return {
@@ -82,18 +88,18 @@ def unrolled(model: Model, steps: object) -> dict[str, Any]:
     }
 
 
-def _in_columns(model: Model) -> StateSpace:
+def _in_columns(model: Parts, terminal: Flags) -> StateSpace:
     """Return the model's states, in one plain column where the process goes on in an extra state.
 
     Extra states have no time; those in which all is over need none.
     """
     space = model.space
-    if model.terminal[space.regular :].all() and space.columns:
+    if terminal[space.regular :].all() and space.columns:
         return space
     return StateSpace.plain(space.size, space.labels(range(space.size)))
 
 
-def _check_size(model: Model, own: int, count: int, outcomes: int) -> None:
+def _check_size(model: Parts, own: int, count: int, outcomes: int) -> None:
     table = model.table
     wide = object in (table.weight.dtype, table.gain.dtype, table.denominator.dtype)
     each, states = WIDE if wide else NARROW, own * (count + 1)
@@ -108,11 +114,13 @@ def _check_size(model: Model, own: int, count: int, outcomes: int) -> None:
         )
 
 
-def _following(model: Model, own: int, rows: Integers, chosen: Integers, count: int) -> Numbers:
+def _following(
+    model: Parts, own: int, terminal: Flags, rows: Integers, chosen: Integers, count: int
+) -> Numbers:
     """Return the next states: a step later, but in terminal states and at time N."""
     lengths = np.diff(model.table.offsets)[rows]
     after, time = model.table.next[chosen].astype(np.int64), np.arange(count)
-    later = np.repeat(~model.terminal[model.pair_state[rows]], lengths).astype(np.int64)
+    later = np.repeat(~terminal[model.pair_state[rows]], lengths).astype(np.int64)
     shift = np.where(after < own, own * (time[:, None] + later), own * count)
     found = np.concatenate([(after + shift).ravel(), np.arange(model.n_states) + own * count])
     return found.astype(np.int32) if own * (count + 1) + model.n_states < 2**31 else found

@@ -13,8 +13,7 @@ The layout follows the state-action-pair formulation of Puterman, Markov Decisio
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
-from fractions import Fraction
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -26,8 +25,6 @@ from exact_mdp.mdp import build
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.horizon import unrolled
 from exact_mdp.mdp.io.gymnasium import outcomes_of
-from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.symbolic import (
     arrays_degrees,
     changed_degrees,
@@ -36,11 +33,11 @@ from exact_mdp.mdp.symbolic import (
     pairs_degrees,
 )
 from exact_mdp.mdp.table import Floats, Integers, OutcomeTable
-from exact_mdp.mdp.validate import as_discount, as_start, check_model, counted
+from exact_mdp.mdp.validate import Parts, as_discount, as_start, check_model, counted
 
 
 @dataclass(frozen=True, eq=False)
-class MDP:
+class MDP(Parts):
     """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
 
     Build one with `MDP.from_arrays`, `MDP.from_pairs`, `MDP.from_outcomes`,
@@ -82,21 +79,6 @@ class MDP:
     >>> mdp.n_states, mdp.n_pairs, mdp.discount
     (2, 4, 0.5)
     """
-
-    table: OutcomeTable
-    pair_state: Integers
-    pair_action: Integers
-    _: KW_ONLY
-    space: StateSpace
-    actions: tuple[str, ...]
-    discount_exact: Fraction = Fraction(1)
-    start: tuple[tuple[int, Fraction], ...] = ((0, Fraction(1)),)
-    component_names: tuple[str, ...] = ("reward",)
-    components: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    events: tuple[str, ...] = ()
-    name: str = ""
-    parameters: tuple[Parameter, ...] = ()
-    time_limit: int | None = None
 
     transition: sp.csr_array = field(init=False, repr=False)
     reward: Floats = field(init=False, repr=False)
@@ -148,21 +130,6 @@ class MDP:
         return str(self.discount_exact) if short else f"{self.discount:.12g}"
 
     # ---- sizes -------------------------------------------------------------------------------
-
-    @property
-    def n_states(self) -> int:
-        """Number of states, S."""
-        return self.space.size
-
-    @property
-    def n_actions(self) -> int:
-        """Number of actions, A."""
-        return len(self.actions)
-
-    @property
-    def n_pairs(self) -> int:
-        """Number of available state-action pairs, L."""
-        return len(self.pair_state)
 
     @property
     def n_transitions(self) -> int:
@@ -238,11 +205,6 @@ class MDP:
             )
         return self.actions.index(name)
 
-    def where(self, pair: int) -> str:
-        """Return the printed state and action of a pair, for messages."""
-        state = self.space.label(int(self.pair_state[pair]))
-        return f"state ({state}), action {self.actions[self.pair_action[pair]]}"
-
     def backup(self, value: Floats) -> Floats:
         """Return (L,) action values r + γ P V for (S,) state values."""
         return np.asarray(self.reward + self.discount * (self.transition @ value))
@@ -261,6 +223,20 @@ class MDP:
         start : state, or {state: probability}, optional
         **parts
             Any other attribute of the constructor, such as `name` or `actions`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            As the constructor does.
+
+        Examples
+        --------
+        >>> MDP.from_arrays([[[1]]], [1], "1/2").with_(discount="9/10").discount
+        0.9
         """
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
@@ -283,6 +259,10 @@ class MDP:
         steps : int
             N, 1 or more.
 
+        Returns
+        -------
+        MDP
+
         Raises
         ------
         ModelError
@@ -298,7 +278,9 @@ class MDP:
         >>> mdp.table.row(mdp.pair(2, 0))
         [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
         """
-        return replace(self, **unrolled(self, steps))
+        return replace(
+            self, **unrolled(self, steps, offsets=self.pair_offsets, terminal=self.terminal)
+        )
 
     # ---- construction ------------------------------------------------------------------------
 
@@ -320,6 +302,15 @@ class MDP:
         start : state, or {state: probability}
         **names
             `actions` (A words), `states` (S words), `name`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            For shapes that do not fit, and as the constructor does.
 
         Examples
         --------
@@ -351,6 +342,20 @@ class MDP:
         reward : (L,) array
         discount, start, **names
             As in `from_arrays`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            For shapes that do not fit, and as the constructor does.
+
+        Examples
+        --------
+        >>> MDP.from_pairs([1, 0], [0, 0], [[0, 1], ["1/2", "1/2"]], [0, 5]).reward.tolist()
+        [5.0, 0.0]
         """
         parts = build.from_pairs(
             pair_state, pair_action, transition, reward, discount, start=start, **names
@@ -369,6 +374,22 @@ class MDP:
     ) -> MDP:
         """Build from (state, action, [(probability, next state, reward), …]) rows, kept exact.
 
+        Parameters
+        ----------
+        rows : iterable
+            One for each pair, in any order.
+        discount, start, **names
+            As in `from_arrays`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            For rows of another form, and as the constructor does.
+
         Examples
         --------
         >>> mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])])
@@ -379,7 +400,35 @@ class MDP:
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:
-        """Build from a Gymnasium environment that exposes its model as `P` (toy-text)."""
+        """Build from a Gymnasium environment that exposes its model as `P` (toy-text).
+
+        Parameters
+        ----------
+        env : gymnasium.Env or str
+            An environment, wrapped or not; anything with an attribute `P`; or a registered id.
+        discount : number or "p/q"
+        **names
+            `start` where the environment has no `initial_state_distrib`; `actions`, `states`,
+            `name`; `time_limit` instead of the environment's own.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where the environment is unknown or exposes no `P`, or `P` is not a table of
+            distributions over its own states.
+
+        Examples
+        --------
+        >>> class Coin:
+        ...     P = {0: {0: [(0.5, 0, 1, False), (0.5, 1, 1, True)]}, 1: {0: [(1, 0, 7, False)]}}
+        ...     initial_state_distrib = (1, 0)
+        >>> MDP.from_gymnasium(Coin()).table.row(0)[1]
+        (Fraction(1, 2), 1, Fraction(1, 1))
+        """
         rows, parts = outcomes_of(env, **names)
         return cls.from_outcomes(rows, discount, **parts)
 

@@ -38,14 +38,18 @@ class Parameter:
 
     def __post_init__(self) -> None:
         check_names((self.name,), "parameter", where="parameters")
-        below = self.low is not None and self.value < self.low
-        above = self.high is not None and self.value > self.high
+        self.check(self.value)
+
+    def check(self, value: Fraction) -> None:
+        """Raise ModelError for a value outside the range."""
+        below = self.low is not None and value < self.low
+        above = self.high is not None and value > self.high
         if below or above:
             low = "-∞" if self.low is None else shown(self.low)
             high = "∞" if self.high is None else shown(self.high)
             ends = [end for end in (self.low, self.high) if end is not None]
             raise ModelError(
-                f"{self.name} is {beside(self.value, *ends)}, outside [{low}, {high}]",
+                f"{self.name} is {beside(value, *ends)}, outside [{low}, {high}]",
                 where=f"parameter {self.name}",
                 fix="choose a value in that range",
             )

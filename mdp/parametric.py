@@ -327,9 +327,8 @@ def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fractio
     """Return every parameter's value, some of them changed, each checked against its range."""
     everything = {parameter.name: parameter.value for parameter in model.parameters}
     for name, value in values.items():
-        old = parameter_of(model, name)
-        new = Parameter(name=name, value=exact(value), low=old.low, high=old.high)
-        everything[name] = new.value
+        everything[name] = exact(value)
+        parameter_of(model, name).check(everything[name])
     return everything
 
 

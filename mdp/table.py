@@ -472,7 +472,7 @@ def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers,
 def integers(values: Iterable[int]) -> Numbers:
     """Return an array of 64-bit integers where they fit, of Python integers where not."""
     listed = list(values)
-    if all(-EXACT_IN_INT64 < value < EXACT_IN_INT64 for value in listed):
+    if not listed or (min(listed) > -EXACT_IN_INT64 and max(listed) < EXACT_IN_INT64):
         return np.array(listed, dtype=np.int64)
     array = np.empty(len(listed), dtype=object)
     array[:] = listed

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass, field
 from fractions import Fraction
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
@@ -23,63 +23,65 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 
 
-class Model(Protocol):
-    """What the checks of a model, and the horizon, read of it; `MDP` says what each part is."""
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The parts of a model, as they are given and before they are checked; see `MDP`."""
+
+    table: OutcomeTable
+    pair_state: Integers
+    pair_action: Integers
+    _: KW_ONLY
+    space: StateSpace
+    actions: tuple[str, ...]
+    discount_exact: Fraction = Fraction(1)
+    start: tuple[tuple[int, Fraction], ...] = ((0, Fraction(1)),)
+    component_names: tuple[str, ...] = ("reward",)
+    components: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    events: tuple[str, ...] = ()
+    name: str = ""
+    parameters: tuple[Parameter, ...] = ()
+    time_limit: int | None = None
 
     @property
-    def name(self) -> str: ...
+    def n_states(self) -> int:
+        """Number of states, S."""
+        return self.space.size
+
     @property
-    def table(self) -> OutcomeTable: ...
+    def n_actions(self) -> int:
+        """Number of actions, A."""
+        return len(self.actions)
+
     @property
-    def pair_state(self) -> Integers: ...
-    @property
-    def pair_action(self) -> Integers: ...
-    @property
-    def pair_offsets(self) -> Integers: ...
-    @property
-    def space(self) -> StateSpace: ...
-    @property
-    def actions(self) -> tuple[str, ...]: ...
-    @property
-    def discount_exact(self) -> Fraction: ...
-    @property
-    def start(self) -> tuple[tuple[int, Fraction], ...]: ...
-    @property
-    def component_names(self) -> tuple[str, ...]: ...
-    @property
-    def components(self) -> Floats: ...
-    @property
-    def events(self) -> tuple[str, ...]: ...
-    @property
-    def n_states(self) -> int: ...
-    @property
-    def n_actions(self) -> int: ...
-    @property
-    def n_pairs(self) -> int: ...
-    @property
-    def terminal(self) -> NDArray[np.bool_]: ...
-    def where(self, pair: int) -> str: ...
+    def n_pairs(self) -> int:
+        """Number of available state-action pairs, L."""
+        return len(self.pair_state)
+
+    def where(self, pair: int) -> str:
+        """Return the printed state and action of a pair, for messages."""
+        state = self.space.label(int(self.pair_state[pair]))
+        return f"state ({state}), action {self.actions[self.pair_action[pair]]}"
 
 
-def check_model(mdp: Model) -> None:
-    """Raise ModelError, naming the place and the remedy, unless `mdp` is a finite MDP."""
-    _check_names(mdp)
-    _check_pairs(mdp)
-    _check_shapes(mdp.table, mdp.n_pairs)
-    sound = _sound(mdp.table, mdp.n_states)
-    _check_numbers(mdp, sound=sound)
+def check_model(model: Parts) -> None:
+    """Raise ModelError, naming the place and the remedy, unless `model` is a finite MDP."""
+    _check_names(model)
+    _check_pairs(model)
+    _check_shapes(model.table, model.n_pairs)
+    sound = _sound(model.table, model.n_states)
+    _check_numbers(model, sound=sound)
     if not sound:
-        _check_rows(mdp)
-    _check_order(mdp.table)
-    _check_start(mdp)
-    _check_discount(mdp.discount_exact)
+        _check_rows(model)
+    _check_order(model.table)
+    _check_start(model)
+    _check_discount(model.discount_exact)
 
 
-def _check_names(mdp: Model) -> None:
-    check_names((mdp.name,), "model")
-    check_names(mdp.actions, "action", where="actions")
-    check_names(mdp.component_names, "component", where="reward components")
-    check_names(mdp.events, "event", where="events")
+def _check_names(model: Parts) -> None:
+    check_names((model.name,), "model")
+    check_names(model.actions, "action", where="actions")
+    check_names(model.component_names, "component", where="reward components")
+    check_names(model.events, "event", where="events")
 
 
 def counted(steps: object, where: str) -> int:
@@ -123,8 +125,8 @@ def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
     raise ModelError(f"{start!r} is not a start", fix="give a state, or {state: probability}")
 
 
-def _check_pairs(mdp: Model) -> None:
-    state, action = mdp.pair_state, mdp.pair_action
+def _check_pairs(model: Parts) -> None:
+    state, action = model.pair_state, model.pair_action
     if state.shape != action.shape or state.ndim != 1:
         raise ModelError(
             f"pair_state has shape {state.shape}, pair_action {action.shape}",
@@ -133,9 +135,9 @@ def _check_pairs(mdp: Model) -> None:
         )
     if not len(state):
         raise ModelError("a model without state-action pairs", where="pairs", fix="add a state")
-    _in_range(state, mdp.n_states, "state", "pairs")
-    _in_range(action, mdp.n_actions, "action", "pairs")
-    if len(set(mdp.actions)) != len(mdp.actions):
+    _in_range(state, model.n_states, "state", "pairs")
+    _in_range(action, model.n_actions, "action", "pairs")
+    if len(set(model.actions)) != len(model.actions):
         raise ModelError(
             "two actions have the same name", where="actions", fix="give each its own name"
         )
@@ -146,7 +148,7 @@ def _check_pairs(mdp: Model) -> None:
         if len(same):
             raise ModelError(
                 "a state-action pair appears twice",
-                where=mdp.where(int(same[0])),
+                where=model.where(int(same[0])),
                 fix="merge the two rows, or drop one",
             )
         raise ModelError(
@@ -156,13 +158,13 @@ def _check_pairs(mdp: Model) -> None:
         )
     # Sorted as they are, the states that have a pair show the first that has none; nothing is
     # counted by state, whose number may be a typing error beyond all memory.
-    if state[0] != 0 or state[-1] != mdp.n_states - 1 or ahead.max(initial=0) > 1:
+    if state[0] != 0 or state[-1] != model.n_states - 1 or ahead.max(initial=0) > 1:
         present = state[np.flatnonzero(np.diff(state, prepend=-1))]
         gaps = np.flatnonzero(present != np.arange(len(present)))
         missing = int(gaps[0]) if len(gaps) else len(present)
         raise ModelError(
             "a state without action",
-            where=f"state ({mdp.space.label(missing)})",
+            where=f"state ({model.space.label(missing)})",
             fix="add an action; a state where the process ends stays put with probability 1",
         )
 
@@ -224,10 +226,10 @@ def _sound(table: OutcomeTable, states: int) -> bool:
     return bool(good.all())
 
 
-def _check_numbers(mdp: Model, *, sound: bool) -> None:
-    table = mdp.table
+def _check_numbers(model: Parts, *, sound: bool) -> None:
+    table = model.table
     if not sound:
-        _in_range(table.next, mdp.n_states, "next state", "transitions")
+        _in_range(table.next, model.n_states, "next state", "transitions")
     for name in ("weight", "gain", "denominator", "gain_denominator"):
         if sound and name == "weight":
             continue
@@ -239,7 +241,7 @@ def _check_numbers(mdp: Model, *, sound: bool) -> None:
                 what = "probability" if name == "weight" else "reward"
                 raise ModelError(
                     f"a {what} is {array[index]}",
-                    where=mdp.where(_pair_of(table, index, len(array))),
+                    where=model.where(_pair_of(table, index, len(array))),
                     fix="give a finite number",
                 )
         elif array.dtype == object:
@@ -269,13 +271,13 @@ def _check_numbers(mdp: Model, *, sound: bool) -> None:
             raise ModelError(f"a {name} is not positive", where="outcome table", fix="make it > 0")
 
 
-def _check_rows(mdp: Model) -> None:
-    table = mdp.table
+def _check_rows(model: Parts) -> None:
+    table = model.table
     steps = np.diff(table.offsets)
     if steps.min() == 0:
         raise ModelError(
             "transition probabilities sum to 0, not 1",
-            where=mdp.where(int(np.flatnonzero(steps == 0)[0])),
+            where=model.where(int(np.flatnonzero(steps == 0)[0])),
             fix="add the outcomes of this pair",
         )
     if not table.weight.min() > 0:
@@ -283,7 +285,7 @@ def _check_rows(mdp: Model) -> None:
         pair = _pair_of(table, index, len(table.next))
         raise ModelError(
             f"a probability is {_shown(table, index, pair)}",
-            where=mdp.where(pair),
+            where=model.where(pair),
             fix="probabilities are positive; leave out those that are 0",
         )
     sums = table.row_sums()
@@ -302,7 +304,7 @@ def _check_rows(mdp: Model) -> None:
         raise ModelError(
             f"transition probabilities sum to {near if abs(off) < 1e-9 else shown(total, 12)}, "
             "not 1",
-            where=mdp.where(pair),
+            where=model.where(pair),
             fix="add the missing outcome, or correct a probability in this row",
         )
 
@@ -329,12 +331,12 @@ def _nearly(table: OutcomeTable, pair: int, total: int) -> bool:
     return (binary or rounded) and abs(Fraction(total, bottom) - 1) <= ROW_TOLERANCE
 
 
-def _check_start(mdp: Model) -> None:
-    states = [state for state, _ in mdp.start]
-    weights = [weight for _, weight in mdp.start]
-    if any(not 0 <= state < mdp.n_states for state in states) or len(set(states)) != len(states):
+def _check_start(model: Parts) -> None:
+    states = [state for state, _ in model.start]
+    weights = [weight for _, weight in model.start]
+    if any(not 0 <= state < model.n_states for state in states) or len(set(states)) != len(states):
         raise ModelError(
-            f"the start names a state outside 0 … {mdp.n_states - 1}, or one twice",
+            f"the start names a state outside 0 … {model.n_states - 1}, or one twice",
             where="start",
             fix="choose states of the model, each once",
         )

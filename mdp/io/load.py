@@ -108,7 +108,7 @@ def load_scenario(
     return scenario if discount is None else scenario.with_(discount=discount)
 
 
-def save_model(mdp: MDP, path: str | Path) -> None:
+def save_model(model: MDP, path: str | Path) -> None:
     """Write all of a model as `.npz`, or as `.umb` for model checkers, by its ending.
 
     Examples
@@ -122,9 +122,9 @@ def save_model(mdp: MDP, path: str | Path) -> None:
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
-        npz.save(mdp, path)
+        npz.save(model, path)
     elif suffix == ".umb":
-        umb.save(mdp, path)
+        umb.save(model, path)
     else:
         raise ModelError(
             f"cannot write a model as {suffix or 'a file without ending'}",

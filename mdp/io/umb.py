@@ -366,8 +366,7 @@ def _annotate(
 
 
 def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return truth values and small integers as they are, floats as doubles, others as rationals
-    wide enough."""
+    """Return values with their type: truth values, small integers, doubles, or wide rationals."""
     kinds, numeric = set(map(type, values)), datatypes.NumericPrimitiveType
     if kinds <= {bool}:
         return binary.SizedType(datatypes.PrimitiveType.BOOL, 1), list(values)

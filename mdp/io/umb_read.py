@@ -332,8 +332,11 @@ def _content(
 def _actions(
     umb: Any, state_to_choices: list[int], choices: int
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Return each choice's action and all names; where two choices of a state have the same
-    action, or none has one, actions are the places of the choices in their state."""
+    """Return each choice's action and all names.
+
+    Where two choices of a state have the same action, or none has one, actions are the places of
+    the choices in their state.
+    """
     count = umb.index.transition_system.num_choice_actions
     given = umb.choice_to_choice_action
     spans = [range(first, last) for first, last in pairwise(state_to_choices)]

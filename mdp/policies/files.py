@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -18,27 +18,10 @@ from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import Parts, check_action, rows_read, too_small
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Numbers, as_float, exact
+from exact_mdp.mdp.table import Numbers, as_float, exact
 
 Rows = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
-
-
-class Written(Protocol):
-    """What is written of a policy; see `Policy`."""
-
-    @property
-    def space(self) -> StateSpace: ...
-    @property
-    def actions(self) -> tuple[str, ...]: ...
-    @property
-    def table(self) -> Floats: ...
-    @property
-    def shares(self) -> Numbers | None: ...
-    @property
-    def columns(self) -> tuple[str, ...]: ...
-    @property
-    def deterministic(self) -> bool: ...
 
 
 def read(path: str | Path, model: MDP) -> Parts:
@@ -162,8 +145,14 @@ def _complete(model: MDP, space: StateSpace, rows: Rows) -> Parts:
 # ---- writing -------------------------------------------------------------------------------------
 
 
-def write(policy: Written, path: str | Path) -> None:
-    """Write a policy as `.csv` or `.json`, by its ending; see `Policy.write`."""
+def write(
+    path: str | Path,
+    space: StateSpace,
+    rows: Mapping[int, Mapping[str, float | str]],
+    *,
+    mixed: bool,
+) -> None:
+    """Write the probabilities of the actions of each row as `.csv` or `.json`, by the ending."""
     suffix = Path(path).suffix.lower()
     if suffix not in (".csv", ".json"):
         raise ModelError(
@@ -171,51 +160,36 @@ def write(policy: Written, path: str | Path) -> None:
             where=str(path),
             fix="name it .csv or .json",
         )
-    write_atomically(path, _as_csv(policy) if suffix == ".csv" else _as_json(policy))
+    text = _as_csv(space, rows, mixed) if suffix == ".csv" else _as_json(space, rows)
+    write_atomically(path, text)
 
 
-def _taken(policy: Written, key: int) -> dict[str, float | str]:
-    """Return the actions of one row with their probabilities: a decimal or "p/q", read as exact."""
-    found: dict[str, float | str] = {}
-    for action in np.flatnonzero(policy.table[key] > 0).tolist():
-        chance: float | str = float(policy.table[key, action])
-        if policy.shares is not None:
-            row = policy.shares[key].tolist()
-            share = Fraction(row[action], sum(row))
-            chance = float(share) if Fraction(repr(float(share))) == share else str(share)
-        found[policy.actions[action]] = chance
-    return found
-
-
-def _as_csv(policy: Written) -> str:
-    if not policy.columns:
+def _as_csv(space: StateSpace, rows: Mapping[int, Mapping[str, float | str]], mixed: bool) -> str:
+    if not space.names:
         raise ModelError(
             "the policy reads no column of the state",
             where="CSV",
             fix="name it as always:ACTION instead",
         )
-    mixed = not policy.deterministic
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*policy.columns, "action", *(["probability"] if mixed else [])])
-    for key in range(policy.space.regular):
-        labels = list(policy.space.as_dict(key).values())
-        for action, chance in _taken(policy, key).items():
+    writer.writerow([*space.names, "action", *(["probability"] if mixed else [])])
+    for key, taken in rows.items():
+        labels = list(space.as_dict(key).values())
+        for action, chance in taken.items():
             writer.writerow([*labels, action, *([str(chance)] if mixed else [])])
     return out.getvalue()
 
 
-def _as_json(policy: Written) -> str:
-    if len(policy.columns) != 1:
+def _as_json(space: StateSpace, rows: Mapping[int, Mapping[str, float | str]]) -> str:
+    if len(space.names) != 1:
         raise ModelError(
-            f"the policy reads {', '.join(policy.columns) or 'no column'}",
+            f"the policy reads {', '.join(space.names) or 'no column'}",
             where="JSON",
             fix="write it as .csv",
         )
-    entries: dict[str, object] = {}
-    for key in range(policy.space.regular):
-        taken = _taken(policy, key)
-        if taken:
-            label = policy.space.columns[0].label(key)
-            entries[label] = next(iter(taken)) if len(taken) == 1 else taken
+    entries = {
+        space.columns[0].label(key): next(iter(taken)) if len(taken) == 1 else taken
+        for key, taken in rows.items()
+    }
     return json.dumps(entries, indent=2) + "\n"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias
@@ -239,7 +240,7 @@ class Policy:
 
     @property
     def read_as(self) -> ReadAs:
-        """ "q" where the policy is the greedy one of a Q-table, else "policy"."""
+        """What was read: "q" for a Q-table, of which this is the greedy policy, or "policy"."""
         return "q" if self.source == Q_TABLE else "policy"
 
     def weights(self, model: MDP) -> Floats:
@@ -464,7 +465,23 @@ class Policy:
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads the status alone) `.json`, atomically."""
-        files.write(self, path)
+        taken = {key: self._taken(key) for key in range(self.space.regular)}
+        rows = {key: row for key, row in taken.items() if row}
+        files.write(path, self.space, rows, mixed=not self.deterministic)
+
+    def _taken(self, key: int) -> dict[str, float | str]:
+        """Return the actions of one row with their probabilities: a decimal or "p/q", exact."""
+        if self.rule.ndim == 1:
+            return {self.actions[self.rule[key]]: 1.0} if self.rule[key] >= 0 else {}
+        found: dict[str, float | str] = {}
+        for action in np.flatnonzero(self.rule[key] > 0).tolist():
+            chance: float | str = float(self.rule[key, action])
+            if self.shares is not None:
+                row = self.shares[key].tolist()
+                share = Fraction(row[action], sum(row))
+                chance = float(share) if Fraction(repr(float(share))) == share else str(share)
+            found[self.actions[action]] = chance
+        return found
 
 
 class Solved(Protocol):
