@@ -98,7 +98,7 @@ class Optimum:
         if isinstance(best, Certificate):
             rounding = float(np.spacing(abs(self.start_value)))
             return max(float(self.state_error.max()), rounding)
-        return max(best.error_bound, best.start_error_bound)
+        return max(best.error_bound, best.start.error)
 
     @property
     def claim(self) -> solvers.Claim:

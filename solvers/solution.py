@@ -11,11 +11,21 @@ from dataclasses import dataclass
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
 
 
 class Claim(StrEnum):
@@ -91,9 +101,7 @@ class Certified:
 
     value: Fraction
 
-    @property
-    def claim(self) -> Claim:
-        return Claim.CERTIFIED
+    claim: ClassVar[Claim] = Claim.CERTIFIED
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -123,9 +131,7 @@ class Bounded:
     value: float
     error: float
 
-    @property
-    def claim(self) -> Claim:
-        return Claim.BOUNDED
+    claim: ClassVar[Claim] = Claim.BOUNDED
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -152,9 +158,7 @@ class Estimated:
     value: float
     standard_error: float
 
-    @property
-    def claim(self) -> Claim:
-        return Claim.ESTIMATED
+    claim: ClassVar[Claim] = Claim.ESTIMATED
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -174,38 +178,23 @@ class ProgramRun:
     ----------
     by : str
         The optimiser, or "constraint generation".
-    variables, constraints, entries : int
-        Size of the primal program: open states, their pairs, and nonzero coefficients.
+    variables, constraints : int
+        Size of the primal program: open states and their pairs.
     used : int
         Constraints that the equations were ever made of: all by an optimiser; in constraint
         generation the first ones, one for each state, and all that took their places.
     rounds : int
         Steps of the optimiser, or systems of equations solved.
-    compile_seconds, solve_seconds, verify_seconds : float
-        Stating the program to the optimiser, the import of cvxpy not counted; solving it;
-        improving and verifying the answer.
     lower, upper : float
         The optimal start value is not below the dual's value and not above the primal's, rounding
         errors included.
-
-    Examples
-    --------
-    >>> from exact_mdp.solvers import LinearProgram, solve
-    >>> mdp = MDP.from_arrays([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1, -1], [2, 1]], "1/2")
-    >>> run = LinearProgram(start=solve(mdp)).solve(mdp).program
-    >>> run.by, run.used, run.lower <= 2 <= run.upper, run.gap < 1e-12
-    ('constraint generation', 2, True, True)
     """
 
     by: str
     variables: int
     constraints: int
-    entries: int
     used: int
     rounds: int
-    compile_seconds: float
-    solve_seconds: float
-    verify_seconds: float
     lower: float
     upper: float
 
@@ -215,8 +204,8 @@ class ProgramRun:
         return self.upper - self.lower
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Solution:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Solution(Result):
     """Values and policy of a solved model, with bounds that hold in every state.
 
     Attributes
@@ -244,6 +233,15 @@ class Solution:
         Expected discounted number of uses of each pair from the start; from a linear program.
     program : ProgramRun, optional
         What a linear program took, and the bounds that its two sides give.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import solve
+    >>> found = solve(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
+    >>> found.value.tolist(), found.policy.tolist(), found.start.interval
+    ([3.0, 0.0], [1, 0], (2.99..., 3.00...))
+    >>> found.frame().action.tolist()
+    ['1', '0']
     """
 
     mdp: MDP
@@ -266,10 +264,16 @@ class Solution:
             if array is not None:
                 array.setflags(write=False)
 
+    @cached_property
+    def policy(self) -> Policy:
+        """The policy, which also is the array (S,) of the action number taken in each state."""
+        mdp = self.mdp
+        return Policy(space=mdp.space, actions=mdp.actions, rule=mdp.pair_action[self.pairs])
+
     @property
-    def policy(self) -> Integers:
-        """(S,) the action number that the policy takes in each state."""
-        return self.mdp.pair_action[self.pairs]
+    def error(self) -> Floats:
+        """(S,) |V(s) - V*(s)| is at most this."""
+        return self.state_error
 
     @property
     def error_bound(self) -> float:
@@ -294,14 +298,21 @@ class Solution:
         return self.start.value
 
     @property
-    def start_error_bound(self) -> float:
-        """Bound on the error of `start_value`."""
-        return self.start.error
-
-    @property
     def q(self) -> Floats:
         """(L,) action values r + γ P V."""
         return self.mdp.backup(self.value)
+
+    def frame(self) -> DataFrame:
+        """Return the value, its error bound and the action of each state."""
+        mdp = self.mdp
+        return pandas.DataFrame(
+            {
+                "state": [mdp.space.label(state) for state in range(len(self.value))],
+                "value": self.value,
+                "error": self.state_error,
+                "action": [mdp.actions[action] for action in self.policy.tolist()],
+            }
+        )
 
     def __repr__(self) -> str:
         return (

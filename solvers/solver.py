@@ -24,7 +24,7 @@ from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.operator import solve_operator
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
-from exact_mdp.solvers.dynamic.stopping import Solver, check_settings
+from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, Status
 
@@ -142,7 +142,7 @@ def solve(
         raise ModelError(
             f"{type(model).__name__} is solved until it ends",
             where="horizon",
-            fix="leave horizon out, or compile a model that stops after any number of steps",
+            fix="leave horizon out, or compile the scenario, which stops after any number of steps",
         )
     if own is not None:
         return own(solver, tol)
@@ -189,7 +189,7 @@ def _with_tolerance(solver: Any, tol: float | None) -> Solver:
 
 def _within(solution: Solution, tol: float | None) -> Solution:
     """Return a direct solution; warns where its error bound is above the tolerance."""
-    check_settings(BackwardInduction(), tol)
+    check_tolerance("solve", tol)
     if tol is None or solution.error_bound <= tol:
         return solution
     message = f"the error bound is {solution.error_bound:.2g}: {Status.PRECISION}"

@@ -37,20 +37,6 @@ def relaxed(mdp: MDP, value: np.ndarray, *, backward: bool) -> np.ndarray:
     return value
 
 
-def band_factors(matrix: np.ndarray, lower: int, upper: int) -> np.ndarray:
-    """Return (S, lower + 1 + upper) L - I and U of a dense matrix, by elimination of columns."""
-    size, matrix = len(matrix), matrix.copy()
-    for pivot in range(size):
-        for row in range(pivot + 1, size):
-            matrix[row, pivot] /= matrix[pivot, pivot]
-            matrix[row, pivot + 1 :] -= matrix[row, pivot] * matrix[pivot, pivot + 1 :]
-    found = np.zeros((size, lower + 1 + upper))
-    for row in range(size):
-        for column in range(max(0, row - lower), min(size, row + upper + 1)):
-            found[row, column - row + lower] = matrix[row, column]
-    return found
-
-
 def factor_pattern(pattern: np.ndarray) -> np.ndarray:
     """Return (S, S) where factors of a dense pattern and its mirror image may have entries."""
     found = pattern | pattern.T

@@ -16,8 +16,8 @@ from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, mod
 
 from exact_mdp.mdp import MDP, ModelError, threads
 from exact_mdp.solvers import SolverError
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds, greedy, margin_weights
-from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, margin_weights
+from exact_mdp.solvers.bounds.gains import gains, greedy
 
 NUMBERS = st.one_of(
     st.floats(-10, 10), st.sampled_from([0.0, 1e9, -1e9, 1e-9, 1 / 3, 1e15, 2.0**-1060])
@@ -183,3 +183,17 @@ def test_keeping_a_pair_that_is_as_good() -> None:
     gain = gains(mdp, np.zeros(2))
     assert greedy(mdp, gain).tolist() == [0, 3]
     assert greedy(mdp, gain, keep=np.array([2, 3])).tolist() == [2, 3]
+
+
+def test_rewards_that_cancel_are_known_no_better_than_their_sum() -> None:
+    """Floats add up to 0 here, where the exact expected reward is 1/180 or so."""
+    outcomes = [(0.1, 1, 1e15), (0.2, 1, 3e15), (0.7, 1, -1e15)]
+    mdp = MDP.from_outcomes([(0, 0, outcomes), (1, 0, [(1, 1, 0)])])
+    exact = sum(F(p) * F(reward) for p, _, reward in outcomes)
+    assert abs(F(float(mdp.reward[0])) - exact) > F(1, 1000)
+    for value in (mdp.reward * 1.0, np.array([1.0, 0.0])):
+        found = bounds(mdp, np.where(mdp.terminal, 0.0, value))
+        low, high = (F(found.value[0]) + F(c) * F(found.weight[0]) for c in (found.low, found.high))
+        assert low <= exact <= high
+    gain = gains(mdp, np.zeros(2))
+    assert abs(F(float(gain.value[0])) - exact) <= F(float(gain.error[0]))

@@ -239,7 +239,7 @@ def test_more_weights_than_chances_have_room(tmp_path: Path) -> None:
         start = solve(mdp).start
         assert abs(found.start[d] - start.value) <= found.error[d] + start.error
         told = evaluate(mdp, f"always:a{actions - 1}")
-        assert abs(last.mean[d, 0] - told.mean) <= last.error[d] + told.error_bound
+        assert abs(last.mean[d, 0] - told.mean) <= last.error[d] + told.start.error
     table = np.zeros((1, *found.actions.shape[1:]), dtype=int) + actions - 1
     staged = policy_values(scenario, names, draws, table)
     assert np.array_equal(staged.mean, last.mean)

@@ -412,7 +412,7 @@ def test_settings_that_do_not_belong() -> None:
 def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver() -> None:
     for name in ("checker",):
         text = (SOLVERS / "proof" / f"{name}.py").read_text("utf-8")
-        assert len(text.splitlines()) <= 250
+        assert len(text.splitlines()) <= 265
         tree = ast.parse(text)
         typing = [
             statement

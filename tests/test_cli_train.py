@@ -47,7 +47,7 @@ def test_values_and_regrets_are_exact(result: dict) -> None:
     total = 0.0
     for entry in result["policies"]:
         found = evaluate(mdp, Policy.of(mdp, entry["policy"]))
-        assert abs(found.mean - entry["value"]) <= found.error_bound + entry["error_bound"]
+        assert abs(found.mean - entry["value"]) <= found.start.error + entry["error_bound"]
         assert entry["regret"] == pytest.approx(result["optimal_value"] - entry["value"], abs=1e-9)
         total += entry["count"] * entry["regret"]
     assert result["regret"]["mean"] == pytest.approx(total / 20)

@@ -524,7 +524,7 @@ def test_no_policy_that_a_relaxation_allows_is_worth_more(mdp: MDP, seed: int) -
         mixed = random.random(rows.available.shape) * allowed[n]
         policy = Policy.by(mdp, ("row",), mixed / mixed.sum(axis=1, keepdims=True))
         worth = evaluate(mdp, policy)
-        assert worth.mean - worth.error_bound <= found.upper[n]
+        assert worth.mean - worth.start.error <= found.upper[n]
         own = evaluate(mdp, rows.policy(found.choice[n])).mean
         assert own == pytest.approx(found.value[n], abs=1e-9)
         assert allowed[n][np.arange(allowed.shape[1]), found.choice[n]].all()
@@ -532,7 +532,7 @@ def test_no_policy_that_a_relaxation_allows_is_worth_more(mdp: MDP, seed: int) -
     values, errors = Relaxations(rows).evaluate(found.choice)
     for value, error, choice in zip(values, errors, found.choice, strict=True):
         truth = evaluate(mdp, rows.policy(choice))
-        assert abs(truth.mean - value) <= error + truth.error_bound
+        assert abs(truth.mean - value) <= error + truth.start.error
 
 
 def test_what_a_status_policy_cannot_express() -> None:
@@ -572,7 +572,7 @@ def test_no_neighbour_of_the_best_status_policy_is_better() -> None:
         changed = rng.integers(16, size=rng.integers(1, 4))
         other[changed] = rng.integers(4, size=len(changed))
         worth = evaluate(mdp, Policy.by(mdp, ("status",), other))
-        assert worth.mean - worth.error_bound <= best.upper_bound
+        assert worth.mean - worth.start.error <= best.upper_bound
 
 
 def test_rows_of_a_policy_that_gain_by_a_change() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction as F
 from itertools import product
 from math import inf
@@ -18,7 +19,6 @@ from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.solvers import Claim, PolicyIteration, certify, solve
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.visits import occupancy
 
 POLICIES = (careful, uniform, directive)
 SAMPLE = [
@@ -41,10 +41,10 @@ def test_every_number_lies_within_its_error_bound(case: Case) -> None:
     found = evaluate(case.model, case.weights)
     for s in range(case.n_states):
         if s in case.live or s in case.terminal:
-            assert abs(F(found.value[s]) - case.value[s]) <= F(found.value_error[s])
+            assert abs(F(found.value[s]) - case.value[s]) <= F(found.error[s])
         else:
             assert np.isnan(found.value[s])
-            assert found.value_error[s] == inf
+            assert found.error[s] == inf
     numbers = found.numbers
     assert within(numbers["mean"], case.mean(case.value))
     assert within(numbers["variance"], case.total_variance)
@@ -61,7 +61,7 @@ def test_every_number_lies_within_its_error_bound(case: Case) -> None:
     # The bounds mean something: they are near what double precision can do.
     size = max(abs(r) for row in case.rows.values() for _, _, r, _ in row)
     longest = 1 + sum(abs(x) for x in case.value.values()) + size
-    assert found.error_bound <= 1e-9 * longest * max(1, found.steps if case.ends else 10_000)
+    assert found.start.error <= 1e-9 * longest * max(1, found.steps if case.ends else 10_000)
 
 
 @settings(deadline=None, max_examples=50)
@@ -69,7 +69,7 @@ def test_every_number_lies_within_its_error_bound(case: Case) -> None:
 def test_visits_are_the_references(case: Case) -> None:
     if case.discount == 1 and not case.ends:
         with pytest.raises(ModelError, match="discount 1"):
-            occupancy(case.model, case.weights)
+            evaluate(case.model, case.weights)
         return
     mdp, found = case.model, evaluate(case.model, case.weights)
     discounted = case.visits(case.discount, case.live)
@@ -79,7 +79,6 @@ def test_visits_are_the_references(case: Case) -> None:
     np.testing.assert_allclose(
         np.add.reduceat(found.occupancy, mdp.pair_offsets[:-1]), wanted, rtol=1e-7, atol=1e-9
     )
-    assert occupancy(mdp, case.weights).tolist() == found.occupancy.tolist()
     if case.discount < 1 and not case.floats:
         assert found.occupancy.sum() == pytest.approx(float(1 / (1 - case.discount)))
     if case.ends:
@@ -109,7 +108,7 @@ def test_the_care_model_is_the_oracles(number: int, discount: F) -> None:
         assert within(numbers[f"component.{name}"], exact), name
     assert sum(found.components.values()) == pytest.approx(found.mean, abs=1e-10)
     assert found.claim is Claim.BOUNDED
-    assert found.error_bound < 1e-10
+    assert found.start.error < 1e-10
 
 
 def test_the_papers_model_is_the_oracles() -> None:
@@ -248,7 +247,7 @@ def test_a_chain_of_another_model_is_refused() -> None:
 
 def test_a_model_that_starts_at_its_end_is_worth_nothing() -> None:
     found = evaluate(MDP.from_outcomes([(0, 0, [(1, 0, 0)])]), "random")
-    assert (found.mean, found.sd, found.steps, found.error_bound) == (0.0, 0.0, 0.0, 0.0)
+    assert (found.mean, found.sd, found.steps, found.start.error) == (0.0, 0.0, 0.0, 0.0)
     assert found.components == {"reward": 0.0}
     assert found.quantiles == dict.fromkeys((0.05, 0.25, 0.5, 0.75, 0.95), 0.0)
     assert found.skip_probability is None
@@ -281,11 +280,11 @@ def test_large_models_with_cycles_agree_with_the_solvers() -> None:
     mdp = MDP.from_outcomes(rows)
     found = evaluate(mdp, "random")
     assert found.chain.order is None
-    assert abs(found.mean + found.steps) <= found.error_bound + found.numbers["steps"].error
-    assert found.error_bound < 1e-6
+    assert abs(found.mean + found.steps) <= found.start.error + found.numbers["steps"].error
+    assert found.start.error < 1e-6
     solution = solve(mdp.with_(discount="9/10"))
     again = evaluate(solution.mdp, solution)
-    assert (np.abs(again.value - solution.value) <= again.value_error + solution.state_error).all()
+    assert (np.abs(again.value - solution.value) <= again.error + solution.state_error).all()
     assert again.occupancy @ solution.mdp.reward == pytest.approx(again.mean, abs=1e-9)
 
 
@@ -296,3 +295,24 @@ def test_the_optimum_is_a_policy_like_any_other() -> None:
     for policy in ("optimal", solve(mdp), certify(mdp)):
         assert evaluate(scenario, policy).mean == pytest.approx(best, abs=1e-9)
         assert check(mdp, policy).regret.at_start.value == 0
+
+
+def test_the_variance_counts_the_error_of_the_value() -> None:
+    """Values that are off by as much as their error says leave a true bound of the variance."""
+    flip = [("1/2", 2, 0), ("1/2", 2, 2)]
+    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 2, 4)]), (1, 0, flip), (2, 0, [(1, 2, 0)])]
+    for start in (0, {0: "1/2", 1: "1/2"}):
+        mdp = MDP.from_outcomes(rows).with_(start=start)
+        exact = evaluate(mdp, [0, 0, 0])
+        for off in ([0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.25, -0.5, 0.0]):
+            error = np.abs(off)
+            near = replace(exact, value=exact.value + np.array(off), error=exact.error + error)
+            for name in ("variance", "sd"):
+                one, other = near.numbers[name], exact.numbers[name]
+                assert one.error > 0
+                assert abs(one.value - other.value) <= one.error + other.error
+    sure = MDP.from_outcomes([(0, 0, [(1, 2, 0)]), (1, 0, [(1, 2, 100)]), (2, 0, [(1, 2, 0)])])
+    apart = evaluate(sure.with_(start={0: "9/10", 1: "1/10"}), [0, 0, 0])
+    off = np.array([0.0, 0.5, 0.0])
+    near = replace(apart, value=apart.value + off, error=apart.error + off)
+    assert abs(near.start_variance - 900) <= near.numbers["variance"].error

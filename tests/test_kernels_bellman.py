@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
 from strategies import exact_gains, exact_values
 
-import exact_mdp.solvers.bounds.bounds as module
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp import threads as blocks
 from exact_mdp.solvers import (
@@ -25,11 +24,10 @@ from exact_mdp.solvers import (
     solve,
 )
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.bounds.gains import COMPILED, gains
+from exact_mdp.solvers.bounds.gains import COMPILED, gains, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Judged, Sweeps, sweeps_of
-from exact_mdp.solvers.dynamic.partial_evaluation import Iterate
-from exact_mdp.solvers.kernels import bellman
+from exact_mdp.solvers.dynamic.stopping import Iterate
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
 
@@ -162,9 +160,9 @@ def test_most_pairs_are_left_out_once_values_settle(large: MDP) -> None:
     for _ in range(30):
         value = value + sweeps.improve(value).step
     memory, own = sweeps._memory, value[large.pair_state]
-    ceiling = memory.ceilings + (memory.rise - own)
+    ceiling = memory.policy.ceilings + (memory.policy.rise - own)
     looked_at = ceiling >= sweeps.judge(value).step[large.pair_state]
-    looked_at[memory.pairs] = False
+    looked_at[memory.policy.pairs] = False
     assert looked_at.mean() < 0.01
 
 
@@ -187,20 +185,11 @@ def test_ceilings_hold_exactly_whatever_the_values_do(data: st.DataObject) -> No
         gain = exact_gains(mdp, exact)
         for pair in range(mdp.n_pairs):
             state = int(mdp.pair_state[pair])
-            if pair == memory.pairs[state] or mdp.terminal[state]:
+            if pair == memory.policy.pairs[state] or mdp.terminal[state]:
                 continue
-            ceiling = F(float(memory.ceilings[pair])) + F(float(memory.rise))
-            slack = 4 * F(2) ** -53 * (abs(F(float(memory.ceilings[pair]))) + abs(F(memory.rise)))
-            assert gain[pair] + exact[state] <= ceiling + slack
-
-
-def test_margins_are_those_of_numpy(mdp: MDP, monkeypatch: pytest.MonkeyPatch) -> None:
-    weight = np.where(mdp.terminal, 0.0, 1 + np.abs(values(mdp, 14)) / 100)
-    slow = module._margins(mdp, weight)
-    monkeypatch.setattr(module, "COMPILED", 0)
-    fast = module._margins(mdp, weight)
-    assert np.abs(slow[0] - fast[0]).max() < 1e-15
-    assert 0 < fast[1] == pytest.approx(slow[1], rel=1e-6)
+            ceiling, rise = F(float(memory.policy.ceilings[pair])), F(float(memory.policy.rise))
+            slack = 4 * F(2) ** -53 * (abs(ceiling) + abs(rise))
+            assert gain[pair] + exact[state] <= ceiling + rise + slack
 
 
 def test_following_a_policy_is_that_of_numpy_and_of_plain_python(mdp: MDP) -> None:
@@ -253,12 +242,17 @@ def test_compiled_bounds_are_proven_by_exact_inequalities(ends: bool, twice: boo
 def test_the_leak_of_floats_is_known_to_its_error() -> None:
     rng = np.random.default_rng(8)
     weight = rng.dirichlet(np.ones(9), 50).ravel() * (1 + rng.normal(size=450) * 1e-10)
-    offsets, found = np.arange(0, 451, 9), np.empty(50)
-    error = F(float(bellman.leaks(0, 50, offsets, weight, 0.95, float(1 - F(0.95)), found)))
+    rows = [
+        (0, row, [(p, k, 0) for k, p in enumerate(weight[9 * row : 9 * row + 9].tolist())])
+        for row in range(50)
+    ]
+    rows += [(state, 0, [(1, state, 0)]) for state in range(1, 9)]
+    facts = rounding_facts(MDP.from_outcomes(rows, "19/20"))
+    found, error = facts.leak, F(facts.leak_error)
     assert error < F(1, 10**15)
     for row in range(50):
         total = sum(map(F, weight[9 * row : 9 * row + 9].tolist()))
-        assert abs(1 - F(0.95) * total - F(float(found[row]))) <= error
+        assert abs(1 - F(19, 20) * total - F(float(found[row]))) <= error
 
 
 @pytest.fixture(scope="module")
@@ -282,7 +276,7 @@ def test_the_number_of_threads_changes_no_bit(large: MDP, monkeypatch: pytest.Mo
         numbers = (better.low, better.high, found.low, found.high, found.floor, *followed[1:])
         seen.append((*[array.tobytes() for array in arrays], *numbers))
         solution = solve(large, ModifiedPolicyIteration(tol=1e-6))
-        seen[-1] += (solution.value.tobytes(), solution.policy.tobytes())
+        seen[-1] += (solution.value.tobytes(), solution.pairs.tobytes())
     assert seen[0] == seen[1]
 
 
@@ -398,9 +392,9 @@ def test_a_fall_is_no_greater_than_the_least_row_lets_it_be() -> None:
     sweeps = CompiledSweeps(mdp, margin_weights(mdp))
     for step, least in ((-1.0, -0.5), (1.0, 1.0)):
         memory = sweeps._memory
-        memory.flow, memory.rise = (0.5, 1.0), 0.0
+        memory.flow, memory.policy = (0.5, 1.0), memory.policy._replace(rise=0.0)
         memory.move(memory.before + step)
-        assert least <= memory.rise <= least + 1e-12
+        assert least <= memory.policy.rise <= least + 1e-12
 
 
 def test_a_correction_that_goes_astray_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,7 +118,7 @@ def test_large_models_are_solved_by_the_compiled_form() -> None:
     for name in FIELDS:
         assert np.array_equal(getattr(found, name), getattr(compiled, name))
     for one in (found, compiled):
-        assert np.array_equal(one.errors(mdp)[0], found.errors(mdp)[0])
+        assert np.array_equal(one.bounded(mdp).state_error, found.bounded(mdp).state_error)
 
 
 def test_the_compiler_is_loaded_once_it_pays() -> None:

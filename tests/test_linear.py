@@ -17,8 +17,15 @@ from exact_mdp.solvers import SolverError
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds import linear as iteration
 from exact_mdp.solvers.bounds.elimination import TooLarge
-from exact_mdp.solvers.bounds.linear import LinearSystem, fixed_point, policy_chain
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Status
+
+
+def fixed_point(
+    chain: sp.csr_array, constant: np.ndarray, discount: float = 1.0, **more: object
+) -> FixedPoint:
+    error = more.pop("constant_error", 0.0)
+    return LinearSystem(chain, discount, **more).solve(constant, error)
 
 
 def choices(rows: Rows, data: st.DataObject) -> dict[int, int]:

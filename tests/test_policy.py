@@ -273,3 +273,15 @@ def test_a_policy_is_frozen() -> None:
     assert policy.table[0].tolist() == [1, 0, 0, 0]
     with pytest.raises(ValueError, match="read-only"):
         policy.table[0, 0] = 0
+
+
+@pytest.mark.parametrize("unoffered", [5.0, -np.inf, np.inf, np.nan])
+def test_only_actions_offered_count_where_a_value_is_minus_infinity(unoffered: float) -> None:
+    rows = [(0, action, [(1, 1, action)]) for action in (0, 2)]
+    rows += [(1, action, [(1, 1, 0)]) for action in (0, 1, 2)]
+    mdp = MDP.from_outcomes(rows)
+    for own, best in (([-np.inf, 2.0], 2), ([2.0, -np.inf], 0), ([-1e300, -np.inf], 0)):
+        table = np.array([[own[0], unoffered, own[1]], [0, 0, 0]])
+        assert Policy.from_q(mdp, table).choices(mdp)[0] == best
+    with pytest.raises(ModelError, match="every action offered has the value -inf"):
+        Policy.from_q(mdp, np.array([[-np.inf, unoffered, -np.inf], [0, 0, 0]]))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import builtins
 from fractions import Fraction as F
-from time import sleep
 
 import numpy as np
 import pytest
@@ -17,8 +15,8 @@ from strategies import Rows, models
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.solvers import LinearProgram, ModifiedPolicyIteration, certify, solve
+from exact_mdp.solvers.dynamic import linear_program as programs
 from exact_mdp.solvers.dynamic import policy_iteration
-from exact_mdp.solvers.dynamic import program as programs
 
 
 def garnet(states: int, discount: float, *, seed: int = 0) -> MDP:
@@ -62,8 +60,6 @@ def test_optimiser_and_generated_constraints_agree() -> None:
     for run in (known.program, found.program):
         assert run.lower <= found.start_value <= run.upper
         assert run.gap < 1e-11
-    assert known.program.compile_seconds > 0
-    assert known.program.solve_seconds > 0
 
 
 @pytest.mark.parametrize("discount", [0.9, 0.99])
@@ -79,8 +75,8 @@ def test_a_program_too_large_for_an_optimiser_is_proved_from_a_known_policy(
     run = found.program
     assert run.rounds <= 3
     assert run.gap < 1e-9 * abs(found.start_value)
-    assert run.lower <= found.start_value + found.start_error_bound
-    assert known.start_value - known.start_error_bound <= run.upper
+    assert run.lower <= found.start_value + found.start.error
+    assert known.start_value - known.start.error <= run.upper
     # The visits solve the dual's equations, and so add up to 1 / (1 - γ).
     assert found.occupancy.sum() == pytest.approx(1 / (1 - discount), rel=1e-10)
     assert (found.gaps > -1e-9).all()
@@ -112,11 +108,11 @@ def test_the_care_model_from_its_own_optimum() -> None:
 @pytest.mark.parametrize(
     ("start", "message"),
     [
-        (np.zeros(3, int), r"shape \(3,\) for 241 states"),
-        (np.zeros(241), "type float64, not integers"),
-        (np.full(241, 9), "action 9 is not available"),
-        ("optimal", "str is no policy"),
-        ([[1, 2], [3]], "list is no policy"),
+        (np.zeros(3, int), r"shape \(3,\)"),
+        (np.zeros(241), "type float64"),
+        (np.full(241, 9), "outside 0 … 3"),
+        ("optimal", "unknown kind of policy"),
+        ([[1, 2], [3]], "does not hold real numbers"),
         (
             Policy(space=StateSpace(columns=()), actions=ACTIONS, rule=np.full((1, 4), 0.25)),
             "draws",
@@ -153,20 +149,6 @@ def test_all_constraints_on_the_way_are_counted(monkeypatch: pytest.MonkeyPatch)
     found = LinearProgram(start=np.zeros(200, dtype=int)).solve(mdp)
     assert len(seen) == found.program.rounds > 2
     assert found.program.used == len(np.unique([*np.concatenate(seen), *found.pairs]))
-
-
-def test_stating_the_program_does_not_count_the_import(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = builtins.__import__
-
-    def slow(name: str, *rest: object, **more: object) -> object:
-        if name == "cvxpy":
-            sleep(0.5)
-        return whole(name, *rest, **more)
-
-    mdp = garnet(20, 0.9)
-    solve(mdp, LinearProgram())
-    monkeypatch.setattr(builtins, "__import__", slow)
-    assert solve(mdp, LinearProgram()).program.compile_seconds < 0.5
 
 
 def test_refusals_of_random_models_need_no_order_of_the_states(

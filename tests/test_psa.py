@@ -58,7 +58,7 @@ def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: PSA) -> Non
         assert abs(care.optimal[d] - start.value) <= care.error[d] + start.error
         for n, candidate in enumerate(care.candidates):
             told = evaluate(mdp, candidate.weights)
-            assert abs(care.values[d, n] - told.mean) <= care.value_error[d, n] + told.error_bound
+            assert abs(care.values[d, n] - told.mean) <= care.value_error[d, n] + told.start.error
 
 
 def test_moments_are_those_of_an_independent_loop() -> None:

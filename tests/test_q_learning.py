@@ -314,7 +314,7 @@ def test_policy_values_are_those_of_evaluate(readings: dict[str, str], discount:
     found = policy_values(mdp, rows, policies)
     for policy, value, error in zip(policies, found.value, found.error, strict=True):
         exact = evaluate(mdp, as_policy(mdp, rows.space, policy))
-        assert abs(value - exact.mean) <= error + exact.error_bound
+        assert abs(value - exact.mean) <= error + exact.start.error
         assert error < 1e-9
 
 
@@ -330,7 +330,7 @@ def test_policy_values_of_any_model(model, seed: int) -> None:
     found = policy_values(mdp, rows, policies)
     for policy, value, error in zip(policies, found.value, found.error, strict=True):
         exact = evaluate(mdp, Policy.from_choices(mdp, policy))
-        assert abs(value - exact.mean) <= error + exact.error_bound
+        assert abs(value - exact.mean) <= error + exact.start.error
 
 
 def test_the_best_policy_of_a_small_model_is_the_optimum() -> None:

@@ -41,7 +41,7 @@ def test_the_papers_model(policy: str, discount: F) -> None:
     found = simulate(mdp, policy, EPISODES, rng=1)
     check(found, mdp, policy)
     assert found.claim is Claim.ESTIMATED
-    assert found.estimate.value == found.mean
+    assert found.value.value == found.mean
     assert (found.truncated, found.truncation_error) == (0, 0.0)
     assert list(found.events) == ["skip"]
 

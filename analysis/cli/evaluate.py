@@ -24,7 +24,7 @@ def evaluate(*, quantiles: bool, **shared: Any) -> Report:
     result = {
         "claim": found.claim,
         "mean": found.mean,
-        "error_bound": found.error_bound,
+        "error_bound": found.start.error,
         "sd": found.sd,
         "steps": found.steps,
         "ends": found.ends,
@@ -113,7 +113,7 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
         "claim": found.claim,
         "mean": found.mean,
         "standard_error": found.standard_error,
-        "interval": found.estimate.interval,
+        "interval": found.value.interval,
         "sd": found.sd,
         "steps": steps,
         "event_probability": found.events,
@@ -125,8 +125,8 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
     cut = "" if asked.steps else f", each return within {at_most(found.truncation_error)}"
     facts = {
         "episodes": f"{found.episodes:,}, seed {first}",
-        "mean": found.estimate,
-        "95 % interval": between(*found.estimate.interval, error),
+        "mean": found.value,
+        "95 % interval": between(*found.value.interval, error),
         "sd": number(found.sd, error),
         "steps": steps,
         **{f"share with a {name}": share for name, share in found.events.items()},

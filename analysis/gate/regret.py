@@ -48,8 +48,8 @@ from exact_mdp.mdp.chain import components, is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import solve
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds, gains
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.proof.certificate import Certificate
@@ -365,8 +365,8 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     value, single = optimum.value, len(chain.pairs) == mdp.n_states
     near = ActionBounds.of(mdp, optimum)
     best = at_start(mdp, FixedPoint(value=value, error=optimum.state_error))
-    mine = Bounded(value=own.mean, error=own.error_bound)
-    forgiveness, tie = _bounded_forgiveness(mdp, chain, own.value, own.value_error, optimum)
+    mine = own.start
+    forgiveness, tie = _bounded_forgiveness(mdp, chain, own.value, own.error, optimum)
     loses = near.least_gap > tie
     lost: Certified | Bounded
     if near.all_best(chain):

@@ -125,7 +125,7 @@ def random_curve(
 ) -> LearningCurve:
     """Return the same curve for actions drawn uniformly, the authors' baseline."""
     found = evaluate(model, "random")
-    exact = np.full(epochs, found.mean), np.full(epochs, found.error_bound)
+    exact = np.full(epochs, found.mean), np.full(epochs, found.start.error)
     table = np.zeros((1, rows_of(model).offered.size))
     which = np.zeros(epochs, dtype=np.int64)
     return _curve(model, None, table, which, exact, 1.0, (n, max_steps), rng)

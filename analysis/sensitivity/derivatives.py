@@ -34,8 +34,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.row_change import RowChange
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers import evaluate, solve
-from exact_mdp.solvers.bounds.bounds import gains
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.values.visits import visits
@@ -179,7 +178,7 @@ class BoundedPass:
         chain = self.found.chain
         live = ~np.isnan(self.found.value)
         self.value = np.where(live, self.found.value, 0.0)
-        self.value_error = np.where(live, self.found.value_error, 0.0)
+        self.value_error = np.where(live, self.found.error, 0.0)
         seen = visits(mdp, chain.discounted)
         stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
         factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights

@@ -68,8 +68,7 @@ def _holds(reading: Reading, name: str) -> bool:
 
 
 def _mean(reading: Reading, name: str) -> Bounded:
-    found = reading.evaluations[name]
-    return Bounded(value=found.mean, error=found.error_bound)
+    return reading.evaluations[name].start
 
 
 def _spread(reading: Reading, name: str) -> dict[str, float]:

@@ -30,27 +30,26 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from exact_mdp.mdp import threads
 from exact_mdp.mdp.chain import require_termination, topological_levels
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
-    COMPILED,
     SLACK,
     TINY,
     UNIT,
-    Gain,
     Weights,
     gains,
     gamma,
-    greedy,
     rounding_facts,
 )
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.bounds.sweeps import sweeps_of
 from exact_mdp.solvers.solution import SolverError, Status
 
-__all__ = ["Bounds", "Gain", "bounds", "gains", "greedy", "ladder", "levels", "margin_weights"]
+bellman = later("exact_mdp.solvers.kernels.bellman")
+compiling = later("exact_mdp.solvers.kernels.compiling")
+layered = later("exact_mdp.solvers.kernels.layered")
 
 WEIGHT_ITERATIONS = 1000
 LONGEST_WALK = 1000
@@ -95,30 +94,7 @@ class Bounds:
 
 @np.errstate(over="ignore", invalid="ignore")
 def bounds(mdp: MDP, value: Floats, pairs: Integers | None = None) -> Bounds:
-    """Return bounds on V* and on the values of a policy, around `value`.
-
-    Parameters
-    ----------
-    mdp : MDP
-    value : (S,)
-        Any values, 0 in terminal states.
-    pairs : (S,) ints, optional
-        The policy's pairs; unless given, the first of each state's best pairs, up to rounding.
-
-    Raises
-    ------
-    ModelError
-        At discount 1 where not every policy ends.
-    SolverError
-        Where double precision does not suffice to verify any bound.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [[1], [0]])
-    >>> found = bounds(mdp, np.array([1.5, 0.0]))
-    >>> bool(1.5 + found.low * found.weight[0] <= 2 <= 1.5 + found.high * found.weight[0] < 2.01)
-    True
-    """
+    """Return bounds on V* and on the values of a policy, around `value`."""
     weights = margin_weights(mdp)
     live = ~mdp.terminal
     if np.any(value[~live]):
@@ -162,13 +138,7 @@ def _comes_back(mdp: MDP) -> bool:
 
 
 def margin_weights(mdp: MDP) -> Weights:
-    """Return verified weights; computed once for each model.
-
-    Raises
-    ------
-    ModelError, SolverError
-        As `bounds` does.
-    """
+    """Return verified weights; computed once for each model."""
     if mdp not in _WEIGHTS:
         require_termination(mdp)
         _WEIGHTS[mdp] = _verified(mdp, _candidate(mdp))
@@ -211,31 +181,14 @@ def _expected_steps(mdp: MDP) -> Floats:
 
 def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
     """Return the margins (L,) w - γ P w, 1 for pairs of terminal states, and their error."""
-    facts, ended = rounding_facts(mdp), mdp.terminal
     if (weight == 1.0).all():
+        facts = rounding_facts(mdp)
         size = max(abs(float(facts.leak.min())), abs(float(facts.leak.max())))
         return facts.leak, float((gamma(4) * size + facts.leak_error + TINY) * SLACK)
-    if mdp.n_transitions < COMPILED:
-        margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
-        open_pairs = ~ended[mdp.pair_state]
-        error = margin.error[open_pairs].max(initial=0.0)
-        return np.where(open_pairs, -margin.value, 1.0), float(error)
-    from exact_mdp.solvers.kernels import bellman
-
-    matrix = mdp.transition
-    rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
-    rounded = (facts.leak, facts.leak_error, facts.merged)
-    tiny = TINY * (1 + float(np.abs(weight).max()))
-    ends, found = threads.block_ends(matrix.indptr), np.empty(mdp.n_pairs)
-    worst = np.zeros(len(ends) - 1)
-
-    def work(number: int, first: int, last: int) -> None:
-        worst[number] = bellman.margins(
-            first, last, *rows, *rounded, mdp.discount, ended, weight, tiny, found
-        )
-
-    threads.run_blocks(ends, work)
-    return found, float(worst.max())
+    margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
+    open_pairs = ~mdp.terminal[mdp.pair_state]
+    error = margin.error[open_pairs].max(initial=0.0)
+    return np.where(open_pairs, -margin.value, 1.0), float(error)
 
 
 def _verified(mdp: MDP, weight: Floats) -> Weights:
@@ -252,8 +205,6 @@ def _verified(mdp: MDP, weight: Floats) -> Weights:
 def ladder(levels: int) -> Callable[[Floats, float, Floats], None]:
     """Return the function that adds errors up: see `solvers.kernels.layered.ladder`."""
     if "numba" in sys.modules and levels >= 1000:
-        from exact_mdp.solvers.kernels import layered
-
         return cast("Callable[[Floats, float, Floats], None]", layered.ladder)
 
     def climb(step: Floats, rate: float, total: Floats) -> None:

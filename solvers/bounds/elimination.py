@@ -7,10 +7,10 @@
 Each returns a function of c (S,). Rows, or columns, dominated by their diagonal need no exchanges
 for the sake of stability. So the fill is known beforehand: it is at most that of the Cholesky
 factor with the pattern of P + Pᵀ in the same order, which is counted, without forming it
-(`solvers.kernels.band.fill`; George and Liu, Computer Solution of Large Sparse Positive Definite
-Systems, 1981, chapter 5). The order is that of COLAMD, read from an incomplete factor that SuperLU
-drops nearly everything from; for very large chains, for which finding it takes minutes, that of
-Reverse Cuthill and McKee.
+(`solvers.kernels.linear.fill`; George and Liu, Computer Solution of Large Sparse Positive
+Definite Systems, 1981, chapter 5). The order is that of COLAMD, read from an incomplete factor that
+SuperLU drops nearly everything from; for very large chains, for which finding it takes minutes,
+that of Reverse Cuthill and McKee.
 """
 
 from __future__ import annotations
@@ -21,9 +21,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import COMPILED
 from exact_mdp.solvers.solution import SolverError, Status
+
+compiling = later("exact_mdp.solvers.kernels.compiling")
+csgraph = later("scipy.sparse.csgraph")
+kernel = later("exact_mdp.solvers.kernels.linear")
+lapack = later("scipy.linalg.lapack")
+linalg = later("scipy.sparse.linalg")
 
 MOST_ENTRIES = 100_000_000  # in each factor: 1.2 GB with their places, 2.4 GB for both
 MOST_OPERATIONS = 1e11  # about a minute or two
@@ -45,19 +52,7 @@ class TooLarge(SolverError):
 
 
 def reach(chain: sp.csr_array) -> tuple[int, int]:
-    """Return how far transitions (S, S) lead down and up in number at most.
-
-    Examples
-    --------
-    >>> reach(sp.csr_array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.5], [0.5, 0.0, 0.0]]))
-    (2, 1)
-    """
-    if chain.nnz >= COMPILED:
-        from exact_mdp.solvers.kernels import band as kernel
-
-        found = np.zeros(2, dtype=np.int64)
-        kernel.reach(chain.indptr, chain.indices, found)
-        return int(found[0]), int(found[1])
+    """Return how far transitions (S, S) lead down and up in number at most."""
     row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
     ahead = chain.indices - row
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
@@ -72,17 +67,18 @@ def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve
     """Return forward substitution in the given order, by which the matrix is triangular.
 
     Large chains are read as they are by a compiled loop; small ones are put in order for SciPy's.
-
-    Raises
-    ------
-    ValueError
-        Where some transition does not fall along the order.
     """
     sequence = np.argsort(order, kind="stable")
     if chain.nnz >= COMPILED:
-        return _substitution(chain, discount, order, sequence)
-    from scipy.sparse.linalg import spsolve_triangular
+        if not kernel.falls(chain.indptr, chain.indices, order):
+            raise ValueError(NO_FALL)
 
+        def substituted(constant: Floats) -> Floats:
+            value = np.empty(len(constant))
+            kernel.substitute(_rows(chain), float(discount), sequence, constant, value)
+            return value
+
+        return substituted
     place = np.empty_like(sequence)
     place[sequence] = np.arange(len(sequence))
     rows = chain[sequence]
@@ -95,7 +91,9 @@ def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve
     matrix.sort_indices()
 
     def solve(constant: Floats) -> Floats:
-        found = spsolve_triangular(matrix, constant[sequence], lower=True, unit_diagonal=True)
+        found = linalg.spsolve_triangular(
+            matrix, constant[sequence], lower=True, unit_diagonal=True
+        )
         return np.asarray(found[place])
 
     return solve
@@ -111,32 +109,14 @@ def _narrow(matrix: sp.csr_array) -> sp.csr_array:
     return sp.csr_array((matrix.data, *places), matrix.shape)
 
 
-def _substitution(
-    chain: sp.csr_array, discount: float, order: Integers, sequence: Integers
-) -> Solve:
-    from exact_mdp.solvers.kernels import band as kernel
-
-    if not kernel.falls(chain.indptr, chain.indices, order):
-        raise ValueError(NO_FALL)
-
-    def solve(constant: Floats) -> Floats:
-        value, rows = np.empty(len(constant)), (chain.indptr, chain.indices, chain.data)
-        kernel.substitute(*rows, float(discount), sequence, constant, value)
-        return value
-
-    return solve
+def _rows(chain: sp.csr_array) -> Any:
+    return compiling.Rows(chain.indptr, chain.indices, chain.data)
 
 
 def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve:
     """Return elimination within the band, from `within` below to above the diagonal.
 
-    Large chains are eliminated by a compiled loop that keeps the band alone: 8 bytes for each of
-    its places. Small ones are left to SciPy, so that no compiler is loaded.
-
-    Raises
-    ------
-    SolverError
-        Where a pivot is not positive: the chain does not leak.
+    Large chains are eliminated by LAPACK, which keeps the band alone.
 
     Examples
     --------
@@ -144,36 +124,21 @@ def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve
     >>> band(walk, 1.0, (0, 1))(np.array([1.0, 1.0])).tolist()
     [2.5, 1.0]
     """
+    matrix, (lower, upper) = matrix_of(chain, discount), within
     if chain.nnz < COMPILED:
-        return _superlu(matrix_of(chain, discount).tocsc(), permc_spec="NATURAL")
-    from exact_mdp.solvers.kernels import band as kernel
-
-    lower = within[0]
-    factors = np.empty((chain.shape[0], sum(within) + 1))
-    state = kernel.factor(chain.indptr, chain.indices, chain.data, float(discount), lower, factors)
-    if state >= 0:
-        raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {state})")
-
-    def solve(constant: Floats) -> Floats:
-        value = np.array(constant, dtype=np.float64)
-        kernel.solve(factors, lower, value)
-        return value
-
-    return solve
+        return _superlu(matrix.tocsc(), permc_spec="NATURAL")
+    entries = matrix.tocoo()
+    row, column = entries.coords
+    places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")
+    places[lower + upper + row - column, column] = entries.data
+    factors, exchanged, failed = lapack.dgbtrf(places, lower, upper, overwrite_ab=True)
+    if failed:
+        raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")
+    return lambda constant: np.asarray(lapack.dgbtrs(factors, lower, upper, constant, exchanged)[0])
 
 
 def sparse(chain: sp.csr_array, discount: float) -> Solve:
-    """Return sparse elimination by SuperLU.
-
-    Raises
-    ------
-    TooLarge
-        Where the factors would have more than `MOST_ENTRIES` entries each, or take more than
-        `MOST_OPERATIONS`. That is found out for `COMPILED` transitions and more; below, factors
-        cannot be large.
-    SolverError
-        Where a pivot is 0: the chain does not leak.
-    """
+    """Return sparse elimination by SuperLU."""
     matrix = matrix_of(chain, discount).tocsc()
     if chain.nnz < COMPILED:
         return _superlu(matrix)
@@ -197,15 +162,7 @@ def sparse(chain: sp.csr_array, discount: float) -> Solve:
 
 
 def fill(matrix: sp.csc_array) -> int | None:
-    """Return the most entries that a factor of a `matrix` (S, S) may have; None if too many.
-
-    Examples
-    --------
-    >>> fill(sp.csc_array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 1.0]]))
-    4
-    """
-    from exact_mdp.solvers.kernels import band as kernel
-
+    """Return the most entries that a factor of a `matrix` (S, S) may have; None if too many."""
     states = matrix.shape[0]
     row = matrix.indices
     column = np.repeat(np.arange(states, dtype=row.dtype), np.diff(matrix.indptr))
@@ -221,23 +178,17 @@ def fill(matrix: sp.csc_array) -> int | None:
 def _order(matrix: sp.csc_array) -> Numbers:
     """Return the states (S,) in an order that keeps the fill low."""
     if matrix.nnz > MOST_ORDERED:
-        from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-        return np.asarray(reverse_cuthill_mckee(matrix + matrix.T, symmetric_mode=True))
-    from scipy.sparse.linalg import spilu
-
+        return np.asarray(csgraph.reverse_cuthill_mckee(matrix + matrix.T, symmetric_mode=True))
     try:
-        nearly: Any = spilu(matrix, drop_tol=1.0, fill_factor=1.0, permc_spec="COLAMD")
+        nearly: Any = linalg.spilu(matrix, drop_tol=1.0, fill_factor=1.0, permc_spec="COLAMD")
     except RuntimeError as error:
         raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
     return np.argsort(nearly.perm_c)
 
 
 def _superlu(matrix: sp.csc_array, **settings: Any) -> Solve:
-    from scipy.sparse.linalg import splu
-
     try:
-        factors: Any = splu(matrix, diag_pivot_thresh=0.0, **settings)
+        factors: Any = linalg.splu(matrix, diag_pivot_thresh=0.0, **settings)
     except RuntimeError as error:
         raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
     return lambda constant: np.asarray(factors.solve(constant))

@@ -31,9 +31,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp import threads
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import SolverError, Status
+
+bellman = later("exact_mdp.solvers.kernels.bellman")
+compiling = later("exact_mdp.solvers.kernels.compiling")
 
 UNIT = 2.0**-53
 TINY = 2.0**-1000
@@ -41,13 +45,7 @@ SLACK = 1 + 2.0**-20
 
 
 def gamma(terms: Integers | int) -> Floats:
-    """Return γ(n), a little more than n units of roundoff.
-
-    Examples
-    --------
-    >>> float(gamma(1)) > 2**-53
-    True
-    """
+    """Return γ(n), a little more than n units of roundoff."""
     count = np.asarray(terms, dtype=np.float64) * UNIT
     return np.asarray(count / (1 - count) * (1 + 4 * UNIT))
 
@@ -109,24 +107,7 @@ class Weights:
 
 @np.errstate(over="ignore", invalid="ignore")
 def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
-    """Return what each pair adds to `value` (S,), with the rounding errors bounded.
-
-    Parameters
-    ----------
-    reward : (L,), optional
-        Exact rewards in place of the model's.
-
-    Raises
-    ------
-    SolverError
-        Where a value is beyond the range of floats.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [[1], [0]])
-    >>> gains(mdp, np.array([1.5, 0.0])).value.tolist()
-    [0.25, 0.0]
-    """
+    """Return what each pair adds to `value` (S,), with the rounding errors bounded."""
     facts, found = rounding_facts(mdp), np.empty((3, mdp.n_pairs))
     still = bool(value.min() == value.max() and np.isfinite(value[0]))
     tiny = TINY * (1 + float(np.abs(value).max())) * bool(value.any())
@@ -155,13 +136,7 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
 
 
 def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
-    """Return (S,) the first pair of each state that no other beats by more than rounding.
-
-    Parameters
-    ----------
-    keep : (S,) ints, optional
-        Pairs to keep, too, where no other beats them by more than rounding.
-    """
+    """Return (S,) the first pair of each state that no other beats by more than rounding."""
     offsets, chosen = mdp.pair_offsets, np.empty(mdp.n_states, dtype=np.int64)
 
     def work(number: int, first: int, last: int) -> None:
@@ -254,26 +229,23 @@ def _leak(mdp: MDP) -> tuple[Floats, float]:
             [float(1 - rate * Fraction(a, b)) for a, b in zip(totals, below, strict=True)]
         )
         return found, float(np.abs(found).max()) * UNIT
-    if len(weight) >= COMPILED:
-        from exact_mdp.solvers.kernels import bellman
-
-        found = np.empty(mdp.n_pairs)
-        ends = threads.block_ends(offsets)
-        worst = np.zeros(len(ends) - 1)
-
-        def work(number: int, first: int, last: int) -> None:
-            worst[number] = bellman.leaks(first, last, offsets, weight, mdp.discount, leak, found)
-
-        threads.run_blocks(ends, work)
-        return found, float(worst.max())
     # Multiples of 2^-40 add up exactly as integers, and what is left of each float is tiny.
-    scaled = np.rint(weight * 2.0**40)
-    whole = np.add.reduceat(scaled.astype(np.int64), offsets[:-1]) - 2**40
-    rest = np.add.reduceat(weight - scaled * 2.0**-40, offsets[:-1])
-    excess = mdp.discount * (whole * 2.0**-40 + rest)
-    terms = np.diff(offsets)
-    error = 2 * UNIT * leak + 8 * UNIT * np.abs(excess) + gamma(terms) * terms * 2.0**-40
-    return leak - excess, float(error.max())
+    found = np.empty(mdp.n_pairs)
+    ends = threads.block_ends(offsets, most=threads.IN_CACHE)
+    worst = np.zeros(len(ends) - 1)
+
+    def work(number: int, first: int, last: int) -> None:
+        begins = offsets[first : last + 1]
+        share = weight[begins[0] : begins[-1]]
+        scaled = np.rint(share * 2.0**40)
+        whole = np.add.reduceat(scaled.astype(np.int64), begins[:-1] - begins[0]) - 2**40
+        rest = np.add.reduceat(share - scaled * 2.0**-40, begins[:-1] - begins[0])
+        excess, terms = mdp.discount * (whole * 2.0**-40 + rest), np.diff(begins)
+        error = 2 * UNIT * leak + 8 * UNIT * np.abs(excess) + gamma(terms) * terms * 2.0**-40
+        found[first:last], worst[number] = leak - excess, error.max()
+
+    threads.run_blocks(ends, work)
+    return found, float(worst.max())
 
 
 def _reward_error(mdp: MDP) -> Floats:
@@ -305,10 +277,8 @@ def _differences(
         found[:2, first:last] = 0.0
         return
     if mdp.n_transitions >= COMPILED:
-        from exact_mdp.solvers.kernels import bellman
-
-        rows = (mdp.pair_state, matrix.indptr, matrix.indices, matrix.data)
-        bellman.gains(first, last, *rows, value, found[0], found[1])
+        rows = compiling.Rows(matrix.indptr, matrix.indices, matrix.data)
+        bellman.gains(first, last, mdp.pair_state, rows, value, found[0], found[1])
         return
     begin, end = matrix.indptr[first], matrix.indptr[last]
     term = value[matrix.indices[begin:end]]

@@ -1,6 +1,6 @@
 """Solve x = c + γ P x for a nonnegative P, with a bound on the error that is sound.
 
-    fixed_point(transition (S, S), constant (S,), discount, order=…) -> FixedPoint(value, error)
+    LinearSystem(transition (S, S), discount, order=…).solve(constant (S,)) -> FixedPoint
 
 The values of a policy, its second moments, its expected steps and (with P transposed) its visits
 all have this form. The chain must leak: at discount 1 the rows of terminal states, where x is 0,
@@ -18,33 +18,41 @@ equation with the residual for a constant; what comes out is then verified with 
 counted. That e - γ P e > 0 for some e > 0 also proves that the chain leaks
 (Berman and Plemmons, Nonnegative Matrices in the Mathematical Sciences, 1979, chapter 6, M35).
 
-Krylov methods for x = c + γ P x, which fill no matrix: BiCGSTAB, and GMRES where that swings.
-
-Large chains take the compiled loops of `solvers.kernels.krylov`; small ones SciPy's, preconditioned
-by the diagonal, so that no compiler is loaded. Chains of many states are large, too: threads of a
-library for linear algebra would wait for each other where other work goes on.
+Large chains are iterated for by the compiled loops of `solvers.kernels.linear`; small ones by
+SciPy's, preconditioned by the diagonal, so that no compiler is loaded. Chains of many states are
+large, too: threads of a library for linear algebra would wait for each other where other work goes
+on. GMRES restarts after `DIRECTIONS` steps (Saad and Schultz, SIAM J. Sci. Stat. Comput. 7, 1986).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import Solve, TooLarge, matrix_of
 from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
+
+compiling = later("exact_mdp.solvers.kernels.compiling")
+loops = later("exact_mdp.solvers.kernels.linear")
+scipy = later("scipy.sparse.linalg")
 
 DIRECT_STATES = 500
 MOST_FILL = 4
 CHEAP = 5_000_000  # multiplications within the band, for which iterating in SciPy takes longer
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
+STEPS, PATIENT = 400, 8000
+LONG = 5000  # states from which on SciPy's inner products run on threads of their own
+DIRECTIONS, GMRES_STEPS = 20, 400
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,23 +70,13 @@ class FixedPoint:
     error: Floats
 
 
-def fixed_point(
-    transition: sp.csr_array,
-    constant: Floats,
-    discount: float = 1.0,
-    *,
-    order: Integers | None = None,
-    roundings: int = 1,
-    constant_error: Floats | float = 0.0,
-) -> FixedPoint:
-    """Return the solution of x = c + γ P x and a bound on its error in every state.
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """The equation x = c + γ P x for one P and many c.
 
-    For several constants and one matrix, make one `LinearSystem` and call its `solve`.
-
-    Parameters
+    Attributes
     ----------
     transition : (S, S) csr array, nonnegative
-    constant : (S,)
     discount : float
         γ, itself rounded at most once.
     order : (S,) ints, optional
@@ -87,30 +85,14 @@ def fixed_point(
     roundings : int
         How many times each entry of `transition` was rounded on its way from the exact number:
         1 for rows of `MDP.transition`, about A + 2 for mixtures of them.
-    constant_error : (S,) or float
-        How far the constant may be from the exact one.
-
-    Raises
-    ------
-    ValueError
-        For numbers that are not finite, and where there is no state.
-    SolverError
-        Where no bound can be verified: the chain does not leak, or it does so too slowly.
 
     Examples
     --------
     >>> walk = sp.csr_array([[0.5, 0.25], [0.0, 0.0]])
-    >>> found = fixed_point(walk, np.array([1.0, 1.0]))
+    >>> found = LinearSystem(walk).solve(np.array([1.0, 1.0]))
     >>> found.value.tolist(), bool(found.error.max() < 1e-14)
     ([2.5, 1.0], True)
     """
-    system = LinearSystem(transition, discount, order=order, roundings=roundings)
-    return system.solve(constant, constant_error)
-
-
-@dataclass(frozen=True, eq=False)
-class LinearSystem:
-    """The equation x = c + γ P x for one P and many c; see `fixed_point` for the arguments."""
 
     transition: sp.csr_array
     discount: float = 1.0
@@ -126,7 +108,10 @@ class LinearSystem:
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> FixedPoint:
-        """Return x (S,) and its error (S,); raises SolverError where none can be verified."""
+        """Return x (S,) and its error (S,), for a constant that may be off by `constant_error`.
+
+        Raises SolverError where no error can be verified: the chain does not leak, or too slowly.
+        """
         value = self.approximate(constant)
         residual = self._residual(constant, value)
         rounding = self._rounding(np.abs(constant), np.abs(value))
@@ -240,29 +225,10 @@ def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
     return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
 
 
-STEPS = 400
-PATIENT = 8000
-LONG = 5000  # states from which on SciPy's inner products run on threads of their own
-DIRECTIONS = 20
-GMRES_STEPS = 400
-
-
 def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:
-    """Return x (S,), or None where that takes more than `STEPS` steps.
+    """Return x (S,) with a residual of about `rtol` of the constant's, or None after many steps.
 
-    Parameters
-    ----------
-    chain : (S, S) csr array
-    constant : (S,)
-        c, of magnitude 1 or so.
-    rtol : float
-        The residual's norm is to be about this part of the constant's.
-
-    Examples
-    --------
-    >>> walk = sp.csr_array([[0.5, 0.25], [0.0, 0.0]])
-    >>> quickly(walk, 1.0, np.array([1.0, 1.0]), 1e-12).round(9).tolist()
-    [2.5, 1.0]
+    The constant is of magnitude 1 or so.
     """
     return _bicgstab(chain, discount, constant, rtol, STEPS)
 
@@ -270,37 +236,39 @@ def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float)
 def patiently(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:
     """Return x (S,), or None where neither GMRES nor `PATIENT` steps of BiCGSTAB lead there."""
     if chain.nnz >= COMPILED:
-        from exact_mdp.solvers.kernels import krylov
+        rows, shape = _rows(chain), chain.shape
+        value, through = np.empty(len(constant)), np.empty(len(constant))
 
-        value, basis = np.empty(len(constant)), np.empty((DIRECTIONS + 2, len(constant)))
-        small = np.empty((DIRECTIONS + 4, DIRECTIONS + 1))
-        rows = _rows(chain, discount)
-        taken = krylov.gmres(*rows, constant, rtol, GMRES_STEPS, value, basis, small)
-        if taken >= 0 and np.all(np.isfinite(value)):
+        def applied(given: Floats) -> Floats:
+            loops.applied(rows, float(discount), np.ascontiguousarray(given), value, through)
+            return through.copy()
+
+        right = scipy.LinearOperator(shape, matvec=applied, dtype=np.float64)
+        restart = min(DIRECTIONS, GMRES_STEPS)
+        rounds = GMRES_STEPS // restart
+        given, status = scipy.gmres(right, constant, rtol=rtol, restart=restart, maxiter=rounds)
+        applied(given)
+        if status == 0 and np.all(np.isfinite(value)):
             return value
     return _bicgstab(chain, discount, constant, rtol, PATIENT)
 
 
-def _rows(chain: sp.csr_array, discount: float) -> tuple[Numbers, Numbers, Floats, float]:
-    """Return the arrays of the chain, their columns sorted, and γ."""
+def _rows(chain: sp.csr_array) -> Any:
+    """Return the rows of a chain, their columns sorted, as compiled loops take them."""
     chain = chain if chain.has_sorted_indices else chain.sorted_indices()
-    return chain.indptr, chain.indices, chain.data, float(discount)
+    return compiling.Rows(chain.indptr, chain.indices, chain.data)
 
 
 def _bicgstab(
     chain: sp.csr_array, discount: float, constant: Floats, rtol: float, steps: int
 ) -> Floats | None:
     if chain.nnz >= COMPILED or chain.shape[0] >= LONG:
-        from exact_mdp.solvers.kernels import krylov
-
         value, room = np.empty(len(constant)), np.empty((6, len(constant)))
-        rows = _rows(chain, discount)
-        failed = krylov.bicgstab(*rows, constant, rtol, steps, value, room) < 0
+        rows = _rows(chain)
+        failed = loops.bicgstab(rows, float(discount), constant, rtol, steps, value, room) < 0
     else:
-        from scipy.sparse.linalg import bicgstab
-
         matrix = matrix_of(chain, discount)
         inverse = sp.diags_array(1 / matrix.diagonal())
-        value, status = bicgstab(matrix, constant, rtol=rtol, maxiter=steps, M=inverse)
+        value, status = scipy.bicgstab(matrix, constant, rtol=rtol, maxiter=steps, M=inverse)
         failed = status != 0
     return None if failed or not np.all(np.isfinite(value)) else np.asarray(value)

@@ -13,28 +13,20 @@ bounds by MacQueen, J. Math. Anal. Appl. 14, 1966). A judging pass gives bounds 
 V* ≤ h + high w in which every rounding error is counted.
 
 Models of fewer than `COMPILED` transitions are swept in NumPy, as loading compiled code takes
-longer than solving them; `solvers.bounds.sweeps` sweeps larger ones.
+longer than solving them; larger ones in compiled loops, on two threads, which leave out pairs that
+are proven to be beaten. With
 
-What the passes over a large model leave for the next: upper bounds, a policy and its rows.
+    q(l) = r(l) + γ Σ_s' P(l, s') h(s'),   q(l) now ≤ q(l) then + γ ρ,
 
-    q(l) = r(l) + γ Σ_s' P(l, s') h(s'),   q(l) now ≤ q(l) then + γ ρ
-
-where ρ is the greatest rise of h in any state between the two. The rises of all steps since the
-first are added up in `rise`, so that one number for each pair, q(l) less the rise until then, is
-all that has to be kept, and a pair is looked at again only once that no longer proves it beaten.
-What rounding may cost is added to each bound. Bounds of this kind eliminate actions in MacQueen,
-Operations Research 15 (1967), and for one iteration at a time in Hastings and van Nunen, in Markov
-Decision Theory (1977); here they also spare the last, judging pass most pairs.
-
-The rows of the policy are copied side by side, each where the longest of its state's has room, as
-reading them where they are would fetch from memory what lies between them, too.
-
-Sweeps in compiled loops, on two threads, which leave out what is proven to be beaten.
+ρ the greatest rise of h in any state between the two, one number for each pair, q(l) less the rise
+until then, is all that has to be kept; a pair is looked at again only once that no longer proves it
+beaten. What rounding may cost is added to each bound. Bounds of this kind eliminate actions in
+MacQueen, Operations Research 15 (1967), and for one iteration at a time in Hastings and van Nunen,
+in Markov Decision Theory (1977); here they also spare the last, judging pass most pairs.
 
 Improving passes allow for rounding by the greatest error there can be in any pair, which costs next
-to nothing; the judging pass counts the error of each. Both leave out pairs that are proven to be
-beaten by what `solvers.bounds.sweeps` keeps. Every number is computed by one thread and minima do
-not depend on an order, so the results are the same whatever the number of threads.
+to nothing; the judging pass counts the error of each. Every number is computed by one thread and
+minima do not depend on an order, so the results are the same whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -46,8 +38,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.threads import block_ends, run_blocks
 from exact_mdp.solvers.bounds.gains import (
     COMPILED,
@@ -63,6 +56,8 @@ from exact_mdp.solvers.bounds.gains import (
     rounding_facts,
 )
 from exact_mdp.solvers.solution import SolverError, Status
+
+bellman = later("exact_mdp.solvers.kernels.bellman")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,6 +128,22 @@ class Sweeps:
         return rounding_facts(self.mdp)
 
     @cached_property
+    def model(self) -> Any:
+        """The model as compiled loops take it."""
+        mdp, matrix = self.mdp, self.mdp.transition
+        return bellman.Model(
+            offsets=mdp.pair_offsets,
+            indptr=matrix.indptr,
+            indices=matrix.indices,
+            data=matrix.data,
+            reward=mdp.reward,
+            leak=self.facts.leak,
+            margin=self.weights.margin,
+            ended=mdp.terminal,
+            discount=mdp.discount,
+        )
+
+    @cached_property
     def least_margin(self) -> float:
         """A lower bound of all margins."""
         return float(self.weights.margin.min()) - self.weights.error
@@ -146,11 +157,6 @@ class Sweeps:
         """Return T V - V and a greedy policy, for V = `value` (S,) + `shift` w.
 
         Both arrays are used again by the next call, and the first by `follow`.
-
-        Raises
-        ------
-        SolverError
-            Where a value is beyond the range of floats.
         """
         found = self.judge(value, shift)
         self._pairs = found.pairs
@@ -177,13 +183,7 @@ class Sweeps:
 
         Returns the greatest change. Compiled for models of any size.
         """
-        from exact_mdp.solvers.kernels import bellman
-
-        mdp, matrix = self.mdp, self.mdp.transition
-        rows = (mdp.pair_offsets, matrix.indptr, matrix.indices, matrix.data, mdp.reward)
-        margin = self.weights.margin
-        model = (*rows, self.facts.leak, margin, mdp.terminal, mdp.discount)
-        return float(bellman.relax(backward, *model, value, shift))
+        return float(bellman.relax(backward, self.model, value, shift))
 
     def _judge(self, value: Floats, shift: float) -> Judged:
         mdp, weights = self.mdp, self.weights
@@ -233,46 +233,30 @@ def sweeps_of(mdp: MDP, weights: Weights, *, strict: bool = False) -> Sweeps:
 
 @dataclass(eq=False)
 class Remembered:
-    """What passes around changing values h have found; see `solvers.kernels.bellman.improve`.
+    """What passes around changing values h have found; see `solvers.kernels.bellman.Known`.
+
+    The rows of the policy are copied side by side, each where the longest of its state's has room,
+    as reading them where they are would fetch from memory what lies between them, too.
 
     Attributes
     ----------
-    flow : tuple of float
-        Bounds of γ Σ_s' P(l, s') over all pairs.
-    margin : tuple of float
-        Bounds of the margins of all pairs.
-    ceilings : (L,)
-        q(l) is at most this and `rise`. At first that is said of h = 0.
-    pairs : (S,) int64
-        The policy found by the last pass.
-    slots, ends : (S+1,), (S,)
-        Where its rows are in `indices` and `data`.
-    chain : (3, S)
-        Rewards, leaks and margins of its pairs.
-    rise : float
-        How much the greatest γ P_l h can have risen since the first pass, in the sum of all steps.
+    flow, margin : tuple of float
+        Bounds of γ Σ_s' P(l, s') and of the margins over all pairs.
+    policy : Known
+        The policy, its rows and the ceilings, as compiled loops take them. At first q(l) = r(l) is
+        what the ceilings say, of h = 0.
     before : (S,)
         h of the last pass.
-    known : bool
-        Whether there is a policy.
     """
 
     flow: tuple[float, float]
     margin: tuple[float, float]
-    ceilings: Floats
-    pairs: Integers
-    slots: Numbers
-    ends: Numbers
-    indices: Numbers
-    data: Floats
-    chain: Floats
+    policy: Any
     before: Floats
-    rise: float = 0.0
-    known: bool = False
 
     @classmethod
     def nothing(cls, mdp: MDP, weights: Weights, facts: RoundingFacts) -> Remembered:
-        """Return what is known of a model before any pass: q(l) = r(l) for h = 0."""
+        """Return what is known of a model before any pass."""
         leak, leak_error = facts.leak, facts.leak_error
         least, most = float(leak.min()) - leak_error, float(leak.max()) + leak_error
         lost = 4 * UNIT * (1 + abs(least) + abs(most))
@@ -287,20 +271,19 @@ class Remembered:
         return cls(
             flow=(1 - most - lost, 1 - least + lost),
             margin=(float(margin.min()) - weights.error, float(margin.max()) + weights.error),
-            ceilings=mdp.reward + 4 * facts.reward_error_bound(mdp),  # rounded, too
-            pairs=np.empty(mdp.n_states, dtype=np.int64),
-            slots=slots,
-            ends=slots[:-1].copy(),
-            indices=np.empty(slots[-1], dtype=matrix.indices.dtype),
-            data=np.empty(slots[-1]),
-            chain=np.empty((3, mdp.n_states)),
+            policy=bellman.Known(
+                slots=slots,
+                ends=slots[:-1].copy(),
+                indices=np.empty(slots[-1], dtype=matrix.indices.dtype),
+                data=np.empty(slots[-1]),
+                numbers=np.empty((3, mdp.n_states)),
+                pairs=np.empty(mdp.n_states, dtype=np.int64),
+                ceilings=mdp.reward + 4 * facts.reward_error_bound(mdp),  # rounded, too
+                rise=0.0,
+                known=False,
+            ),
             before=np.zeros(mdp.n_states),
         )
-
-    @property
-    def rows(self) -> tuple[Numbers, Numbers, Numbers, Floats, Floats]:
-        """The policy's rows, as compiled loops take them."""
-        return self.slots, self.ends, self.indices, self.data, self.chain
 
     @property
     def alike(self) -> float:
@@ -314,11 +297,11 @@ class Remembered:
 
     def move(self, value: Floats) -> None:
         """Go on to h = `value` (S,)."""
-        from exact_mdp.solvers.kernels.bellman import climb
-
-        most = float(np.nextafter(climb(value, self.before), np.inf))
+        most = float(np.nextafter(bellman.climb(value, self.before), np.inf))
         grown = max(self.flow[0] * most, self.flow[1] * most)
-        self.rise += grown + 4 * UNIT * (abs(grown) + abs(self.rise))
+        rise = self.policy.rise
+        rise += grown + 4 * UNIT * (abs(grown) + abs(rise))
+        self.policy = self.policy._replace(rise=rise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -341,25 +324,15 @@ class CompiledSweeps(Sweeps):
     @np.errstate(over="ignore", invalid="ignore")
     def improve(self, value: Floats, shift: float = 0.0) -> Pass:
         """See `Sweeps.improve`; where all values are the same, there is no policy to follow."""
-        from exact_mdp.solvers.kernels import bellman
-
-        mdp, sizes = self.mdp, self._sizes(value)
+        sizes, memory, step = self._sizes(value), self._memory, self._step
         if sizes.span == 0:
             return finite(self._alone(float(value[0]), shift, sizes))
-        memory, step = self._memory, self._step
         memory.move(value)
-        rounded = abs(memory.rise) + sizes.value + sizes.gain + sizes.error
+        policy = memory.policy
+        rounded = abs(policy.rise) + sizes.value + sizes.gain + sizes.error
         error = sizes.error + 8 * UNIT * rounded
-
-        def work(first: int, last: int, extremes: Floats) -> None:
-            bellman.improve(
-                *(first, last, mdp.pair_offsets, *self._model, mdp.terminal, mdp.discount),
-                *(value, shift, memory.known, memory.rise, error, memory.ceilings, *memory.rows),
-                *(step, memory.pairs, extremes),
-            )
-
-        found = self._blocks(work, 2)
-        self._pairs, memory.known = memory.pairs, True
+        found = self._blocks(2, bellman.improve, self.model, policy, value, shift, error, step)
+        self._pairs, memory.policy = policy.pairs, policy._replace(known=True)
         low, high = float(found[:, 0].min()), float(found[:, 1].max())
         return finite(Pass(step=step, low=low, high=high, floor=sizes.noise / self.least_margin))
 
@@ -380,26 +353,27 @@ class CompiledSweeps(Sweeps):
         return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 
     def _judge(self, value: Floats, shift: float) -> Judged:
-        from exact_mdp.solvers.kernels import bellman
-
-        mdp, facts, weights, memory = self.mdp, self.facts, self.weights, self._memory
+        mdp, memory = self.mdp, self._memory
         step, pairs = np.empty(mdp.n_states), np.empty(mdp.n_states, dtype=np.int64)
         memory.move(value)
         sizes = self._sizes(value)
         tied, still = sizes.error if self.strict else sizes.noise, sizes.span == 0
-        tiny = TINY * (1 + sizes.value)
+        facts = bellman.Facts(
+            reward_error=self.facts.reward_error,
+            leak_error=self.facts.leak_error,
+            margin_error=self.weights.error,
+            merged=self.facts.merged,
+            tiny=TINY * (1 + sizes.value),
+            rounding=self._rounding,
+        )
+        what = (self.model, facts, memory.policy, value, shift, self.strict, still)
+        spare, most = memory.drop(shift) + tied, int(np.diff(mdp.pair_offsets).max())
 
-        def work(first: int, last: int, extremes: Floats) -> None:
-            bellman.judge(
-                *(first, last, mdp.pair_offsets, *self._model, mdp.terminal, mdp.discount),
-                *(facts.reward_error, facts.leak_error, weights.error, facts.merged, tiny),
-                *(self._rounding, value, shift, self.strict, still),
-                *(memory.known, memory.rise, memory.drop(shift) + tied, memory.alike),
-                *(memory.ceilings, memory.pairs, *memory.rows),
-                *(step, pairs, np.empty((2, self._most_pairs)), extremes),
-            )
+        def judge(first: int, last: int, extremes: Floats) -> None:
+            room = np.empty((2, most))
+            bellman.judge(first, last, *what, spare, memory.alike, step, pairs, room, extremes)
 
-        found = self._blocks(work, 3)
+        found = self._blocks(3, judge)
         low, high, loudest = found[:, 0].min(), found[:, 1].max(), found[:, 2].max()
         floor = loudest / self.least_margin
         if mdp.terminal.all():
@@ -407,22 +381,14 @@ class CompiledSweeps(Sweeps):
         return Judged(step=step, pairs=pairs, low=float(low), high=float(high), floor=float(floor))
 
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
-        from exact_mdp.solvers.kernels import bellman
-
-        mdp, step, rows = self.mdp, self._step, self._memory.rows
-
-        def work(first: int, last: int, extremes: Floats) -> None:
-            bellman.follow(
-                first, last, *rows, mdp.terminal, mdp.discount, value, shift, step, extremes
-            )
-
-        found = self._blocks(work, 2)
+        step, policy = self._step, self._memory.policy
+        found = self._blocks(2, bellman.follow, self.model, policy, value, shift, step)
         return step, float(found[:, 0].min()), float(found[:, 1].max())
 
-    def _blocks(self, work: Callable[[int, int, Floats], None], count: int) -> Floats:
+    def _blocks(self, count: int, work: Callable[..., None], *what: Any) -> Floats:
         """Run `work` on all blocks of states; return what each left as its `count` extremes."""
         extremes = np.empty((len(self._ends) - 1, count))
-        run_blocks(self._ends, lambda n, first, last: work(first, last, extremes[n]))
+        run_blocks(self._ends, lambda n, first, last: work(first, last, *what, extremes[n]))
         return extremes
 
     def _sizes(self, value: Floats) -> _Sizes:
@@ -455,18 +421,8 @@ class CompiledSweeps(Sweeps):
         return Remembered.nothing(self.mdp, self.weights, self.facts)
 
     @cached_property
-    def _model(self) -> tuple[Any, ...]:
-        mdp, matrix = self.mdp, self.mdp.transition
-        rows = (matrix.indptr, matrix.indices, matrix.data)
-        return (*rows, mdp.reward, self.facts.leak, self.weights.margin)
-
-    @cached_property
     def _ends(self) -> list[int]:
         return block_ends(self.mdp.transition.indptr[self.mdp.pair_offsets])
-
-    @cached_property
-    def _most_pairs(self) -> int:
-        return int(np.diff(self.mdp.pair_offsets).max())
 
     @cached_property
     def _rounding(self) -> Floats:

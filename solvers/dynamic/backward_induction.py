@@ -27,21 +27,23 @@ import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.chain import numbered_in_order, runs_in_order
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.dynamic.operator import solve_operator
 from exact_mdp.solvers.dynamic.stopping import conclude
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
-if TYPE_CHECKING:
-    from exact_mdp.mdp.care.operator import CareOperator
+layered = later("exact_mdp.solvers.kernels.layered")
 
 # Loading the compiler takes 0.33 s once in a process, as long as NumPy does for four million
 # transitions of the care model; the compiled loop needs 6 ms a million. A process that has had so
@@ -66,17 +68,13 @@ class BackwardInduction:
     ([3.0, 0.0], 1)
     """
 
-    @property
-    def name(self) -> str:
-        return "backward-induction"
+    name: ClassVar[str] = "backward-induction"
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, mdp: MDP | CareOperator) -> Solution:
         """Return the optimum; raises ModelError where states come back to themselves."""
         started = perf_counter()
-        if not isinstance(mdp, MDP):
-            from exact_mdp.solvers.dynamic.operator import solve_operator
-
+        if isinstance(mdp, CareOperator):
             return solve_operator(mdp)
         in_order = numbered_in_order(mdp)
         level = None if in_order else levels(mdp)
@@ -87,29 +85,20 @@ class BackwardInduction:
                 fix="use ModifiedPolicyIteration or PolicyIteration",
             )
         done = one_pass(mdp, level)
-        if mdp.table.joint and np.float64 in (mdp.table.weight.dtype, mdp.table.gain.dtype):
-            # Expected rewards were themselves added up in floats; their error is counted there.
-            return conclude(
-                mdp,
-                self,
-                bounds(mdp, done.value),
-                status=Status.DIRECT,
-                iterations=done.depth,
-                started=started,
-            )
-        above, below = done.errors(mdp)
-        return Solution(
-            mdp=mdp,
-            value=done.value,
-            pairs=done.pairs,
-            state_error=np.maximum(above, below)[done.level],
-            regret_bound=float((above + below).max()),
-            status=Status.DIRECT,
-            method=self.name,
-            solver=repr(self),
-            iterations=done.depth,
-            seconds=perf_counter() - started,
-        )
+        # Where expected rewards were themselves added up in floats, their error is counted there.
+        summed = mdp.table.joint and np.float64 in (mdp.table.weight.dtype, mdp.table.gain.dtype)
+        found = bounds(mdp, done.value) if summed else done.bounded(mdp)
+        depth = len(done.above) - 1
+        return conclude(mdp, self, found, status=Status.DIRECT, iterations=depth, started=started)
+
+
+class _Reached(NamedTuple):
+    """What `conclude` reads of bounds."""
+
+    value: Floats
+    pairs: Integers
+    state_error: Floats
+    regret: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,28 +120,22 @@ class Pass:
     above: Floats
     below: Floats
 
-    @property
-    def depth(self) -> int:
-        """The greatest level."""
-        return len(self.above) - 1
-
-    def errors(self, mdp: MDP) -> tuple[Floats, Floats]:
-        """Return by level (D+1,) how far V* may lie above the values, and V^π below."""
+    def bounded(self, mdp: MDP) -> _Reached:
+        """Return the values with their error bounds: V* above and V^π below them, by level."""
         rows = not mdp.table.sums_to_one
         rate = mdp.discount * (1 + (ROW_EXCESS if rows else 0.0) + 8 * UNIT)
         size = float(np.abs(self.value).max())
         longest = int(np.diff(mdp.table.offsets).max())
         lost = size > 0 or _underflows(mdp)
         tiny = TINY * (longest + 2) * (1 + size) * lost
-        climb = ladder(len(self.above))
-        found = []
-        for step in (self.above, self.below):
-            total = np.zeros(len(step))
-            climb(step + tiny, rate, total)
-            found.append(total * SLACK)
-        if not all(np.isfinite(total[-1]) for total in found) or not np.isfinite(size):
+        climb, (above, below) = ladder(len(self.above)), np.zeros((2, len(self.above)))
+        climb(self.above + tiny, rate, above)
+        climb(self.below + tiny, rate, below)
+        above, below = above * SLACK, below * SLACK
+        if not np.isfinite(above[-1] + below[-1] + size):
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        return found[0], found[1]
+        error = np.maximum(above, below)[self.level]
+        return _Reached(self.value, self.pairs, error, float((above + below).max()))
 
 
 def _underflows(mdp: MDP) -> bool:
@@ -168,13 +151,7 @@ def _underflows(mdp: MDP) -> bool:
 
 
 def one_pass(mdp: MDP, level: Integers | None = None) -> Pass:
-    """Return values of an acyclic model, with their rounding errors by level.
-
-    Parameters
-    ----------
-    level : (S,) ints, optional
-        `topological_levels`; not needed where states are numbered in order.
-    """
+    """Return values of an acyclic model, with their rounding errors by level."""
     global _in_numpy
     loaded, size = "numba" in sys.modules, mdp.n_transitions
     if size >= LOADED_FROM if loaded else _in_numpy + size >= COMPILED_FROM:
@@ -191,15 +168,13 @@ def _extra(mdp: MDP) -> int:
 
 
 def _compiled_pass(mdp: MDP, level: Integers | None) -> Pass:
-    from exact_mdp.solvers.kernels.layered import backward
-
     states, matrix = mdp.n_states, mdp.transition
     order = np.empty(0, np.int64) if level is None else np.argsort(level, kind="stable")
     value, pairs = np.empty(states), np.empty(states, dtype=np.int64)
     height = np.empty(states, dtype=np.int32)
     above, below = np.zeros(states + 1), np.zeros(states + 1)
     widest = int(np.diff(mdp.pair_offsets).max())
-    depth = backward(
+    depth = layered.backward(
         order,
         mdp.pair_offsets,
         matrix.indptr,

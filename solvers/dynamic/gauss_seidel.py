@@ -11,14 +11,13 @@ bounds of `solvers.bounds.sweeps`; the solver stops when these are as close as a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from time import perf_counter
+from typing import ClassVar
 
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.dynamic.partial_evaluation import Iterate
-from exact_mdp.solvers.dynamic.stopping import Watch, check_settings, conclude
-from exact_mdp.solvers.solution import Solution, Status
+from exact_mdp.solvers.dynamic.stopping import Run, check_settings
+from exact_mdp.solvers.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,36 +41,16 @@ class GaussSeidel:
     tol: float | None = None
     max_iterations: int = 1_000_000
 
-    def __post_init__(self) -> None:
-        check_settings(self, self.tol, max_iterations=self.max_iterations)
+    name: ClassVar[str] = "gauss-seidel"
 
-    @property
-    def name(self) -> str:
-        return "gauss-seidel"
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, mdp: MDP) -> Solution:
-        """Return the optimum within `tol`.
-
-        Raises
-        ------
-        ModelError
-            At discount 1 where not every policy ends.
-        SolverError
-            At the iteration limit, or where double precision cannot bound the error.
-        """
-        started = perf_counter()
-        watch = Watch(mdp, self.tol)
-        iterate, iteration = Iterate(watch.sweeps, np.zeros(mdp.n_states)), 0
-        while True:
-            iteration += 1
-            found = iterate.improve()
-            if watch.ready(found, iterate) and (end := watch.verdict(found, iterate)):
-                status, reached = end
-                break
-            if iteration == self.max_iterations:
-                status, reached = Status.ITERATION_LIMIT, watch.bounds(found, iterate)
-                break
-            iterate.take(found)
-            iterate.relax(backward=iteration % 2 == 0)
-        return conclude(mdp, self, reached, status=status, iterations=iteration, started=started)
+        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
+        run = Run(mdp, self)
+        for found in run:
+            run.values.take(found)
+            run.values.relax(backward=run.iteration % 2 == 0)
+        return run.solution

@@ -1,54 +1,78 @@
-"""Linear programming: the least V above its own backup, or the best occupancy measure.
+"""Linear programming: the least V above its own backup, and the visits that prove it least.
 
     primal   minimise α V     subject to   V(s) ≥ r(l) + γ P_l V     for every pair l of every s
     dual     maximise r y     subject to   Σ_{l of s} y(l) - γ Σ_l P(l, s) y(l) = α(s),   y ≥ 0
 
 over the states that are not terminal; those are worth 0. The weights α are positive and the same
-everywhere, so that the primal gives the value of every state and the dual takes a decision in
-every state, reached from the start or not (d'Epenoux, Management Science 10, 1963; Puterman,
-Markov Decision Processes, 1994, section 6.9). With them the dual's y would count visits from a
-uniform start. What is returned as `occupancy` is the dual's solution at α = the model's start: the
-visits of the optimal policy.
+everywhere, so that the primal gives the value of every state (d'Epenoux, Management Science 10,
+1963; Puterman, Markov Decision Processes, 1994, section 6.9). What is returned as `occupancy` is
+the dual's solution at α = the model's start: the visits of the optimal policy.
 
 With a known policy to start from, no optimiser is needed: constraints are generated. One pair for
 each state makes the program a system of equations; where its solution violates constraints, those
 of the greatest violation take the place of their states' own, until none is violated. This is
 policy iteration, read as a simplex method that exchanges many constraints at once (Ye, Mathematics
-of Operations Research 36, 2011). From a good policy one or two rounds remain, and what comes out is
-the proof: values that satisfy every constraint, and visits that solve the dual, see
-`Solution.program`.
+of Operations Research 36, 2011). From a good policy one or two rounds remain.
 
 An optimiser is right to six or eight digits. The policy that it implies is evaluated, and improved
 as in policy iteration where that shows it not to be optimal, so that the answer has rounding errors
 alone; the optimiser's own objective is checked against it.
+
+What comes out is a proof by weak duality: where V + c w satisfies all constraints of the primal
+(see `solvers.bounds.bounds`), and y are the visits of a policy, which solve the equations of the
+dual,
+
+    Σ_l r(l) y(l)  ≤  optimal start value  ≤  Σ_s α(s) (V(s) + c w(s)),   α the start distribution.
+
+Both sides are worked out apart, each with its rounding errors: see `Solution.program`.
+
+An optimiser factors matrices with the pattern of the states' equations. Put in the order of Reverse
+Cuthill and McKee, which keeps entries near the diagonal, a factor lies within that band: an upper
+bound, which other orders may beat (George and Liu, Computer Solution of Large Sparse Positive
+Definite Systems, 1981, chapter 4). That order takes seconds to find, and where few steps lead
+everywhere it need not be looked for: N states within r steps of one are within 2 r of each other,
+so that whatever the order, the first and the last of them are N - 1 places apart, and some edge
+between them spans at least (N - 1) / (2 r) (the local density bound; Chinn, Chvátalová, Dewdney
+and Gibbs, Journal of Graph Theory 6, 1982).
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any, Literal
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.bounds.bounds import greedy, margin_weights
-from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.table import Floats, Integers, spans
+from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma, greedy, rounding_facts
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.dynamic.policy_iteration import improved
-from exact_mdp.solvers.dynamic.program import check_size, sides, visits
 from exact_mdp.solvers.dynamic.stopping import conclude
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 
+cvxpy = later("cvxpy")
+csgraph = later("scipy.sparse.csgraph")
+iterative = later("scipy.sparse.linalg")
+
 OPTIMISERS = ("CLARABEL", "HIGHS")
-FORMS = ("primal", "dual")
 IMPROVEMENTS = 1000
 AGREEMENT = 1e-5
 GENERATION = "constraint generation"
+MOST_OPERATIONS = 5e10  # for one factor; an optimiser makes about twenty, at 10^9 a second
+MOST_ENTRIES = 4e8  # 3.2 GB
+FREE_STATES = 2000  # so few are not worth an estimate
+KRYLOV_STEPS = 200
+SPREAD = 10
+PATIENCE = 3
+FARTHEST = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +83,10 @@ class LinearProgram:
     ----------
     solver : "CLARABEL" or "HIGHS"
         Interior points, or a simplex method.
-    form : "primal" or "dual"
-    start : Solution, Policy, or (S,) ints, optional
-        A known deterministic policy, or its action numbers: generate constraints from it, without
-        an optimiser. For models too large for one; those are refused otherwise.
+    start : PolicyLike, optional
+        A known deterministic policy: a solution, a Policy, or (S,) action numbers. Constraints are
+        generated from it, without an optimiser. For models too large for one; those are refused
+        otherwise.
 
     Examples
     --------
@@ -73,184 +97,228 @@ class LinearProgram:
     """
 
     solver: str = "CLARABEL"
-    form: Literal["primal", "dual"] = "primal"
-    start: Solution | Policy | Integers | None = field(default=None, repr=False, compare=False)
+    start: PolicyLike | None = field(default=None, repr=False, compare=False)
+
+    name: ClassVar[str] = "linear-program"
 
     def __post_init__(self) -> None:
-        for key, value, known in (
-            ("solver", self.solver, OPTIMISERS),
-            ("form", self.form, FORMS),
-        ):
-            if value not in known:
-                fix = suggest(str(value), known)
-                raise ModelError(f"unknown {key} {value!r}", where="LinearProgram", fix=fix)
+        if self.solver not in OPTIMISERS:
+            fix = suggest(str(self.solver), OPTIMISERS)
+            raise ModelError(f"unknown solver {self.solver!r}", where="LinearProgram", fix=fix)
 
     def __repr__(self) -> str:
         start = "" if self.start is None else ", start=…"
-        return f"LinearProgram(solver={self.solver!r}, form={self.form!r}{start})"
-
-    @property
-    def name(self) -> str:
-        return "linear-program"
+        return f"LinearProgram(solver={self.solver!r}{start})"
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, mdp: MDP) -> Solution:
-        """Return the optimum up to rounding, with `gaps` and `occupancy`.
-
-        Raises
-        ------
-        ModelError
-            At discount 1 where not every policy ends.
-        SolverError
-            Where the optimiser fails, or double precision cannot bound the error.
-        """
-        started = perf_counter()
-        if self.start is None:
-            check_size(mdp, self.solver)
-        margin_weights(mdp)
-        if self.start is None:
-            pairs, objective, steps, clock = self._program(mdp)
-        else:
-            pairs, objective, steps, clock = _pairs_of(mdp, self.start), None, 0, (0.0, 0.0)
-        begun = perf_counter()
+        """Return the optimum up to rounding, with `gaps`, `occupancy` and `program`."""
+        started, known = perf_counter(), self.start is not None
+        pairs, objective, steps = self._first(mdp)
         used = np.zeros(mdp.n_pairs, dtype=bool)
         found, improvements, stable = improved(mdp, pairs, IMPROVEMENTS, used=used)
-        generated = perf_counter() - begun
-        value = found.value
-        reached = float(value[~mdp.terminal].mean()) if (~mdp.terminal).any() else 0.0
-        if objective is not None and not (
-            abs(objective - reached) <= AGREEMENT * (abs(reached) + np.abs(mdp.reward).max())
-        ):
-            detail = f"{self.solver} found a mean value of {objective:.9g}, it is {reached:.9g}"
-            raise SolverError(Status.PROGRAM_FAILED, detail)
-        met = visits(mdp, found.pairs)
-        lower, upper = sides(mdp, found, met)
-        occupancy = np.zeros(mdp.n_pairs)
-        occupancy[found.pairs] = met.value
-        open_pairs = ~mdp.terminal[mdp.pair_state]
-        known = self.start is not None
+        if objective is not None:
+            self._check(objective, mdp, found.value)
         used[found.pairs] = True
-        run = ProgramRun(
-            by=GENERATION if known else self.solver,
-            variables=int((~mdp.terminal).sum()),
-            constraints=int(open_pairs.sum()),
-            entries=int(np.diff(mdp.transition.indptr)[open_pairs].sum()),
-            used=int((used & open_pairs).sum() if known else open_pairs.sum()),
-            rounds=improvements if known else steps,
-            compile_seconds=clock[0],
-            solve_seconds=generated if known else clock[1],
-            verify_seconds=perf_counter() - begun - (generated if known else 0.0),
-            lower=lower,
-            upper=upper,
-        )
-        solution = conclude(
+        met, residual = visits(mdp, found.pairs)
+        lower, upper = _sides(mdp, found, met, residual)
+        occupancy = np.zeros(mdp.n_pairs)
+        occupancy[found.pairs] = met
+        open_pairs = ~mdp.terminal[mdp.pair_state]
+        return conclude(
             mdp,
             self,
             found,
             status=Status.DIRECT if stable else Status.ITERATION_LIMIT,
             iterations=steps + improvements,
             started=started,
-            gaps=0.0 - gains(mdp, value).value,
+            gaps=0.0 - gains(mdp, found.value).value,
             occupancy=occupancy,
+            program=ProgramRun(
+                by=GENERATION if known else self.solver,
+                variables=int((~mdp.terminal).sum()),
+                constraints=int(open_pairs.sum()),
+                used=int((used & open_pairs).sum() if known else open_pairs.sum()),
+                rounds=improvements if known else steps,
+                lower=lower,
+                upper=upper,
+            ),
         )
-        return replace(solution, program=run)
 
-    def _program(self, mdp: MDP) -> tuple[Integers, float, int, tuple[float, float]]:
-        """Return pairs (S,), the mean value over open states, the optimiser's steps, and seconds.
+    def _first(self, mdp: MDP) -> tuple[Integers, float | None, int]:
+        """Return the pairs (S,) to improve: of the known policy, or as the optimiser says."""
+        if self.start is None:
+            check_size(mdp, self.solver)
+        margin_weights(mdp)
+        if self.start is None:
+            return self._optimised(mdp)
+        return _pairs_of(mdp, self.start), None, 0
 
-        The seconds are those of stating the program, sparse throughout, and of solving it.
-        """
-        import cvxpy as cp
-
-        begun = perf_counter()
-        live, rate = ~mdp.terminal, mdp.discount
-        open_pairs = live[mdp.pair_state]
-        scale = float(np.abs(mdp.reward).max())
+    def _optimised(self, mdp: MDP) -> tuple[Integers, float | None, int]:
+        """Return the pairs (S,) that the optimiser's values imply, their mean, and its steps."""
+        live, scale = ~mdp.terminal, float(np.abs(mdp.reward).max())
         if scale == 0.0:
-            return mdp.pair_offsets[:-1], 0.0, 0, (0.0, 0.0)
-        reward = mdp.reward[open_pairs] / scale
+            return mdp.pair_offsets[:-1], None, 0
+        open_pairs = live[mdp.pair_state]
         own = sp.csr_array(
             (np.ones(mdp.n_pairs), mdp.pair_state, np.arange(mdp.n_pairs + 1)), mdp.transition.shape
         )
-        matrix = sp.csc_array((own - rate * mdp.transition)[open_pairs][:, live])
-        count = int(live.sum())
-        alpha = np.full(count, 1 / count)
-        if self.form == "primal":
-            value = cp.Variable(count)
-            problem = cp.Problem(cp.Minimize(alpha @ value), [matrix @ value >= reward])
-        else:
-            visits = cp.Variable(int(open_pairs.sum()), nonneg=True)
-            problem = cp.Problem(cp.Maximize(reward @ visits), [matrix.T @ visits == alpha])
-        stated = perf_counter() - begun
-        self._run(problem)
-        compiled = stated + float(problem.compilation_time or 0.0)
-        clock = (compiled, perf_counter() - begun - compiled)
-        steps = int(problem.solver_stats.num_iters or 0)
-        if self.form == "primal":
-            found = np.zeros(mdp.n_states)
-            found[live] = np.asarray(value.value) * scale
-            pairs = greedy(mdp, gains(mdp, found))
-        else:
-            used = np.zeros(mdp.n_pairs)
-            used[open_pairs] = visits.value
-            best = np.maximum.reduceat(used, mdp.pair_offsets[:-1])[mdp.pair_state]
-            numbers = np.where(used == best, np.arange(mdp.n_pairs), mdp.n_pairs)
-            pairs = np.minimum.reduceat(numbers, mdp.pair_offsets[:-1])
-        return pairs, float(problem.value) * scale, steps, clock
-
-    def _run(self, problem: Any) -> None:
-        import cvxpy as cp
-
+        matrix = sp.csc_array((own - mdp.discount * mdp.transition)[open_pairs][:, live])
+        value, count = cvxpy.Variable(matrix.shape[1]), matrix.shape[1]
+        above = matrix @ value >= mdp.reward[open_pairs] / scale
+        problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
         try:
             # What cvxpy would warn of, an inaccurate solution, is an error here.
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 problem.solve(solver=self.solver)
-        except cp.SolverError as error:
+        except cvxpy.SolverError as error:
             raise SolverError(Status.PROGRAM_FAILED, f"{self.solver}: {error}") from error
-        if problem.status != cp.OPTIMAL:
+        if problem.status != cvxpy.OPTIMAL:
             raise SolverError(Status.PROGRAM_FAILED, f"{self.solver} says {problem.status}")
+        found = np.zeros(mdp.n_states)
+        found[live] = np.asarray(value.value) * scale
+        steps = int(problem.solver_stats.num_iters or 0)
+        return greedy(mdp, gains(mdp, found)), float(problem.value) * scale, steps
+
+    def _check(self, objective: float, mdp: MDP, value: Floats) -> None:
+        """Raise SolverError where the optimiser's mean is not that of the values (S,) reached."""
+        reached, scale = float(value[~mdp.terminal].mean()), float(np.abs(mdp.reward).max())
+        if not abs(objective - reached) <= AGREEMENT * (abs(reached) + scale):
+            detail = f"{self.solver} found a mean value of {objective:.9g}, it is {reached:.9g}"
+            raise SolverError(Status.PROGRAM_FAILED, detail)
 
 
-def _actions_of(mdp: MDP, start: Solution | Policy | Integers) -> Integers:
-    """Return (S,) the action numbers of a known policy; raises ModelError where it has none."""
-    if isinstance(start, Policy):
-        if start.deterministic:
-            return start.choices(mdp)
-        wrong = "a policy that draws its actions"
-    else:
-        try:
-            actions = start.policy if isinstance(start, Solution) else np.asarray(start)
-        except ValueError:  # rows of different lengths
-            actions = np.empty((), dtype=object)
-        if actions.ndim == 0 or actions.dtype.kind not in "iufb":
-            wrong = f"{type(start).__name__} is no policy"
-        elif actions.dtype.kind not in "iu":
-            wrong = f"action numbers of type {actions.dtype}, not integers"
-        elif actions.shape != (mdp.n_states,):
-            wrong = f"a policy of shape {actions.shape} for {mdp.n_states} states"
-        else:
-            return actions
-    raise ModelError(
-        wrong,
-        where="LinearProgram(start=…)",
-        fix="give a solution of this model, a deterministic policy, or an action number for each "
-        "state",
-    )
-
-
-def _pairs_of(mdp: MDP, start: Solution | Policy | Integers) -> Integers:
-    """Return (S,) the pairs of a known policy; raises ModelError where it does not fit."""
-    actions = _actions_of(mdp, start)
-    keys = mdp.pair_state * mdp.n_actions + mdp.pair_action
-    wanted = np.arange(mdp.n_states) * mdp.n_actions + actions
-    found = np.minimum(np.searchsorted(keys, wanted), mdp.n_pairs - 1)
-    wrong = (keys[found] != wanted) | (actions < 0) | (actions >= mdp.n_actions)
-    if wrong.any():
-        state = int(np.flatnonzero(wrong)[0])
+def _pairs_of(mdp: MDP, start: PolicyLike) -> Integers:
+    """Return (S,) the pairs of a known policy; raises ModelError where it has none."""
+    policy = Policy.of(mdp, start)
+    if not policy.deterministic:
         raise ModelError(
-            f"action {actions[state]} is not available",
-            where=f"LinearProgram(start=…), state ({mdp.space.label(state)})",
-            fix="choose one that the state offers",
+            "a policy that draws its actions",
+            where="LinearProgram(start=…)",
+            fix="give a solution of this model, a deterministic policy, or an action number for "
+            "each state",
         )
-    return np.asarray(found)
+    return np.flatnonzero(policy.weights(mdp))
+
+
+def visits(mdp: MDP, pairs: Integers) -> tuple[Floats, Floats]:
+    """Return (S,) the discounted visits y of a policy from the start, and what they lack.
+
+    |α - y + γ Pᵀ y| is at most the second (S,), for the exact α, γ and P of the policy. Both are 0
+    in terminal states, where nothing is earned.
+    """
+    chain, _ = policy_chain(mdp, pairs)
+    flow, rate, alpha = sp.csr_array(chain.T), mdp.discount, mdp.start_distribution
+    level = levels(mdp)
+    if level is not None or rate == 1 or mdp.n_states <= FREE_STATES:
+        order = None if level is None else -level
+        value = LinearSystem(flow, rate, order=order).approximate(alpha)
+    else:
+        value = _swept(flow, rate, alpha)
+    live, terms = ~mdp.terminal, np.diff(flow.indptr) + 6
+    residual = np.abs(alpha - value + rate * (flow @ value))
+    residual += gamma(terms) * (alpha + rate * (flow @ np.abs(value))) + 4 * UNIT * np.abs(value)
+    tiny = TINY * (terms + 1) * (1 + float(np.abs(value).max()))
+    return value * live, (residual * SLACK + tiny) * live
+
+
+def _swept(flow: sp.csr_array, rate: float, alpha: Floats) -> Floats:
+    """Return y = α + γ Pᵀ y at γ < 1, up to rounding, without filling any matrix."""
+    matrix = sp.eye_array(len(alpha), format="csr") - rate * flow
+    first = alpha
+    for _ in range(SPREAD):  # a start in one state leaves Krylov's method no direction to go
+        first = alpha + rate * (flow @ first)
+    value, _ = iterative.bicgstab(matrix, alpha, x0=first, rtol=1e-13, maxiter=KRYLOV_STEPS)
+    better = np.abs(alpha - matrix @ value).sum() < np.abs(alpha - matrix @ first).sum()
+    value = value if better else first
+    # What is left falls by γ in each sweep, if by nothing else: |Pᵀ x| ≤ |x|, added up.
+    least, quiet, enough = np.inf, 0, 1e-13 * float(alpha.sum())
+    while least > enough and quiet < PATIENCE:
+        after = alpha + rate * (flow @ value)
+        left, value = float(np.abs(after - value).sum()), after
+        least, quiet = (left, 0) if left < 0.999 * least else (least, quiet + 1)
+    return np.asarray(value)
+
+
+def _sides(mdp: MDP, found: Bounds, met: Floats, residual: Floats) -> tuple[float, float]:
+    """Return lower and upper bound on the optimal start value, from visits and from values.
+
+    With f = α - y + γ Pᵀ y, the start value of the policy is r y + f V^π.
+    """
+    reward, facts = np.where(mdp.terminal, 0.0, mdp.reward[found.pairs]), rounding_facts(mdp)
+    terms = gamma(mdp.n_states + np.diff(mdp.table.offsets)[found.pairs] + 8) * np.abs(reward)
+    if len(facts.reward_error):
+        terms = terms + facts.reward_error[found.pairs]
+    below = float(reward @ met)
+    doubt = float(residual @ (np.abs(found.value) + found.state_error))
+    doubt += float(terms @ np.abs(met))
+    alpha = mdp.start_distribution
+    top = float(alpha @ found.value)
+    above = float(alpha @ (max(found.high, 0.0) * found.weight))
+    above += float(gamma(mdp.n_states + 4)) * float(alpha @ np.abs(found.value))
+    return below - doubt * SLACK - UNIT * abs(below), top + above * SLACK + UNIT * abs(top)
+
+
+# ---- size ----------------------------------------------------------------------------------------
+
+
+def check_size(mdp: MDP, by: str) -> None:
+    """Raise ModelError where factors could be too large for an optimiser."""
+    if mdp.n_states <= FREE_STATES:
+        return
+    for width in (_density, _band):
+        band = width(mdp)
+        entries, operations = mdp.n_states * band, mdp.n_states * band**2
+        if entries > MOST_ENTRIES or operations > MOST_OPERATIONS:
+            raise ModelError(
+                f"the linear program has {mdp.n_states:,} variables, {mdp.n_pairs:,} constraints "
+                f"and {mdp.n_transitions:,} entries; factors could take {entries * 8 / 1e9:,.1f} "
+                f"GB and {operations:.1g} operations each"
+                f"{', or more' if width is _density else ''}",
+                where=f"LinearProgram(solver={by!r})",
+                fix="start from a known policy, which needs no optimiser: "
+                "LinearProgram(start=solve(mdp))",
+            )
+
+
+def _density(mdp: MDP) -> float:
+    """Return the greatest (N - 1) / (2 r) of the states within r steps of a start state.
+
+    Every order has a band of that width somewhere; that it is so wide nearly everywhere, as the
+    refusal supposes, holds where steps lead equally far from all states.
+    """
+    matrix = mdp.transition
+    cuts = matrix.indptr[mdp.pair_offsets]
+    seen = np.zeros(mdp.n_states, dtype=bool)
+    frontier: Integers = np.array([mdp.start[0][0]])
+    seen[frontier] = True
+    count, widest = 1, 0.0
+    for radius in range(1, FARTHEST + 1):
+        found = matrix.indices[spans(cuts[frontier], cuts[frontier + 1])]
+        frontier = np.unique(found[~seen[found]])
+        if not len(frontier):
+            break
+        seen[frontier] = True
+        count += len(frontier)
+        widest = max(widest, (count - 1) / (2 * radius))
+    return widest
+
+
+def _band(mdp: MDP) -> float:
+    """Return the mean width of the band that the states' equations lie in."""
+    matrix, states = mdp.transition, mdp.n_states
+    rows = np.repeat(mdp.pair_state, np.diff(matrix.indptr))
+    entries = (np.ones(matrix.nnz, dtype=np.int8), (rows, matrix.indices))
+    graph = sp.csr_array(entries, (states, states))
+    graph = (graph + graph.T).tocsr()
+    if graph.nnz > states * np.sqrt(states):
+        return states / 2  # so dense that no order helps much
+    order = csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True)
+    place = np.empty(states, dtype=np.int64)
+    place[order] = np.arange(states)
+    filled = np.flatnonzero(np.diff(graph.indptr))
+    nearest = np.minimum.reduceat(place[graph.indices], graph.indptr[filled])
+    reach = np.maximum(place[filled] - nearest, 0).astype(np.float64)
+    # Successors of one state meet in the factored matrix, twice as far apart.
+    return float(min(2 * np.sqrt((reach**2).mean()), states / 2) + 1)

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from time import perf_counter
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds, greedy, levels, margin_weights
-from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, levels, margin_weights
+from exact_mdp.solvers.bounds.gains import gains, greedy
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.dynamic.stopping import check_settings, conclude
 from exact_mdp.solvers.solution import Solution, Status
@@ -44,24 +45,14 @@ class PolicyIteration:
 
     max_iterations: int = 1000
 
-    def __post_init__(self) -> None:
-        check_settings(self, max_iterations=self.max_iterations)
+    name: ClassVar[str] = "policy-iteration"
 
-    @property
-    def name(self) -> str:
-        return "policy-iteration"
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, mdp: MDP) -> Solution:
-        """Return the optimum up to rounding.
-
-        Raises
-        ------
-        ModelError
-            At discount 1 where not every policy ends.
-        SolverError
-            At the iteration limit, or where double precision cannot bound the error.
-        """
+        """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
         started = perf_counter()
         margin_weights(mdp)
         pairs = greedy(mdp, gains(mdp, np.zeros(mdp.n_states)))

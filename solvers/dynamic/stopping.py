@@ -1,18 +1,26 @@
-"""When to stop, and what to say at the end; shared by all solvers.
+"""The frame that solvers share: their settings, when to stop, and what to say at the end.
 
 A pass over V = h + c w gives sound bounds h + low w ≤ V^π ≤ V* ≤ h + high w
 (`solvers.bounds.sweeps`), so V* is within (high - low) w / 2 of the middle, which is what is
 returned once that is small enough. A bound of the size of rounding errors that falls no longer says
 that double precision is at its limit; one that stays large for many passes says nothing, as news of
 the end travels one step in each.
+
+Values are brought close to those of a policy by sweeps, V ← T_π V, where its chain mixes, or by
+linear equations: with d = T_π V - V, V ← V + (I - γ P_π)⁻¹ d. Sweeps go on until the error within
+the policy falls to a goal. Where the rate at which it falls says that they would take too many,
+what is missing is found from the equations, solved only roughly each time: d is computed anew from
+V, so that the errors of one correction are the next one's task (iterative refinement; Dembo,
+Eisenstat and Steihaug, SIAM J. Numer. Anal. 19, 1982, on how exactly to solve).
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Hashable
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,13 +28,15 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
-from exact_mdp.solvers.bounds.sweeps import Pass, sweeps_of
-from exact_mdp.solvers.dynamic.partial_evaluation import Iterate
+from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.bounds.sweeps import Judged, Pass, Sweeps, sweeps_of
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20
+FIRST_SWEEPS = 12
+CORRECTIONS = 30
 
 
 class Solver(Protocol):
@@ -40,77 +50,110 @@ class Solver(Protocol):
         """Return values, a policy and their error bounds."""
 
 
-class Watch:
-    """Decides when the iterates of a model are good enough.
+class Run:
+    """The passes of a solver that improves values from 0, until their error is proven small.
+
+        run = Run(mdp, solver)              # the solver has `tol` and `max_iterations`
+        for found in run:                   # a pass: T V - V around the values so far
+            run.values.take(found)          # V ← T V
+        return run.solution
 
     Attributes
     ----------
-    tol : float or None
-        Greatest absolute error; 1e-9 · max(1, |V|) where None.
-    sweeps : Sweeps
-    weight : float
-        The greatest weight.
-    half : float
-        Bound on the error of the middle between the last bounds, its own rounding not counted.
+    values : Iterate
+        The values, to be brought nearer to V* between two passes.
+    iteration : int
+        The number of the pass, from 1.
+    ready : bool
+        Whether that pass was close enough, rounding errors not counted.
+    solution : Solution
+        Once the loop has ended; warns where the tolerance is beyond double precision, and raises
+        SolverError at the limit of iterations.
     """
 
-    def __init__(self, mdp: MDP, tol: float | None) -> None:
-        self.tol = tol
-        self.sweeps = sweeps_of(mdp, margin_weights(mdp), strict=tol is not None)
-        self.weight = float(self.sweeps.weights.value.max(initial=0.0))
-        self.half = self._best = np.inf
+    def __init__(self, mdp: MDP, solver: Any, *, polish: bool = False) -> None:
+        """`polish` asks for one more pass once the values are ready, before they are judged."""
+        self._started, self.mdp, self._solver = perf_counter(), mdp, solver
+        self._tol, self._polish = solver.tol, polish
+        sweeps = sweeps_of(mdp, margin_weights(mdp), strict=self._tol is not None)
+        self._weight = float(sweeps.weights.value.max(initial=0.0))
+        self.values, self.iteration, self.ready = Iterate(sweeps, np.zeros(mdp.n_states)), 0, False
+        self._half = self._best = np.inf
         self._idle, self._stalled, self._doubt = 0, False, 1.0
+        self._end: tuple[Status, Bounds] | None = None
+
+    def __iter__(self) -> Iterator[Pass]:
+        while self._end is None:
+            self.iteration += 1
+            found, polished = self.values.improve(), self.ready or not self._polish
+            self.ready = self._close(found)
+            if self.ready and polished:
+                self._end = self._verdict(found)
+            if self._end is None and self.iteration == self._solver.max_iterations:
+                self._end = Status.ITERATION_LIMIT, self._bounds(found)
+            if self._end is None:
+                yield found
 
     @property
-    def enough(self) -> float:
-        """An error within a policy, in units of w, below which the tolerance asks for no less."""
-        return 0.0 if self.tol is None or self.weight == 0 else self.tol / (2 * self.weight)
+    def solution(self) -> Solution:
+        """What was found."""
+        assert self._end is not None
+        status, reached = self._end
+        return conclude(
+            self.mdp,
+            self._solver,
+            reached,
+            status=status,
+            iterations=self.iteration,
+            started=self._started,
+        )
 
     @property
     def goal(self) -> float:
         """How close to come to a policy's values, in units of w: a tenth of what is left.
 
         One state far behind makes that as large as all values; where bounds have not fallen for
-        some passes, it is less each time.
+        some passes, it is less each time. The tolerance may ask for no less than `enough`.
         """
         part = 10.0 ** -min(max(self._idle - 4, 0), 12)
-        return max(self.half / max(self.weight, TINY) / 10 * part, self.enough)
+        asked = self._tol is not None and self._weight != 0
+        enough = self._tol / (2 * self._weight) if asked else 0.0
+        return float(max(self._half / max(self._weight, TINY) / 10 * part, enough))
 
-    def limit(self, value: Floats) -> float:
+    def _limit(self, value: Floats) -> float:
         """Return the greatest absolute error allowed."""
-        if self.tol is not None:
-            return self.tol
+        if self._tol is not None:
+            return float(self._tol)
         return RELATIVE_TOLERANCE * max(1.0, float(np.abs(value).max()))
 
-    def ready(self, found: Pass, iterate: Iterate) -> bool:
-        """Take note of a pass around an iterate; return whether it may be the last."""
-        self.half = (found.high - found.low) / 2 * self.weight
-        self._idle = 0 if self.half < self._best else self._idle + 1
-        self._best = min(self._best, self.half)
-        quiet = self.half == 0 or self._idle >= PATIENCE
-        self._stalled = quiet and self.half <= 4 * found.floor * self.weight
+    def _close(self, found: Pass) -> bool:
+        """Take note of a pass; return whether it may be the last."""
+        value = self.values.value
+        self._half = (found.high - found.low) / 2 * self._weight
+        self._idle = 0 if self._half < self._best else self._idle + 1
+        self._best = min(self._best, self._half)
+        quiet = self._half == 0 or self._idle >= PATIENCE
+        self._stalled = quiet and self._half <= 4 * found.floor * self._weight
         if self._stalled:
             return True
         # What the tolerance is relative to is worked out only where it has to be.
-        middle = self._middle(found, iterate.value) if self.tol is None else iterate.value
-        return self._doubt * self.half <= self.limit(middle)
+        middle = self._middle(found) if self._tol is None else value
+        return self._doubt * self._half <= self._limit(middle)
 
-    def verdict(self, found: Pass, iterate: Iterate) -> tuple[Status, Bounds] | None:
-        """Return how it ended, or None where more sweeps are needed."""
-        end = self.bounds(found, iterate)
-        if end.error <= self.limit(end.value):
+    def _verdict(self, found: Pass) -> tuple[Status, Bounds] | None:
+        """Return how it ended, or None where more passes are needed."""
+        end = self._bounds(found)
+        if end.error <= self._limit(end.value):
             return Status.CONVERGED, end
         # What fell short of the proven error is not to be taken for the whole of it again.
-        self._doubt = end.error / self.half if self.half > 0 else 1.0
-        near = end.error <= 8 * found.floor * self.weight
+        self._doubt = end.error / self._half if self._half > 0 else 1.0
+        near = end.error <= 8 * found.floor * self._weight
         return (Status.PRECISION, end) if self._stalled and near else None
 
-    def bounds(self, found: Pass, iterate: Iterate) -> Bounds:
+    def _bounds(self, found: Pass) -> Bounds:
         """Return the proven bounds of a pass, around their middle."""
-        judged, value = iterate.judge(found), iterate.value
-        weight = self.sweeps.weights.value
-        middle = self._middle(judged, value)
-        live = weight > 0
+        judged, weight = self.values.judge(found), self.values.sweeps.weights.value
+        middle, live = self._middle(judged), weight > 0
         centre = (judged.low + judged.high) / 2
         # The middle is rounded three times, and the lines below a few times more.
         lost = 2 * UNIT * (np.abs(middle) + 2 * abs(centre) * weight)[live] / weight[live]
@@ -123,28 +166,154 @@ class Watch:
             high=(judged.high - centre) * SLACK + rounding,
         )
 
-    def _middle(self, found: Pass, value: Floats) -> Floats:
+    def _middle(self, found: Pass) -> Floats:
         centre = (found.low + found.high) / 2
-        return np.asarray(value + centre * self.sweeps.weights.value)
+        return np.asarray(self.values.value + centre * self.values.sweeps.weights.value)
+
+
+@dataclass(eq=False)
+class Iterate:
+    """Values V = h + c w that are being improved.
+
+    Attributes
+    ----------
+    sweeps : Sweeps
+    value : (S,)
+        h.
+    shift : float
+        c, which is 0 but where a shift of all values is only a shift.
+    slow : bool
+        Whether sweeps were found to be too slow for this model.
+    relaxed : bool
+        Whether states were ever improved one by one, by `relax`.
+    """
+
+    sweeps: Sweeps
+    value: Floats
+    shift: float = 0.0
+    slow: bool = False
+    relaxed: bool = False
+
+    def improve(self) -> Pass:
+        """Return a pass over all pairs, whose policy is the one to `evaluate`."""
+        self._centre()
+        return self.sweeps.improve(self.value, self.shift)
+
+    def judge(self, found: Pass) -> Judged:
+        """Return the proven bounds of a pass found here."""
+        if isinstance(found, Judged):
+            return found
+        return self.sweeps.judge(self.value, self.shift)
+
+    def _centre(self) -> None:
+        """Hold what all values have in common as a shift, which costs no digits."""
+        if self.sweeps.uniform:
+            low, high = float(self.value.min()), float(self.value.max())
+            middle = (low + high) / 2
+            if abs(middle) > high - low:
+                self.value -= middle
+                self.shift += middle
+
+    def take(self, found: Pass) -> None:
+        """Move on to T V, and to the middle between the bounds where that is only a shift.
+
+        Errors that are alike in all states stay alike under T, and the middle removes them. Once
+        states were improved one by one, errors differ, and the shift to the middle could bring
+        back more than a sweep removes: from then on T V is taken as it is.
+        """
+        if self.relaxed:
+            self.value += found.step
+        else:
+            self._move(found.step, (found.low + found.high) / 2 - self.shift)
+
+    def relax(self, *, backward: bool) -> None:
+        """Improve each state in turn, upward or downward in number, by what others have become."""
+        self.sweeps.relax(self.value, self.shift, backward=backward)
+        self.relaxed = True
+
+    def _move(self, step: Floats, middle: float) -> None:
+        self.value += step
+        if self.sweeps.uniform:
+            self.shift += self.sweeps.mdp.discount * middle
+
+    def evaluate(self, goal: float, most: int) -> None:
+        """Move close to the values of the policy of the last pass, where it has one.
+
+        `goal` is the error within the policy, in units of w, at which to stop; 0 for as little as
+        possible. `most` sweeps are too many.
+        """
+        if self.sweeps.policy is None:
+            return
+        if not self.slow and self._sweep(goal, most):
+            return
+        self.slow = True
+        self._correct(goal)
+        if self.sweeps.mdp.n_transitions >= COMPILED and goal > 0:
+            # Good news is carried along the whole model, up and down, before the next policy.
+            self.sweeps.relax(self.value, self.shift, backward=False)
+            self.sweeps.relax(self.value, self.shift, backward=True)
+
+    def _sweep(self, goal: float, most: int) -> bool:
+        """Follow the policy; return whether that came as close as asked for."""
+        errors: list[float] = []
+        while len(errors) < most:
+            step, low, high = self.sweeps.follow(self.value, self.shift)
+            error = (high - low) / 2
+            if goal == 0 and errors and not error < min(errors):
+                return True
+            self._move(step, (low + high) / 2)
+            if not error > goal:
+                return True
+            errors.append(error)
+            if _slow(errors, goal, most):
+                break
+        return False
+
+    def _correct(self, goal: float) -> None:
+        pairs = self.sweeps.policy
+        assert pairs is not None
+        chain, _ = policy_chain(self.sweeps.mdp, pairs)
+        system, error = LinearSystem(chain, self.sweeps.mdp.discount), np.inf
+        kept, shift = self.value.copy(), self.shift
+        for _ in range(CORRECTIONS):
+            step, low, high = self.sweeps.follow(self.value, self.shift)
+            before, error = error, (high - low) / 2
+            if not error <= before:  # it went astray
+                self.value[:], self.shift = kept, shift
+                return
+            if error <= goal or error > before / 2:
+                return
+            kept[:], shift = self.value, self.shift
+            if self.sweeps.uniform:
+                middle = (low + high) / 2
+                self.shift += middle
+                step -= middle * self.sweeps.weights.margin[pairs]
+            self.value += system.roughly(step)
+
+
+def _slow(errors: list[float], goal: float, most: int) -> bool:
+    """Return whether errors that go on falling as they do miss the goal within `most` sweeps."""
+    if len(errors) < FIRST_SWEEPS:
+        return False
+    rate = (errors[-1] / errors[-6]) ** (1 / 5)
+    goal = max(goal, 1e-12 * errors[0])
+    return bool(errors[-1] * rate ** (most - len(errors)) > goal)
 
 
 def conclude(
     mdp: MDP,
     solver: Solver,
-    found: Bounds,
+    found: Any,
     *,
     status: Status,
     iterations: int,
     started: float,
-    gaps: Floats | None = None,
-    occupancy: Floats | None = None,
+    **parts: Any,
 ) -> Solution:
     """Return the solution; warns where its tolerance is beyond double precision.
 
-    Parameters
-    ----------
-    started : float
-        `perf_counter()` when the solver began.
+    `found` are Bounds, or what has a value, pairs, state_error and regret, too;
+    `started` is the `perf_counter()` at which the solver began, `parts` are more of a Solution.
     """
     solution = Solution(
         mdp=mdp,
@@ -157,33 +326,33 @@ def conclude(
         solver=repr(solver),
         iterations=iterations,
         seconds=perf_counter() - started,
-        gaps=gaps,
-        occupancy=occupancy,
+        **parts,
     )
     if status is Status.PRECISION:
         message = f"the error bound is {solution.error_bound:.2g}: {status}"
-        warnings.warn(message, PrecisionWarning, stacklevel=4)
+        warnings.warn(message, PrecisionWarning, stacklevel=5)
     if status is Status.ITERATION_LIMIT:
         detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
         raise SolverError(status, detail, solution)
     return solution
 
 
-def check_settings(solver: Hashable, tol: float | None = None, **counts: int) -> None:
-    """Raise ModelError for a tolerance that is not positive or a count below 1."""
+def check_settings(solver: Any) -> None:
+    """Raise ModelError for a `tol` that is not positive, or another number that is no count."""
     name = type(solver).__name__
+    settings = {field.name: getattr(solver, field.name) for field in fields(solver)}
+    check_tolerance(name, settings.pop("tol", None))
+    check_counts(name, **settings)
+
+
+def check_tolerance(where: str, tol: float | None) -> None:
+    """Raise ModelError for a tolerance that is not positive."""
     if tol is not None and not 0 < tol < np.inf:
-        raise ModelError(f"tol is {tol}", where=name, fix="choose a positive number, or None")
-    check_counts(name, **counts)
+        raise ModelError(f"tol is {tol}", where=where, fix="choose a positive number, or None")
 
 
-def check_counts(where: str, **counts: int) -> None:
-    """Raise ModelError for what is not a whole number from 1 up; True is none.
-
-    Examples
-    --------
-    >>> check_counts("ValueIteration", max_iterations=1)
-    """
+def check_counts(where: str, **counts: Any) -> None:
+    """Raise ModelError for what is not a whole number from 1 up; True is none."""
     for key, count in counts.items():
         whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
         if not whole or count < 1:

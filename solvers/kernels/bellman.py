@@ -13,14 +13,64 @@ threads and give the same bits whatever their number.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import at, compiled, inlined, span
+from exact_mdp.solvers.kernels.compiling import Rows, at, compiled, inlined, span
 
 UNIT = 2.0**-53
 TINY = 2.0**-1000
 SLACK = 1 + 2.0**-20
+
+
+class Model(NamedTuple):
+    """A model's pairs: their rows, rewards r, leaks and margins m (L,); `ended` (S,) states."""
+
+    offsets: Numbers
+    indptr: Numbers
+    indices: Numbers
+    data: Floats
+    reward: Floats
+    leak: Floats
+    margin: Floats
+    ended: Numbers
+    discount: float
+
+
+class Facts(NamedTuple):
+    """Rounding errors: of rewards (L,) or (0,), leaks and margins; `rounding[n]` is γ(n + 8).
+
+    `merged` (L,) counts the roundings in a row, (0,) where there is one for each transition, and
+    `tiny` is what underflow may cost each term.
+    """
+
+    reward_error: Floats
+    leak_error: float
+    margin_error: float
+    merged: Numbers
+    tiny: float
+    rounding: Floats
+
+
+class Known(NamedTuple):
+    """What earlier passes left: a policy (S,), its rows side by side, and ceilings (L,).
+
+    The row of state s is slots[s] … ends[s]-1, no further than slots[s+1]; `numbers` (3, S) are the
+    reward, leak and margin of its pair. r(l) + γ P_l h is at most the ceiling and `rise`, how much
+    γ P_l h has risen in all. Where not `known`, there is no policy yet.
+    """
+
+    slots: Numbers
+    ends: Numbers
+    indices: Numbers
+    data: Floats
+    numbers: Floats
+    pairs: Numbers
+    ceilings: Floats
+    rise: float
+    known: bool
 
 
 @inlined
@@ -28,36 +78,6 @@ def gamma(terms: float) -> float:
     """As `solvers.bounds.gains.gamma`."""
     count = terms * UNIT
     return count / (1 - count) * (1 + 4 * UNIT)
-
-
-@compiled
-def leaks(
-    first: int,
-    last: int,
-    offsets: Numbers,
-    weight: Floats,
-    discount: float,
-    leak: float,
-    out: Floats,
-) -> float:
-    """Write 1 - γ Σ p of pairs first … last-1 of floats into `out` (L,); return the worst error.
-
-    Sums are of integers, and so exact: of the multiples of 2^-40 in each p, and of the multiples of
-    2^-84 in what is left of it. What is then left is less than 2^-84.
-    """
-    worst = 0.0
-    for row in range(first, last):
-        whole, rest = np.int64(-(2**40)), np.int64(0)
-        for i in span(offsets[row], offsets[row + 1]):
-            scaled = weight[i] * 2.0**40
-            part = np.int64(scaled)
-            whole += part
-            rest += np.int64((scaled - part) * 2.0**44)
-        excess = discount * (whole * 2.0**-40 + rest * 2.0**-84)
-        lost = (offsets[row + 1] - offsets[row]) * 2.0**-84
-        out[row] = leak - excess
-        worst = max(worst, 2 * UNIT * leak + 8 * UNIT * abs(excess) + lost)
-    return worst
 
 
 @inlined
@@ -89,56 +109,16 @@ def gains(
     first: int,
     last: int,
     pair_state: Numbers,
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
+    rows: Rows,
     value: Floats,
     steps: Floats,
     flow: Floats,
 ) -> None:
     """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `steps` and `flow` (L,)."""
+    indptr, indices, data = rows
     for pair in range(first, last):
         begin, end, own = indptr[pair], indptr[pair + 1], value[pair_state[pair]]
         steps[pair], flow[pair] = added(begin, end, indices, data, value, own)
-
-
-@compiled
-def margins(
-    first: int,
-    last: int,
-    pair_state: Numbers,
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
-    leak: Floats,
-    leak_error: float,
-    merged: Numbers,
-    discount: float,
-    ended: Numbers,
-    weight: Floats,
-    tiny: float,
-    out: Floats,
-) -> float:
-    """Write the margins w(s) - γ P_l w of pairs first … last-1 into `out` (L,); see `improve`.
-
-    Returns the greatest error. Pairs of terminal states are given a margin of 1.
-    """
-    worst = 0.0
-    for pair in range(first, last):
-        state = pair_state[pair]
-        if ended[state]:
-            out[pair] = 1.0
-            continue
-        own = weight[state]
-        ahead, flow = added(indptr[pair], indptr[pair + 1], indices, data, weight, own)
-        lost = leak[pair] * own
-        terms = merged[pair] if len(merged) else indptr[pair + 1] - indptr[pair]
-        error = gamma(terms + 8) * discount * flow + gamma(4) * abs(lost)
-        error = (error + leak_error * abs(own) + tiny * (terms + 1)) * SLACK
-        out[pair] = lost - discount * ahead
-        if not error <= worst:
-            worst = error
-    return worst
 
 
 @compiled
@@ -152,97 +132,50 @@ def climb(value: Floats, before: Floats) -> float:
 
 
 @inlined
-def copy_row(
-    state: int,
-    pair: int,
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
-    reward: Floats,
-    leak: Floats,
-    margin: Floats,
-    slots: Numbers,
-    ends: Numbers,
-    chain_indices: Numbers,
-    chain_data: Floats,
-    chain: Floats,
-) -> None:
-    """Put the row of a pair where the policy's row of its state belongs; see `follow`."""
-    place = slots[state]
-    for i in range(indptr[pair], indptr[pair + 1]):
-        chain_indices[place], chain_data[place] = indices[i], data[i]
+def copy_row(state: int, pair: int, model: Model, policy: Known) -> None:
+    """Put the row of a pair where the policy's row of its state belongs."""
+    place = policy.slots[state]
+    for i in range(model.indptr[pair], model.indptr[pair + 1]):
+        policy.indices[place], policy.data[place] = model.indices[i], model.data[i]
         place += 1
-    ends[state] = place
-    chain[0, state], chain[1, state], chain[2, state] = reward[pair], leak[pair], margin[pair]
+    policy.ends[state] = place
+    policy.numbers[0, state], policy.numbers[1, state] = model.reward[pair], model.leak[pair]
+    policy.numbers[2, state] = model.margin[pair]
 
 
 @compiled
 def improve(
     first: int,
     last: int,
-    pair_offsets: Numbers,
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
-    reward: Floats,
-    leak: Floats,
-    margin: Floats,
-    ended: Numbers,
-    discount: float,
+    model: Model,
+    policy: Known,
     value: Floats,
     shift: float,
-    known: bool,
-    rise: float,
     error: float,
-    ceilings: Floats,
-    slots: Numbers,
-    ends: Numbers,
-    chain_indices: Numbers,
-    chain_data: Floats,
-    chain: Floats,
     step: Floats,
-    pairs: Numbers,
     extremes: Floats,
 ) -> None:
-    """Write the greatest d_c (S,) and its pair (S,) of states first … last-1.
+    """Write the greatest d_c of states first … last-1 into `step` (S,), its pair into the policy.
 
     The pair that the policy had before, or else the one that promises most, is looked at first, and
     stays where no other is better. Others are passed over where their ceiling says that they are
-    not.
-
-    Parameters
-    ----------
-    margin : (L,)
-        The margins m.
-    ended : (S,) bool
-        Terminal states; they are passed over.
-    known : bool
-        Whether `pairs` and the policy's rows hold anything yet.
-    rise : float
-        How much γ P_l h has risen in all, at most.
-    error : float
-        Greatest error of any d, and of what is written into `ceilings`.
-    ceilings : (L,)
-        In and out: r(l) + γ P_l h is at most this and `rise`. Renewed for pairs that are looked at,
-        other than those of the policy.
-    slots, ends, chain_indices, chain_data, chain
-        In and out: the rows of `pairs`, see `follow`.
-    pairs : (S,) int64
-        In and out: the policy.
-    extremes : (2,)
-        Out: the least d / m of the policy found, and the greatest of pairs that were looked at.
+    not; those of the pairs looked at are renewed. `error` bounds that of any d and ceiling.
+    `extremes` (2,) are the least d / m of the policy found, and the greatest of pairs looked at.
     """
+    indptr, indices, data = model.indptr, model.indices, model.data
+    reward, leak, margin, discount = model.reward, model.leak, model.margin, model.discount
+    pairs, ceilings, rise, known = policy.pairs, policy.ceilings, policy.rise, policy.known
     low, high = np.inf, -np.inf
     for number in range(first, last):
         state = at(number)
-        begin, end = pair_offsets[state], pair_offsets[at(number + 1)]
-        if ended[state]:
+        begin, end = model.offsets[state], model.offsets[at(number + 1)]
+        if model.ended[state]:
             step[state], pairs[state] = 0.0, begin
             continue
         own = value[state]
         if known:
-            before, start, stop = pairs[state], slots[state], ends[state]
-            ahead = ahead_of(start, stop, chain_indices, chain_data, value, own)
+            before, start, stop = pairs[state], policy.slots[state], policy.ends[state]
+            ahead = ahead_of(start, stop, policy.indices, policy.data, value, own)
         else:
             before = begin
             for pair in range(begin + 1, end):
@@ -264,10 +197,9 @@ def improve(
                 best, chosen = gain, pair
         if chosen != before or not known:
             ceilings[before] = first_gain + error + (own - rise)
-            model = (indptr, indices, data, reward, leak, margin)
-            copy_row(state, chosen, *model, slots, ends, chain_indices, chain_data, chain)
-        step[state], pairs[state] = best - shift * chain[2, state], chosen
-        low = min(low, best / chain[2, state])
+            copy_row(state, chosen, model, policy)
+        step[state], pairs[state] = best - shift * policy.numbers[2, state], chosen
+        low = min(low, best / policy.numbers[2, state])
     extremes[0], extremes[1] = low, high
 
 
@@ -275,36 +207,15 @@ def improve(
 def judge(
     first: int,
     last: int,
-    pair_offsets: Numbers,
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
-    reward: Floats,
-    leak: Floats,
-    margin: Floats,
-    ended: Numbers,
-    discount: float,
-    reward_error: Floats,
-    leak_error: float,
-    margin_error: float,
-    merged: Numbers,
-    tiny: float,
-    rounding: Floats,
+    model: Model,
+    facts: Facts,
+    policy: Known,
     value: Floats,
     shift: float,
     strict: bool,
     still: bool,
-    known: bool,
-    rise: float,
     spare: float,
     alike: float,
-    ceilings: Floats,
-    policy: Numbers,
-    slots: Numbers,
-    ends: Numbers,
-    chain_indices: Numbers,
-    chain_data: Floats,
-    chain: Floats,
     step: Floats,
     pairs: Numbers,
     room: Floats,
@@ -313,47 +224,26 @@ def judge(
     """Write the greatest d_c (S,) and its pair (S,) of states first … last-1, and proven bounds.
 
     A pair is passed over where its ceiling proves that it is beaten, and that it does not set the
-    upper bound.
-
-    Parameters
-    ----------
-    reward_error : (L,)
-        How far each reward may be from the exact one; of length 0 where it is rounded once.
-    leak_error, margin_error : float
-        Greatest errors of `leak` and of `margin`.
-    merged : (L,) ints
-        Roundings in a row; of length 0 where there is one for each transition.
-    tiny : float
-        What underflow may cost each term.
-    rounding : (K,)
-        γ(n + 8) of rows of n roundings.
-    strict : bool
-        Whether to take pairs for tied only where the errors of d let them be.
-    still : bool
-        Whether all values are the same, so that transitions add nothing and need not be read.
-    known, rise, ceilings, slots, ends, chain_indices, chain_data, chain
-        What improving passes left; see `improve`. Nothing of it is changed.
-    spare, alike : float
-        Bounds over all pairs: of -c m(l) and how far from the best a pair may be for a tie; of
-        m(l) / m(l') from below.
-    policy : (S,) int64
-        The pairs of those rows.
-    pairs : (S,) int64
-        Out: the first pair that no other beats by more than rounding.
-    room : (2, K)
-        For the K pairs of a state at most.
-    extremes : (3,)
-        Out: the least (d - error) / m of these pairs, the greatest (d + error) / m of all pairs,
-        and the greatest noise; NaN where a number is beyond the range of floats. A ratio is divided
-        out only where it seems to be beyond the last; the seeming is off by a rounding or two.
+    upper bound: `spare` bounds -c m(l) and how far from the best a pair may be for a tie, `alike`
+    bounds m(l) / m(l') from below. The first pair that no other beats by more than rounding is
+    taken; `strict` counts the rounding of d alone. Where values are `still`, all of them the same,
+    transitions add nothing and are not read. `room` (2, K) is for the K pairs of a state at most.
+    `extremes` (3,) are the least (d - error) / m of the pairs taken, the greatest (d + error) / m
+    of all, and the greatest noise; NaN where a number is beyond the range of floats. A ratio is
+    divided out only where it seems to be beyond the last, which is off by a rounding or two.
     """
+    indptr, indices, data = model.indptr, model.indices, model.data
+    reward, leak, margin, discount = model.reward, model.leak, model.margin, model.discount
+    ceilings, rise, known = policy.ceilings, policy.rise, policy.known
+    reward_error, merged, rounding = facts.reward_error, facts.merged, facts.rounding
+    leak_error, margin_error, tiny = facts.leak_error, facts.margin_error, facts.tiny
     low, high, loudest, sound, few = np.inf, -np.inf, 0.0, True, gamma(4)
     for state in range(first, last):
-        begin, end = pair_offsets[state], pair_offsets[state + 1]
-        if ended[state]:
+        begin, end = model.offsets[state], model.offsets[state + 1]
+        if model.ended[state]:
             step[state], pairs[state] = 0.0, begin
             continue
-        own, before = value[state], policy[state] if known else begin
+        own, before = value[state], policy.pairs[state] if known else begin
         best, sure, limit = -np.inf, -np.inf, -np.inf
         for turn in range(begin - 1, end):  # the pair of the policy comes first
             if turn == before:
@@ -369,9 +259,8 @@ def judge(
             ahead, flow, earned, lost = 0.0, 0.0, reward[pair], leak[pair] * own
             start, stop = indptr[pair], indptr[pair + 1]
             if known and turn < begin:
-                ahead, flow = added(
-                    slots[state], ends[state], chain_indices, chain_data, value, own
-                )
+                begins, done = policy.slots[state], policy.ends[state]
+                ahead, flow = added(begins, done, policy.indices, policy.data, value, own)
             elif not still:
                 ahead, flow = added(start, stop, indices, data, value, own)
             flow *= discount
@@ -411,13 +300,8 @@ def judge(
 def follow(
     first: int,
     last: int,
-    slots: Numbers,
-    ends: Numbers,
-    indices: Numbers,
-    data: Floats,
-    chain: Floats,
-    ended: Numbers,
-    discount: float,
+    model: Model,
+    policy: Known,
     value: Floats,
     shift: float,
     step: Floats,
@@ -425,25 +309,18 @@ def follow(
 ) -> None:
     """Write d_c (S,) of the one pair of each of the states first … last-1 that a policy takes.
 
-    Parameters
-    ----------
-    slots, ends : (S+1,), (S,)
-        The row of state s is slots[s] … ends[s]-1, which is no further than slots[s+1].
-    indices, data
-        Next states and probabilities.
-    chain : (3, S)
-        Reward, leak and margin of the pairs.
-    extremes : (2,)
-        Out: the least and the greatest d_c / m.
+    `extremes` (2,) are the least and the greatest d_c / m.
     """
     low, high = np.inf, -np.inf
     for state in span(first, last):
-        if ended[state]:
+        if model.ended[state]:
             step[state] = 0.0
             continue
-        own, margin = value[state], chain[2, state]
-        ahead = ahead_of(slots[state], ends[state], indices, data, value, own)
-        gain = chain[0, state] + (discount * ahead - chain[1, state] * own) - shift * margin
+        own, margin = value[state], policy.numbers[2, state]
+        begin, end = policy.slots[state], policy.ends[state]
+        ahead = ahead_of(begin, end, policy.indices, policy.data, value, own)
+        gain = policy.numbers[0, state] + (model.discount * ahead - policy.numbers[1, state] * own)
+        gain -= shift * margin
         step[state] = gain
         if gain < low * margin:
             low = gain / margin
@@ -453,39 +330,26 @@ def follow(
 
 
 @compiled
-def relax(
-    backward: bool,
-    pair_offsets: Numbers,
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
-    reward: Floats,
-    leak: Floats,
-    margin: Floats,
-    ended: Numbers,
-    discount: float,
-    value: Floats,
-    shift: float,
-) -> float:
+def relax(backward: bool, model: Model, value: Floats, shift: float) -> float:
     """Make `value` (S,) satisfy the equation of each state in turn; return the greatest change.
 
     Gauss-Seidel, upward or downward in number: a state's gain is divided by 1 - γ P(l, s), so that
     staying is summed up at once.
     """
-    states, largest = len(value), 0.0
+    states, largest, discount = len(value), 0.0, model.discount
     for number in range(states):
         state = states - 1 - number if backward else number
-        if ended[state]:
+        if model.ended[state]:
             continue
         own, best = value[state], -np.inf
-        for pair in range(pair_offsets[state], pair_offsets[state + 1]):
+        for pair in range(model.offsets[state], model.offsets[state + 1]):
             ahead, stay = 0.0, 0.0
-            for i in span(indptr[pair], indptr[pair + 1]):
-                ahead += data[i] * (value[at(indices[i])] - own)
-                if indices[i] == state:
-                    stay = data[i]
-            gain = reward[pair] + (discount * ahead - leak[pair] * own)
-            gain -= shift * margin[pair]
+            for i in span(model.indptr[pair], model.indptr[pair + 1]):
+                ahead += model.data[i] * (value[at(model.indices[i])] - own)
+                if model.indices[i] == state:
+                    stay = model.data[i]
+            gain = model.reward[pair] + (discount * ahead - model.leak[pair] * own)
+            gain -= shift * model.margin[pair]
             best = max(best, gain / (1 - discount * stay))
         value[state] = own + best
         largest = max(largest, abs(best))

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+
+from exact_mdp.mdp.table import Floats, Numbers
 
 _njit: Any = numba.njit
 
 # Arrays are made by the callers: without reference counts the loops run twice as fast.
 OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+
+
+class Rows(NamedTuple):
+    """The rows of a sparse matrix: row r has the entries indptr[r] … indptr[r+1]-1."""
+
+    indptr: Numbers
+    indices: Numbers
+    data: Floats
 
 
 def compiled(function: Callable[..., Any]) -> Any:

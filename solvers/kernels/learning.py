@@ -155,27 +155,7 @@ def learn(
     last: Numbers,
     returns: Floats,
 ) -> tuple[int, int]:
-    """Learn action values by acting; return the numbers of steps and of episodes cut short.
-
-    Parameters
-    ----------
-    q : (2, K·A)
-        The two tables of double Q-learning, changed in place; not used by other methods.
-    acting : (K·A,)
-        The table that is learned and acted by, changed in place; of double Q-learning the sum.
-    counts : (K·A,) or (0,) int64
-        Updates of each entry so far, changed in place; not used where `power` is 0.
-    epsilon, rate : (E,)
-        Exploration and learning rate of each epoch.
-    power : float
-        The n-th update of an entry uses rate · n^-power.
-    snapshot : int
-        Take the greedy policy after this episode of an epoch, into `snapshots` (E, K).
-    last : (H, K)
-        Greedy policies after each of the last H episodes, oldest first.
-    returns : (E,)
-        Mean undiscounted return of each epoch's episodes.
-    """
+    """Learn action values by acting; return the numbers of steps and of episodes cut short."""
     low, high, entry, terminal = tables.low, tables.high, tables.entry, tables.terminal
     offsets, cut, following, gains = tables.offsets, tables.cut, tables.next, tables.gain
     double = method == DOUBLE_Q

@@ -10,26 +10,38 @@ they are; `mdp.table` says what rows mean that do not sum to 1 exactly.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
 from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Numbers, divide
-from exact_mdp.solvers.proof.checker import bounded_violations, exact_violations
-from exact_mdp.solvers.proof.claims import BoundedClaims, ExactClaims
+from exact_mdp.solvers.proof.checker import (
+    BoundedClaims,
+    ExactClaims,
+    bounded_violations,
+    exact_violations,
+)
 from exact_mdp.solvers.proof.file import bounded_fields, exact_fields, save
 from exact_mdp.solvers.proof.rationals import fractions, primes_of
 from exact_mdp.solvers.solution import Certified, Claim
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Certificate(ExactClaims):
+pandas = later("pandas")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Certificate(ExactClaims, Result):
     """Exact optimal values, all optimal actions, and what proves them.
 
     Numbers are kept as integers over a few shared denominators, because they may have thousands of
@@ -60,9 +72,18 @@ class Certificate(ExactClaims):
         Another such proof, for floats on a cycle whose rows sum to more than 1.
     mdp : MDP, optional
         The model, unless the certificate was read from a file.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import certify
+    >>> found = certify(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
+    >>> found.frame().iloc[0].to_dict()
+    {'value': Fraction(3, 1), 'action': 1, 'gap': Fraction(2, 1)}
     """
 
-    mdp: MDP | None = field(default=None, repr=False)
+    mdp: MDP | None = None
+
+    claim: ClassVar[Claim] = Claim.CERTIFIED
 
     def __repr__(self) -> str:
         unique = "the only optimal policy" if self.unique else "not the only optimal policy"
@@ -70,11 +91,6 @@ class Certificate(ExactClaims):
             f"Certificate({len(self.numerator)} states, "
             f"start value ≈ {_rounded(self.start_value):.12g}, {unique})"
         )
-
-    @property
-    def claim(self) -> Claim:
-        """`Claim.CERTIFIED`."""
-        return Claim.CERTIFIED
 
     @property
     def start(self) -> Certified:
@@ -106,15 +122,19 @@ class Certificate(ExactClaims):
     def _below(self) -> list[int]:
         return [self.denominator[group] for group in self.group.tolist()]
 
-    def violations(self, mdp: MDP | None = None) -> list[str]:
+    def frame(self) -> DataFrame:
+        """Return the value of each state, its action, and what the next best action loses."""
+        return pandas.DataFrame({"value": self.value, "action": self.policy, "gap": self.gaps})
+
+    def violations(self, model: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound.
 
         Parameters
         ----------
-        mdp : MDP, optional
-            The model; needed where the certificate was read from a file.
+        model : MDP, optional
+            Needed where the certificate was read from a file.
         """
-        return exact_violations(self, _model(mdp, self.mdp))
+        return exact_violations(self, _model(model, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
@@ -126,8 +146,8 @@ class Certificate(ExactClaims):
         return cls(**exact_fields(path))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BoundedCertificate(BoundedClaims):
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BoundedCertificate(BoundedClaims, Result):
     """Floats that the optimal values, and those of a policy, are proven to lie between.
 
     Attributes
@@ -142,17 +162,20 @@ class BoundedCertificate(BoundedClaims):
         Proof that values are unique: w > γ P w for all pairs.
     mdp : MDP, optional
         The model, unless the certificate was read from a file.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import certify
+    >>> certify(MDP.from_arrays([[[1]]], [1], "1/2"), bounded=True).frame().columns.tolist()
+    ['value', 'lower', 'upper', 'action']
     """
 
-    mdp: MDP | None = field(default=None, repr=False)
+    mdp: MDP | None = None
+
+    claim: ClassVar[Claim] = Claim.BOUNDED
 
     def __repr__(self) -> str:
         return f"BoundedCertificate({len(self.lower)} states, error ≤ {self.error_bound:.2g})"
-
-    @property
-    def claim(self) -> Claim:
-        """`Claim.BOUNDED`."""
-        return Claim.BOUNDED
 
     @property
     def value(self) -> Floats:
@@ -162,13 +185,25 @@ class BoundedCertificate(BoundedClaims):
     @property
     def error_bound(self) -> float:
         """|value - V| and |value - V^π| are at most this in every state."""
-        widest = float((self.upper - self.lower).max(initial=0.0))
-        largest = float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
-        return widest / 2 * (1 + 1e-12) + 2.0**-51 * largest
+        return float(self.error.max(initial=2.0**-51 * self._largest))
 
-    def violations(self, mdp: MDP | None = None) -> list[str]:
+    @property
+    def _largest(self) -> float:
+        return float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
+
+    @property
+    def error(self) -> Floats:
+        """(S,) |value - V| and |value - V^π| are at most this."""
+        return (self.upper - self.lower) / 2 * (1 + 1e-12) + 2.0**-51 * self._largest
+
+    def frame(self) -> DataFrame:
+        """Return the value of each state, its bounds and its action."""
+        columns = {"value": self.value, "lower": self.lower, "upper": self.upper}
+        return pandas.DataFrame(columns | {"action": self.policy})
+
+    def violations(self, model: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound."""
-        return bounded_violations(self, _model(mdp, self.mdp))
+        return bounded_violations(self, _model(model, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""

@@ -1,10 +1,10 @@
-"""Make an exact certificate: prove that values are unique, solve, and say what is optimal.
+"""Make certificates: solve exactly and say what is optimal, or widen a solution to proven bounds.
 
-Make a bounded certificate: widen a solution until floats prove that it holds.
+An exact certificate needs a proof that values are unique: a discount, a rank, or weights.
 
-Around the values V of a solution, upper = V + c w and lower = V - c' w with the weights w of
-`solvers.bounds.bounds`, c and c' being the least that satisfy the inequalities of
-`bounded_checker`.
+A bounded one takes the values V of a solution and the weights w of `solvers.bounds.bounds`:
+upper = V + c w and lower = V - c' w, c and c' being the least that satisfy the inequalities of
+`solvers.proof.checker`, in floats.
 """
 
 from __future__ import annotations
@@ -23,14 +23,12 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
-from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
+from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.checker import UNIT, gains
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
-from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.solver import mdp_of, solve
 
 
 @overload
@@ -87,14 +85,9 @@ def certify(
     """
     mdp = mdp_of(model)
     if bounded:
-        return certify_bounded(mdp, tol=tol, solution=solution)
+        return _bounded(mdp, tol, solution)
     if tol is not None or solution is not None:
         raise ModelError("tol and solution are for bounds", where="certify", fix="add bounded=True")
-    return certify_exact(mdp)
-
-
-def certify_exact(mdp: MDP) -> Certificate:
-    """Return the exact certificate of a model; see `certify`."""
     rows = bellman_rows(mdp)
     rank, weight = _proof(mdp, rows)
     found = solve_exactly(rows)
@@ -102,13 +95,8 @@ def certify_exact(mdp: MDP) -> Certificate:
     reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
     count = np.add.reduceat(optimal.astype(np.int64), first)
     numbers = np.where(optimal, np.arange(mdp.n_pairs), mdp.n_pairs)
-    start_value = sum(
-        (
-            weight * Fraction(found.numerator[state], found.denominator[found.group[state]])
-            for state, weight in mdp.start
-        ),
-        Fraction(0),
-    )
+    value = [Fraction(found.numerator[s], found.denominator[found.group[s]]) for s, _ in mdp.start]
+    start_value = sum((w * v for (_, w), v in zip(mdp.start, value, strict=True)), Fraction(0))
     return Certificate(
         model=fingerprint(mdp),
         numerator=found.numerator,
@@ -149,54 +137,40 @@ def _proof(mdp: MDP, rows: BellmanRows) -> tuple[Integers | None, list[int] | No
 WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the other
 
 
-def certify_bounded(
-    mdp: MDP, *, tol: float | None = None, solution: Solution | None = None
-) -> BoundedCertificate:
-    """Return bounds that floats prove; see `certify`."""
+def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedCertificate:
+    """Return bounds that floats prove."""
     if solution is None:
-        solution = _solve(mdp, tol)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds tell what was reached
+            solution = solve(mdp, tol=None if tol is None else tol / 4)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError("the solution is of another model", where="certify", fix="solve this one")
     weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
     loss, error = gains(mdp, weight, earning=False)
-    widen = _Widening(mdp, np.array(solution.value), weight, -(loss + error))
+    margin, value = -(loss + error), np.array(solution.value)
+    gain, error = gains(mdp, value)
+    error += 8 * UNIT * np.abs(value).max()
+
+    def widen(pairs: Integers, sign: int) -> Floats:
+        """Return values proven not to gain (1), or not to lose (-1), by any of the pairs."""
+        for times in WIDER:
+            surplus = sign * gain[pairs] + times * error[pairs]
+            step = max(0.0, float((surplus / margin[pairs]).max(initial=0.0)))
+            moved = value + sign * step * weight
+            after, doubt = gains(mdp, moved)
+            if (sign * after[pairs] <= -doubt[pairs]).all():
+                return moved
+        raise SolverError(Status.NO_BOUND)
+
     live = ~mdp.terminal
     found = BoundedCertificate(
         model=fingerprint(mdp),
         lower=widen(solution.pairs[live], -1),
         upper=widen(np.flatnonzero(live[mdp.pair_state]), 1),
-        policy=solution.policy,
+        policy=mdp.pair_action[solution.pairs],
         weight=weight,
         mdp=mdp,
     )
     if tol is not None and not found.error_bound <= tol:
         raise SolverError(Status.PRECISION, f"{found.error_bound:.2g} is the error bound")
     return found
-
-
-class _Widening:
-    """Moves values (S,) along weights (S,), of which each pair leaves a margin (L,)."""
-
-    def __init__(self, mdp: MDP, value: Floats, weight: Floats, margin: Floats) -> None:
-        self.mdp, self.value, self.weight, self.margin = mdp, value, weight, margin
-        self.gain, error = gains(mdp, value)
-        self.error = error + 8 * UNIT * np.abs(value).max()
-
-    def __call__(self, pairs: Integers, sign: int) -> Floats:
-        """Return values proven not to gain (1), or not to lose (-1), by any of the pairs."""
-        for times in WIDER:
-            surplus = sign * self.gain[pairs] + times * self.error[pairs]
-            step = max(0.0, float((surplus / self.margin[pairs]).max(initial=0.0)))
-            moved = self.value + sign * step * self.weight
-            gain, error = gains(self.mdp, moved)
-            if (sign * gain[pairs] <= -error[pairs]).all():
-                return moved
-        raise SolverError(Status.NO_BOUND)
-
-
-def _solve(mdp: MDP, tol: float | None) -> Solution:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PrecisionWarning)  # the bounds tell what was reached
-        if levels(mdp) is not None:
-            return BackwardInduction().solve(mdp)
-        return ModifiedPolicyIteration(tol=None if tol is None else tol / 4).solve(mdp)

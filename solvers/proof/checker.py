@@ -18,21 +18,58 @@ Numerical Algorithms, SIAM 2002, section 3.1).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from math import lcm
 from operator import mul
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 
-if TYPE_CHECKING:
-    from exact_mdp.solvers.proof.claims import BoundedClaims, ExactClaims
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExactClaims:
+    """What an exact certificate claims; see `solvers.proof.certificate.Certificate`."""
+
+    model: str
+    numerator: Sequence[int]
+    group: Integers
+    denominator: Sequence[int]
+    policy: Integers
+    optimal_pairs: NDArray[np.bool_]
+    gap: Sequence[int | None]
+    gap_scale: Sequence[int]
+    unique: bool
+    start_value: Fraction
+    rank: Integers | None = None
+    weight: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        for array in (self.group, self.policy, self.optimal_pairs, self.rank):
+            if array is not None:
+                array.setflags(write=False)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundedClaims:
+    """What a bounded certificate claims; see `solvers.proof.certificate.BoundedCertificate`."""
+
+    model: str
+    lower: Floats
+    upper: Floats
+    policy: Integers
+    weight: Floats
+
+    def __post_init__(self) -> None:
+        for array in (self.lower, self.upper, self.policy, self.weight):
+            array.setflags(write=False)
 
 
 def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:

@@ -29,13 +29,19 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.proof.linear import Equations
 
 if TYPE_CHECKING:
     from flint import fmpz, fmpz_mat
 
+flint = later("flint")
+linalg = later("scipy.sparse.linalg")
 
+STEPS = 100  # of policy iteration, before the exact ones
+PRECISE = 256  # bits of fixed-point values
+LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
 CHUNK = 64  # states whose pairs are multiplied together
 FILLED = 4  # one in so many entries of a matrix is not zero, at least
 
@@ -57,10 +63,8 @@ class Product:
                 )
                 for c, weight, following in self.rows
             ]
-        from flint import fmpz_mat
-
         vector = [value[state] for state in self.columns]
-        product: Any = self.matrix * fmpz_mat(len(vector) + 1, 1, [*vector, unit])
+        product: Any = self.matrix * flint.fmpz_mat(len(vector) + 1, 1, [*vector, unit])
         entries: list[fmpz] = product.entries()
         return entries
 
@@ -114,13 +118,11 @@ class RightSides:
             targets = [part.tolist() for part in np.split(following, split)]
             listed = zip(constant.tolist(), weights, targets, strict=True)
             return Product(columns.tolist(), None, list(listed))
-        from flint import fmpz_mat
-
         shape = (len(lengths), len(columns) + 1)
         dense = np.zeros(shape, dtype=np.int64 if small else object)
         dense[np.repeat(np.arange(len(lengths)), lengths), place] = weight
         dense[:, -1] = constant
-        matrix = fmpz_mat(*shape, dense.ravel().tolist())
+        matrix = flint.fmpz_mat(*shape, dense.ravel().tolist())
         if small:
             self._matrices[key] = matrix, columns - shift
         return Product(columns.tolist(), matrix, ())
@@ -154,11 +156,6 @@ def _factor(rows: BellmanRows, pivot: Numbers) -> Numbers:
         factor = factor.astype(np.result_type(factor, inside))
         factor[filled] = np.gcd(factor[filled], inside)
     return np.asarray(factor)
-
-
-STEPS = 100  # of policy iteration, before the exact ones
-PRECISE = 256  # bits of fixed-point values
-LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,8 +203,6 @@ class Cycle:
         return self._sharpened(self._rough())
 
     def _rough(self) -> Integers:
-        from scipy.sparse.linalg import splu
-
         size, policy = len(self.offsets) - 1, self.offsets[:-1].copy()
         largest = max(1, *(abs(int(number)) for number in self.fixed))
         pivot = self.pivot
@@ -221,7 +216,7 @@ class Cycle:
         with np.errstate(all="ignore"):
             for _ in range(STEPS):
                 try:
-                    value = splu((identity - chain[policy]).tocsc()).solve(earned[policy])
+                    value = linalg.splu((identity - chain[policy]).tocsc()).solve(earned[policy])
                 except RuntimeError:  # singular, as far as floats tell
                     break
                 gain = earned + chain @ value - np.repeat(value, np.diff(self.offsets))
@@ -264,13 +259,7 @@ class Cycle:
         return np.where(better, np.minimum.reduceat(first, self.offsets[:-1]), policy)
 
     def values(self, policy: Integers) -> tuple[list[fmpz], fmpz]:
-        """Return the values of a policy as integers over one positive denominator.
-
-        Raises
-        ------
-        ModelError
-            Where its equations have no unique solution.
-        """
+        """Return the values of a policy as integers over one positive denominator."""
         try:
             return self._equations(policy).solve([self.fixed[pair] for pair in policy.tolist()])
         except ZeroDivisionError:

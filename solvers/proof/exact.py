@@ -1,20 +1,15 @@
-"""In which order to settle the states of a model: those first that others depend on.
+"""Exact optimal values, by backward induction and policy iteration in integers.
 
-The states that depend on each other are the strongly connected components of the graph, waiting in
-place aside. Components are taken by level, the greatest number of steps to one without successors:
-all single states of a level make one stage, every larger component makes one of its own. Where all
-transitions lead to higher numbers, runs of consecutive states that do not lead to each other are
-found faster than levels, and do as well.
+States are taken in the order in which they depend on each other, one stage after the other. Those
+that depend on each other are the strongly connected components of the graph, waiting in place
+aside; a component's level is the greatest number of steps to one without successors. All single
+states of a level make one stage, every larger component, a cycle, makes one of its own. The values
+of a stage are integers over one denominator, a multiple of the denominators that it builds on, so
+that no fraction is ever reduced; backward induction is then one product of integer matrices for
+each stage. Where common denominators would be far larger than those of single states, a stage is
+split.
 
-Exact optimal values, by backward induction and policy iteration in integers.
-
-States are taken in the order in which they depend on each other, one stage after the other: all
-states whose successors are known together, or the states of one cycle. The values of a stage are
-integers over one denominator, a multiple of the denominators that it builds on, so that no fraction
-is ever reduced; backward induction is then one product of integer matrices for each stage. Where
-common denominators would be far larger than those of single states, a stage is split.
-
-The caller makes sure that the equations have one solution; `solvers.proof.certificate` proves it.
+The caller makes sure that the equations have one solution; `solvers.proof.certify` proves it.
 """
 
 from __future__ import annotations
@@ -25,19 +20,19 @@ from math import lcm
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.table import Integers, Numbers, spans
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.layers import layers
 from exact_mdp.solvers.proof.cycle import LARGEST, Cycle, Product, RightSides, endless
 
 if TYPE_CHECKING:
     from flint import fmpz
 
-
-RUN = 4  # states in a run, on average, for runs to be used
+flint = later("flint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,37 +44,10 @@ class Stage:
 
 
 def stages(rows: BellmanRows) -> Iterator[Stage]:
-    """Return the stages of a model in the order of solution, terminal states left out.
-
-    Examples
-    --------
-    >>> from exact_mdp import MDP
-    >>> from exact_mdp.mdp.exact import bellman_rows
-    >>> round_trip = [[[0, 1, 0], ["1/2", 0, "1/2"], [0, 0, 1]]]
-    >>> mdp = MDP.from_arrays(round_trip, [1, 0, 1], discount="1/2")
-    >>> [(stage.states.tolist(), stage.cyclic) for stage in stages(bellman_rows(mdp))]
-    [([2], False), ([0, 1], True)]
-    """
-    from scipy.sparse.csgraph import connected_components
-
-    states = len(rows.scale)
-    offsets = rows.offsets[rows.pair_offsets]
-    source = np.repeat(np.arange(states), np.diff(offsets))
-    moving = rows.next != source
-    if (rows.next[moving] > source[moving]).all():
-        runs = _runs(states, source[moving], rows.next[moving])
-        if RUN * len(runs) < states:
-            for first, last in runs:
-                run = np.arange(first, last)[~rows.terminal[first:last]]
-                if len(run):
-                    yield Stage(states=run, cyclic=False)
-            return
-    ones = np.ones(len(rows.next), dtype=np.int8)
-    graph = sp.csr_array((ones, rows.next, offsets), (states, states))
-    count, label = connected_components(graph, directed=True, connection="strong")
-    size = np.bincount(label, minlength=count)
-    level = _levels(label[source], label[rows.next], count)[label]
-    cyclic = size[label] > 1
+    """Return the stages of a model in the order of solution, terminal states left out."""
+    source = np.repeat(np.arange(len(rows.scale)), np.diff(rows.offsets[rows.pair_offsets]))
+    level, label = layers(source, rows.next, len(rows.scale))
+    cyclic = np.bincount(label)[label] > 1
     group = np.where(cyclic, label + 1, 0)
     order = np.lexsort((group, level))
     order = order[~rows.terminal[order]]
@@ -88,41 +56,6 @@ def stages(rows: BellmanRows) -> Iterator[Stage]:
     fresh = (np.diff(level[order]) != 0) | (np.diff(group[order]) != 0)
     for part in np.split(order, np.flatnonzero(fresh) + 1):
         yield Stage(states=part, cyclic=bool(cyclic[part[0]]))
-
-
-def _runs(states: int, source: Numbers, target: Numbers) -> list[tuple[int, int]]:
-    """Return runs of states, last ones first, that lead out of their run, to higher numbers."""
-    least = np.full(states, states)
-    first = np.flatnonzero(np.diff(source, prepend=-1))
-    if len(first):
-        least[source[first]] = np.minimum.reduceat(target, first)
-    runs, end = [], states
-    for state, lowest in zip(range(states - 1, -1, -1), reversed(least.tolist()), strict=True):
-        if lowest < end:
-            runs.append((state + 1, end))
-            end = state + 1
-    return [*runs, (0, end)]
-
-
-def _levels(source: Numbers, target: Numbers, count: int) -> Integers:
-    """Return (count,) the greatest number of edges on a way out of each node, loops left out."""
-    between = source != target
-    source, target = source[between], target[between]
-    waiting = np.bincount(source, minlength=count)
-    by_target = np.argsort(target, kind="stable")
-    before = np.searchsorted(target[by_target], np.arange(count + 1))
-    predecessors = source[by_target]
-    level = np.zeros(count, dtype=np.int64)
-    frontier, reached = np.flatnonzero(waiting == 0), 0
-    while len(frontier):
-        reached += 1
-        into, edges = np.unique(
-            predecessors[spans(before[frontier], before[frontier + 1])], return_counts=True
-        )
-        waiting[into] -= edges
-        frontier = into[waiting[into] == 0]
-        level[frontier] = reached
-    return level
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,26 +85,8 @@ class ExactValues:
 def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
     """Return the exact optimal values of the Bellman equations `rows`.
 
-    Parameters
-    ----------
-    rows : BellmanRows
-    positive : bool
-        Raise an error where a policy has a value that is not positive. With positive constants
-        this shows that it does not end, which need not be known before.
-
-    Raises
-    ------
-    ModelError
-        Where a policy does not end, or a cycle has too many states to be solved exactly.
-
-    Examples
-    --------
-    >>> from exact_mdp import MDP
-    >>> from exact_mdp.mdp.exact import bellman_rows
-    >>> mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, 1), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])])
-    >>> found = solve_exactly(bellman_rows(mdp))
-    >>> found.numerator, found.denominator[found.group[0]]
-    ([1, 0], 2)
+    `positive` raises an error where a policy has a value that is not positive. With positive
+    constants this shows that it does not end, which need not be known before.
     """
     solver = _Solver(rows)
     if positive:
@@ -206,13 +121,11 @@ class _Solver:
     """What is settled so far: values over the denominators of their groups."""
 
     def __init__(self, rows: BellmanRows) -> None:
-        from flint import fmpz
-
         self.sides = RightSides(rows)
         self.pair_offsets: list[int] = rows.pair_offsets.tolist()
-        self.value = [fmpz(0)] * len(rows.scale)
+        self.value = [flint.fmpz(0)] * len(rows.scale)
         self.group = [0] * len(rows.scale)
-        self.denominator = [fmpz(1)]
+        self.denominator = [flint.fmpz(1)]
         self.optimal = [True] * len(rows.constant)
         self.gap: list[fmpz | None] = [None] * len(rows.scale)
         self.gap_scale: list[Any] = rows.scale.tolist()
@@ -327,7 +240,7 @@ class _Solver:
 
     def _common(self, groups: Collection[int]) -> fmpz:
         """Return a common multiple of the groups' denominators: the largest, as a rule."""
-        found = max((self.denominator[group] for group in groups), default=self.denominator[0])
+        found: fmpz = max((self.denominator[g] for g in groups), default=self.denominator[0])
         for group in groups:
             if found % self.denominator[group]:
                 found = found.lcm(self.denominator[group])

@@ -36,35 +36,33 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
-from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.proof.claims import BoundedClaims, ExactClaims
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.proof.checker import BoundedClaims, ExactClaims
 from exact_mdp.solvers.proof.rationals import fraction
 
 FORMAT, VERSION = "exact-mdp certificate", 1
-HEXADECIMAL = re.compile(r"-?[0-9a-f]+").fullmatch
-FLOAT = re.compile(r"-?0x[01]\.[0-9a-f]{1,13}p[+-][0-9]{1,4}").fullmatch
-DIGEST = re.compile(r"[0-9a-f]{64}").fullmatch
-
 VECTORS = ("lower", "upper", "weight")
 
-T = TypeVar("T")
+Read = Callable[[Any], Any]
 
 
 def save(found: ExactClaims | BoundedClaims, path: str | Path) -> None:
     """Write a certificate, whole or not at all."""
+    exact = isinstance(found, ExactClaims)
     head = {
         "format": FORMAT,
         "version": VERSION,
-        "kind": "exact" if isinstance(found, ExactClaims) else "bounded",
+        "kind": "exact" if exact else "bounded",
         "model": found.model,
         "states": len(found.policy),
         "policy": found.policy.tolist(),
@@ -79,16 +77,20 @@ def _exact(found: ExactClaims) -> dict[str, object]:
     return {
         "pairs": len(found.optimal_pairs),
         "unique": found.unique,
-        "start_value": [f"{start.numerator:x}", f"{start.denominator:x}"],
-        "denominators": [f"{value:x}" for value in found.denominator],
+        "start_value": _hex([start.numerator, start.denominator]),
+        "denominators": _hex(found.denominator),
         "group": found.group.tolist(),
-        "numerators": [f"{value:x}" for value in found.numerator],
-        "gaps": [None if value is None else f"{value:x}" for value in found.gap],
-        "gap_scales": [f"{value:x}" for value in found.gap_scale],
+        "numerators": _hex(found.numerator),
+        "gaps": _hex(found.gap),
+        "gap_scales": _hex(found.gap_scale),
         "optimal": "".join(np.where(found.optimal_pairs, "1", "0")),
         "rank": None if found.rank is None else found.rank.tolist(),
-        "weight": None if found.weight is None else [f"{value:x}" for value in found.weight],
+        "weight": None if found.weight is None else _hex(found.weight),
     }
+
+
+def _hex(numbers: Sequence[int | None]) -> list[str | None]:
+    return [None if number is None else f"{number:x}" for number in numbers]
 
 
 def _bounded(found: BoundedClaims) -> dict[str, object]:
@@ -99,41 +101,35 @@ def exact_fields(path: str | Path) -> dict[str, Any]:
     """Read the fields of an exact certificate; raises ModelError where the file is not one."""
     file = _File(path, "exact")
     states, pairs = file.get("states", _count), file.get("pairs", _count)
-    denominator = file.get("denominators", _list_of(_positive))
-    group = file.get("group", _array_of(states))
-    if group.max(initial=0) >= len(denominator):
-        raise file.error("group")
-    marks = file.get("optimal", _text)
-    if len(marks) != pairs or not set(marks) <= {"0", "1"}:
-        raise file.error("optimal")
-    return {
+    found = {
         "model": file.get("model", _digest),
         "numerator": file.get("numerators", _list_of(_integer, states)),
-        "group": group,
-        "denominator": denominator,
+        "group": file.get("group", _array_of(states)),
+        "denominator": file.get("denominators", _list_of(_positive)),
         "policy": file.get("policy", _array_of(states)),
-        "optimal_pairs": np.frombuffer(marks.encode(), dtype=np.uint8) == ord("1"),
         "gap": file.get("gaps", _list_of(_or_none(_positive), states)),
         "gap_scale": file.get("gap_scales", _list_of(_positive, states)),
-        "unique": file.get("unique", _truth),
+        "unique": file.get("unique", _typed(bool)),
         "start_value": file.get("start_value", _fraction),
         "rank": file.get("rank", _or_none(_array_of(states))),
         "weight": file.get("weight", _or_none(_list_of(_integer, states))),
     }
+    marks = file.get("optimal", _typed(str))
+    if found["group"].max(initial=0) >= len(found["denominator"]):
+        raise file.error("group")
+    if len(marks) != pairs or not set(marks) <= {"0", "1"}:
+        raise file.error("optimal")
+    marked = np.frombuffer(marks.encode(), dtype=np.uint8) == ord("1")
+    return found | {"optimal_pairs": marked}
 
 
 def bounded_fields(path: str | Path) -> dict[str, Any]:
     """Read the fields of a bounded certificate; raises ModelError where the file is not one."""
     file = _File(path, "bounded")
     states = file.get("states", _count)
-    lower, upper, weight = (file.get(name, _floats_of(states)) for name in VECTORS)
-    return {
-        "model": file.get("model", _digest),
-        "lower": lower,
-        "upper": upper,
-        "policy": file.get("policy", _array_of(states)),
-        "weight": weight,
-    }
+    vectors = {name: np.array(file.get(name, _list_of(_float, states))) for name in VECTORS}
+    names = {"model": file.get("model", _digest), "policy": file.get("policy", _array_of(states))}
+    return names | vectors
 
 
 class _File:
@@ -150,8 +146,7 @@ class _File:
                 "the file is not JSON", where=self.path, fix="write it with Certificate.save"
             ) from error
         self.data = data if isinstance(data, dict) else {}
-        wanted = {"format": FORMAT, "version": VERSION, "kind": kind}
-        for key, value in wanted.items():
+        for key, value in {"format": FORMAT, "version": VERSION, "kind": kind}.items():
             if self.data.get(key) != value:
                 raise ModelError(
                     f"{key} is {str(self.data.get(key))[:40]!r}, not {value!r}",
@@ -159,7 +154,7 @@ class _File:
                     fix=f"give a file with an {kind} certificate of this version",
                 )
 
-    def get(self, key: str, read: Callable[[Any], T]) -> T:
+    def get(self, key: str, read: Read) -> Any:
         """Return one key's value; raises ModelError where it is missing or of another form."""
         try:
             return read(self.data[key])
@@ -178,17 +173,29 @@ class _File:
 # ---- forms: each returns what was read, or raises ValueError or TypeError ------------------------
 
 
-def _integer(text: str) -> int:
-    if not HEXADECIMAL(text):
+def _wanted(value: Any, right: bool) -> Any:
+    if not right:
         raise ValueError
-    return int(text, 16)
+    return value
+
+
+def _typed(kind: type) -> Read:
+    return lambda value: _wanted(value, type(value) is kind)
+
+
+def _matching(pattern: str, read: Read) -> Read:
+    fits = re.compile(pattern).fullmatch
+    return lambda text: read(_wanted(text, fits(text) is not None))
+
+
+_integer = _matching(r"-?[0-9a-f]+", partial(int, base=16))
+_float = _matching(r"-?0x[01]\.[0-9a-f]{1,13}p[+-][0-9]{1,4}", float.fromhex)
+_digest = _matching(r"[0-9a-f]{64}", str)
 
 
 def _positive(text: str) -> int:
     value = _integer(text)
-    if value <= 0:
-        raise ValueError
-    return value
+    return int(_wanted(value, value > 0))
 
 
 def _fraction(pair: list[str]) -> Fraction:
@@ -196,42 +203,17 @@ def _fraction(pair: list[str]) -> Fraction:
     return fraction(_integer(top), _positive(bottom))
 
 
-def _float(text: str) -> float:
-    if not FLOAT(text):
-        raise ValueError
-    return float.fromhex(text)
-
-
 def _count(value: object) -> int:
-    if type(value) is not int or value < 1:
-        raise ValueError
-    return value
+    number = _typed(int)(value)
+    return int(_wanted(number, number >= 1))
 
 
-def _truth(value: object) -> bool:
-    if type(value) is not bool:
-        raise ValueError
-    return value
-
-
-def _text(value: object) -> str:
-    if type(value) is not str:
-        raise ValueError
-    return value
-
-
-def _digest(value: str) -> str:
-    if not DIGEST(value):
-        raise ValueError
-    return value
-
-
-def _or_none(read: Callable[[Any], T]) -> Callable[[Any], T | None]:
+def _or_none(read: Read) -> Read:
     return lambda value: None if value is None else read(value)
 
 
-def _list_of(read: Callable[[Any], T], length: int | None = None) -> Callable[[Any], list[T]]:
-    def listed(values: object) -> list[T]:
+def _list_of(read: Read, length: int | None = None) -> Read:
+    def listed(values: object) -> list[Any]:
         if not isinstance(values, list) or not values or length not in (None, len(values)):
             raise ValueError
         return [read(value) for value in values]
@@ -239,19 +221,12 @@ def _list_of(read: Callable[[Any], T], length: int | None = None) -> Callable[[A
     return listed
 
 
-def _floats_of(length: int) -> Callable[[Any], Floats]:
-    read = _list_of(_float, length)
-    return lambda values: np.array(read(values), dtype=np.float64)
-
-
-def _array_of(length: int) -> Callable[[Any], Integers]:
+def _array_of(length: int) -> Read:
     """Return a reader of so many integers from 0 up."""
 
     def array(values: object) -> Integers:
         if not isinstance(values, list) or len(values) != length or set(map(type, values)) != {int}:
             raise ValueError
-        if min(values) < 0:
-            raise ValueError
-        return np.array(values, dtype=np.int64)
+        return np.array(_wanted(values, min(values) >= 0), dtype=np.int64)
 
     return array

@@ -23,10 +23,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, Numbers, magnitude
 
 if TYPE_CHECKING:
     from flint import fmpz
+
+flint = later("flint")
+linalg = later("scipy.sparse.linalg")
 
 LONGEST = 900  # bits of a pivot that floats hold, its remainders too
 WRAPPING = 2**58  # pivots below this leave remainders that 64 bits tell apart
@@ -51,23 +55,7 @@ class Equations:
     weight: Numbers
 
     def solve(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
-        """Return x as integers over one positive denominator.
-
-        Raises
-        ------
-        ZeroDivisionError
-            Where A is singular.
-        ModelError
-            Where floats fail and the matrix is too large for p-adic lifting.
-
-        Examples
-        --------
-        >>> from flint import fmpz
-        >>> one, other = np.array([0, 1]), np.array([1, 0])
-        >>> found = Equations(pivot=[3, 7], row=one, column=other, weight=np.array([1, 2]))
-        >>> found.solve([fmpz(1), fmpz(0)])  # 3 x = y + 1, 7 y = 2 x
-        ([7, 2], 19)
-        """
+        """Return x as integers over one positive denominator; ZeroDivisionError: A is singular."""
         if len(self.pivot) > FEW:
             found = self.divide(right)
             if found is not None and self._satisfied(*found, right):
@@ -99,8 +87,6 @@ class Equations:
         return not any(rest)
 
     def _lifted(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
-        from flint import fmpz_mat
-
         size = len(self.pivot)
         if size > MANY:
             raise ModelError(
@@ -110,8 +96,8 @@ class Equations:
         matrix = np.zeros((size, size), dtype=object)
         matrix[self.row, self.column] = -self.weight
         matrix[np.arange(size), np.arange(size)] = self.pivot
-        dense = fmpz_mat(size, size, matrix.ravel().tolist())
-        found: Any = dense.solve(fmpz_mat(size, 1, list(right)))
+        dense = flint.fmpz_mat(size, size, matrix.ravel().tolist())
+        found: Any = dense.solve(flint.fmpz_mat(size, 1, list(right)))
         numerator, denominator = found.numer_denom()
         return numerator.entries(), denominator
 
@@ -137,8 +123,6 @@ class _Inverse:
     @classmethod
     def of(cls, equations: Equations) -> _Inverse | None:
         """Return the factors, None where floats do not tell A from a singular matrix."""
-        from scipy.sparse.linalg import splu
-
         pivot, row, size = equations.pivot, equations.row, len(equations.pivot)
         shares = zip(equations.weight.tolist(), row.tolist(), strict=True)
         try:
@@ -149,7 +133,7 @@ class _Inverse:
         if max(pivot).bit_length() > LONGEST:
             return None
         try:
-            factors = splu((sp.eye_array(size, format="csc") - moving).tocsc())
+            factors = linalg.splu((sp.eye_array(size, format="csc") - moving).tocsc())
         except RuntimeError:
             return None
         with np.errstate(all="ignore"):
@@ -217,11 +201,10 @@ def _joined(digits: Integers, width: int) -> list[int]:
 
 def _rationals(numbers: list[int], places: int, bits: int) -> tuple[list[fmpz], fmpz]:
     """Return the rationals nearest to numbers / 2^places, of denominators below 2^bits."""
-    from flint import fmpz
-
-    one, half = fmpz(1) << places, fmpz(1) << (places - 1)
-    below, found = fmpz(1), list[fmpz]()
-    for number in map(fmpz, numbers):
+    one, half = flint.fmpz(1) << places, flint.fmpz(1) << (places - 1)
+    below = flint.fmpz(1)
+    found: list[fmpz] = []
+    for number in map(flint.fmpz, numbers):
         product = below * number
         nearest = (product + half) >> places
         if abs(product - nearest * one).bit_length() > places - bits:

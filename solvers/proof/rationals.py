@@ -17,7 +17,10 @@ from typing import cast
 
 import numpy as np
 
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Numbers
+
+flint = later("flint")
 
 SMALL = 512  # bits: products of primes that are longer do not pay
 
@@ -34,19 +37,7 @@ Rational.register(_LowestTerms)
 
 
 def fractions(top: Iterable[int | None], bottom: Iterable[int], primes: int) -> Numbers:
-    """Return an array of the Fractions top / bottom, and None where there is no number.
-
-    Parameters
-    ----------
-    top, bottom : integers, positive ones in `bottom`
-    primes : int
-        A number that every prime of any of the `bottom` divides.
-
-    Examples
-    --------
-    >>> fractions([50, None], [60, 1], 30).tolist()
-    [Fraction(5, 6), None]
-    """
+    """Return an array of the Fractions top / bottom, and None where there is no number."""
     found = [
         None if a is None else _fraction(a, b, primes) for a, b in zip(top, bottom, strict=True)
     ]
@@ -57,16 +48,8 @@ def fractions(top: Iterable[int | None], bottom: Iterable[int], primes: int) -> 
 
 
 def fraction(top: int, bottom: int) -> Fraction:
-    """Return the Fraction top / bottom, in little more than linear time, for a positive bottom.
-
-    Examples
-    --------
-    >>> fraction(-6, 4)
-    Fraction(-3, 2)
-    """
-    from flint import fmpz
-
-    numerator, denominator = fmpz(top), fmpz(bottom)
+    """Return the Fraction top / bottom, in little more than linear time, for a positive bottom."""
+    numerator, denominator = flint.fmpz(top), flint.fmpz(bottom)
     shared = numerator.gcd(denominator)
     lowest = _LowestTerms(int(numerator // shared), int(denominator // shared))
     return Fraction(cast(Rational, lowest))
@@ -76,11 +59,6 @@ def primes_of(numbers: Sequence[int]) -> int:
     """Return a number that every prime of the given positive integers divides.
 
     It is small where each is a small multiple of the one before.
-
-    Examples
-    --------
-    >>> primes_of([4, 8, 8 * 15])
-    60
     """
     found = numbers[0]
     for before, number in pairwise(numbers):

@@ -15,49 +15,63 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import cached_property
 from math import inf, nan, sqrt
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import PolicyLike, ReadAs
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
+from exact_mdp.solvers.values.returns import return_distribution, times
 from exact_mdp.solvers.values.visits import at_start, ever, pair_visits, steps, visits
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+UNKNOWN = Bounded(value=nan, error=inf)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Evaluation:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Evaluation(Result):
     """A policy's values; everything else about its return is worked out when first asked for.
 
     Attributes
     ----------
     chain : PolicyChain
         The model under the policy.
-    value, value_error : (S,)
+    value, error : (S,)
         Mean return from every state, and how far it may be from the exact one. NaN and infinity at
         discount 1 in states from which the policy may not end; no episode comes there.
 
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> found = evaluate(Scenario.load("yuan2025").compile(), "random")
+    >>> found = evaluate(Scenario.load("yuan2025"), "random")
     >>> print(f"{found.mean:.4f} {found.sd:.4f} {found.steps:.4f} {found.skip_probability:.4f}")
     85.0285 71.5334 7.4267 0.5481
+    >>> print(found.start)
+    85.0285... ± ... (bounded)
     """
 
     chain: PolicyChain
     value: Floats
-    value_error: Floats
+    error: Floats
+
+    claim: ClassVar[Claim] = Claim.BOUNDED
 
     @property
     def mdp(self) -> MDP:
@@ -65,14 +79,14 @@ class Evaluation:
         return self.chain.mdp
 
     @property
+    def policy(self) -> Policy | None:
+        """The policy; None where it was given as probabilities of pairs."""
+        return self.chain.policy
+
+    @property
     def read_as(self) -> ReadAs:
         """What an array was taken for: "q" or "policy"."""
         return "policy" if self.chain.policy is None else self.chain.policy.read_as
-
-    @property
-    def claim(self) -> Claim:
-        """What is claimed of every number here: a value and a sound bound on its error."""
-        return Claim.BOUNDED
 
     @property
     def numbers(self) -> dict[str, Bounded]:
@@ -80,29 +94,40 @@ class Evaluation:
 
         One that double precision cannot bound is NaN, with an infinite error; the others stand.
         """
-        found = {"mean": self._mean, "sd": self._sd, "variance": self._start_variance}
+        found = {"mean": self.start, "sd": self._sd, "variance": self._start_variance}
         found["steps"] = self._steps
         found |= {f"component.{name}": number for name, number in self._components.items()}
         return found | {f"event.{name}": number for name, number in self._events.items()}
 
+    def frame(self) -> DataFrame:
+        """Return every number from the start with its error bound."""
+        rows = [(name, number.value, number.error) for name, number in self.numbers.items()]
+        return pandas.DataFrame(rows, columns=["number", "value", "error"])
+
     def __repr__(self) -> str:
-        return f"Evaluation(mean {self._mean}, sd {self.sd:.6g})"
+        return f"Evaluation(mean {self.start}, sd {self.sd:.6g})"
 
     # ---- the mean and what it is made of -----------------------------------------------------
+
+    @cached_property
+    def start(self) -> Bounded:
+        """The mean return from the start, with its error bound."""
+        return at_start(self.mdp, FixedPoint(value=self.value, error=self.error))
 
     @property
     def mean(self) -> float:
         """Mean return from the start."""
-        return self._mean.value
+        return self.start.value
+
+    @property
+    def start_value(self) -> float:
+        """Mean return from the start."""
+        return self.start.value
 
     @property
     def error_bound(self) -> float:
-        """Bound on the error of `mean`."""
-        return self._mean.error
-
-    @cached_property
-    def _mean(self) -> Bounded:
-        return at_start(self.mdp, FixedPoint(value=self.value, error=self.value_error))
+        """The greatest `error` of any state from which the policy ends."""
+        return float(self.error.max(where=~np.isnan(self.value), initial=0.0))
 
     @property
     def components(self) -> dict[str, float]:
@@ -113,7 +138,7 @@ class Evaluation:
     def _components(self) -> dict[str, Bounded]:
         mdp, chain = self.mdp, self.chain
         if mdp.components.shape[1] == 1:
-            return {mdp.component_names[0]: self._mean}
+            return {mdp.component_names[0]: self.start}
         try:
             found = self._discounted
         except SolverError:
@@ -170,7 +195,7 @@ class Evaluation:
         if not chain.gain.any():
             return FixedPoint(value=np.zeros(len(live)), error=np.zeros(len(live)))
         value = np.ldexp(np.where(live, self.value, 0.0), -power)
-        error = np.ldexp(np.where(live, self.value_error, 0.0), -power) + TINY
+        error = np.ldexp(np.where(live, self.error, 0.0), -power) + TINY
         here, there = value[chain.source], value[chain.table.next]
         gain = np.ldexp(chain.gain, -power)
         surprise = gain + rate * there - here
@@ -194,29 +219,27 @@ class Evaluation:
         return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
 
     @cached_property
-    def _start_variance(self) -> Bounded:
-        scaled = self._scaled_variance
-        return Bounded(
-            value=_times(scaled.value, self._power, 2), error=_times(scaled.error, self._power, 2)
-        )
-
-    @cached_property
     def _scaled_variance(self) -> Bounded:
+        """The variance from the start over 4^power."""
         return _known(self._variance_at_start)
 
     def _variance_at_start(self) -> Bounded:
         within = at_start(self.mdp, self._variance)
         if np.count_nonzero(self.mdp.start_distribution) == 1:
             return within
-        away = np.ldexp(self.value, -self._power) - float(np.ldexp(self.mean, -self._power))
-        off = np.ldexp(self.value_error, -self._power) + float(
-            np.ldexp(self.error_bound, -self._power)
-        )
-        off += 2 * TINY + 2 * UNIT * np.abs(away)
-        doubt = (2 * np.abs(away) + off) * off + UNIT * away**2
-        between = at_start(self.mdp, FixedPoint(value=away**2, error=doubt))
+        mean, doubt = (times(x, -self._power) for x in (self.start.value, self.start.error))
+        away = np.ldexp(self.value, -self._power) - mean
+        off = np.ldexp(self.error, -self._power) + doubt + 2 * TINY + 2 * UNIT * np.abs(away)
+        error = (2 * np.abs(away) + off) * off + UNIT * away**2
+        between = at_start(self.mdp, FixedPoint(value=away**2, error=error))
         total = within.value + between.value
         return Bounded(value=total, error=(within.error + between.error + UNIT * total) * SLACK)
+
+    @cached_property
+    def _start_variance(self) -> Bounded:
+        found = self._scaled_variance
+        value, error = (times(x, 2 * self._power) for x in (found.value, found.error))
+        return Bounded(value=value, error=error)
 
     @cached_property
     def _sd(self) -> Bounded:
@@ -226,13 +249,13 @@ class Evaluation:
         sd, least = sqrt(variance.value), sqrt(max(variance.value - variance.error, 0.0))
         most = sqrt(variance.value + variance.error)
         error = max(sd - least, most - sd) + 4 * UNIT * most
-        return Bounded(value=_times(sd, self._power), error=_times(error, self._power))
+        return Bounded(value=times(sd, self._power), error=times(error, self._power))
 
     @property
     def quantiles(self) -> dict[float, float] | None:
         """The 5, 25, 50, 75 and 95 % quantiles of the return, by probability.
 
-        None where the distribution of the return is not to be had: `quantiles_missing` says why.
+        None where the distribution of the return is not a list: `quantiles_missing` says why.
         """
         return self._quantiles if isinstance(self._quantiles, dict) else None
 
@@ -243,8 +266,6 @@ class Evaluation:
 
     @cached_property
     def _quantiles(self) -> dict[float, float] | str:
-        from exact_mdp.solvers.values.returns import return_distribution
-
         try:
             distribution = return_distribution(self.mdp, self.chain)
         except ModelError as error:
@@ -274,7 +295,7 @@ class Evaluation:
 
     @property
     def occupancy(self) -> Floats:
-        """(L,) expected discounted number of uses of each pair; see `values.visits.occupancy`."""
+        """(L,) expected discounted number of uses of each pair; see `values.visits.pair_visits`."""
         return pair_visits(self.chain, self._discounted)
 
     @property
@@ -313,15 +334,12 @@ class Evaluation:
         if bits is None:
             return {}
         return {
-            name: _known(partial(self._event, (bits >> bit) & 1 == 1))
-            for bit, name in enumerate(self.mdp.events)
+            name: self._event(np.asarray((bits >> k) & 1 == 1))
+            for k, name in enumerate(self.mdp.events)
         }
 
     def _event(self, happens: Mask) -> Bounded:
-        return at_start(self.mdp, ever(self.chain, happens))
-
-
-UNKNOWN = Bounded(value=nan, error=inf)
+        return _known(lambda: at_start(self.mdp, ever(self.chain, happens)))
 
 
 def _known(make: Callable[[], Bounded]) -> Bounded:
@@ -338,12 +356,6 @@ def _rounded(number: Fraction) -> float:
         return float(number)
     except OverflowError:
         return inf if number > 0 else -inf
-
-
-def _times(number: float, power: int, times: int = 1) -> float:
-    """Return number · 2^(power · times); infinite where that is beyond the range of floats."""
-    with np.errstate(over="ignore"):
-        return float(np.ldexp(number, times * power))
 
 
 def evaluate(
@@ -363,6 +375,10 @@ def evaluate(
         Stop after so many steps, without a further reward: what is found is that of
         `mdp.within(horizon)`. Policies over states are the same at every time there; those of
         `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
+
+    Returns
+    -------
+    Evaluation
 
     Raises
     ------
@@ -397,4 +413,4 @@ def evaluate(
     value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)
     value.setflags(write=False)
     bound.setflags(write=False)
-    return Evaluation(chain=chain, value=value, value_error=bound)
+    return Evaluation(chain=chain, value=value, error=bound)

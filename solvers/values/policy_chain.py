@@ -22,6 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.table import (
@@ -36,6 +37,8 @@ from exact_mdp.mdp.table import (
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.solver import solve
+
+csgraph = later("scipy.sparse.csgraph")
 
 Mask = NDArray[np.bool_]
 SHOWN = 4
@@ -122,14 +125,7 @@ class PolicyChain:
         return None if self.policy is None else self.policy.weights_exact(self.mdp)
 
     def exact_weights(self, state: int) -> dict[int, Fraction]:
-        """Return the exact probability of each pair that is taken in a state.
-
-        Examples
-        --------
-        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 3, [[1, 3, 0], [0, 0, 0]])
-        >>> PolicyChain.of(mdp, "random").exact_weights(0)
-        {0: Fraction(1, 3), 1: Fraction(1, 3), 2: Fraction(1, 3)}
-        """
+        """Return the exact probability of each pair that is taken in a state."""
         given = self.chosen if self.shares is None else self.shares
         found = {pair: exact(given[pair]) for pair in self.mdp.pairs_of(state) if given[pair]}
         total = sum(found.values(), Fraction(0))
@@ -279,13 +275,7 @@ def transposed(system: LinearSystem) -> LinearSystem:
 
 
 def rows_of(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
-    """Return a matrix with the rows that are not `kept` emptied.
-
-    Examples
-    --------
-    >>> rows_of(sp.csr_array([[0.0, 1.0], [1.0, 0.0]]), np.array([True, False])).toarray().tolist()
-    [[0.0, 1.0], [0.0, 0.0]]
-    """
+    """Return a matrix with the rows that are not `kept` emptied."""
     entries = np.repeat(kept, np.diff(matrix.indptr))
     lengths = np.where(kept, np.diff(matrix.indptr), 0)
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
@@ -293,22 +283,13 @@ def rows_of(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
 
 
 def closure(matrix: sp.csr_array, first: Mask) -> Mask:
-    """Return (S,) True for states that can be reached from `first` (S,) along a matrix's rows.
-
-    Examples
-    --------
-    >>> line = sp.csr_array([[0, 1, 0], [0, 0, 1], [0, 0, 0]])
-    >>> closure(line, np.array([False, True, False])).tolist()
-    [False, True, True]
-    """
-    from scipy.sparse.csgraph import breadth_first_order
-
+    """Return (S,) True for states that can be reached from `first` (S,) along a matrix's rows."""
     # One more node that leads to all the first ones, so that a single search serves.
     states, begin = len(first), np.flatnonzero(first)
     indices = np.concatenate([matrix.indices, begin])
     offsets = np.append(matrix.indptr, len(indices))
     graph = sp.csr_array((np.ones(len(indices)), indices, offsets), (states + 1, states + 1))
-    found = breadth_first_order(graph, states, return_predecessors=False)
+    found = csgraph.breadth_first_order(graph, states, return_predecessors=False)
     seen = np.zeros(states + 1, dtype=bool)
     seen[found] = True
     return seen[:-1]

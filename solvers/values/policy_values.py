@@ -10,65 +10,30 @@ d the length of the longest path and W the same recursion over absolute values, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.learning.sampler import Rows, as_policy
 from exact_mdp.solvers.values.evaluate import evaluate
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PolicyValues:
-    """Start values of U policies, and how far each may be from the exact one.
-
-    Attributes
-    ----------
-    value, error : (U,)
-    """
-
-    value: Floats
-    error: Floats
+kernels = later("exact_mdp.solvers.kernels")
 
 
-def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> PolicyValues:
-    """Return the value of each policy from the start distribution, at the model's discount.
-
-    Parameters
-    ----------
-    rows : Rows
-        What the policies read.
-    policies : (U, K) ints
-        Action number of every row; in a state without choice its only action is taken.
-
-    Raises
-    ------
-    ModelError, SolverError
-        At discount 1, where a policy need not end.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.solvers.learning.sampler import rows_of
-    >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = policy_values(mdp, rows_of(mdp), np.full((1, 16), 3))
-    >>> round(float(found.value[0]), 6), bool(found.error[0] < 1e-9)
-    (64.363644, True)
-    """
+def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
+    """Return the start values (U,) of policies (U, K), an action number for each of K rows."""
     level = levels(mdp)
     if level is None:
         found = [evaluate(mdp, as_policy(mdp, rows.space, policy)) for policy in policies]
-        return PolicyValues(
+        return FixedPoint(
             value=np.array([each.mean for each in found]),
-            error=np.array([each.error_bound for each in found]),
+            error=np.array([each.start.error for each in found]),
         )
-    from exact_mdp.solvers import kernels
-
     asked = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
     order = asked[np.argsort(level[asked], kind="stable")]
     matrix = mdp.transition
@@ -93,7 +58,7 @@ def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> PolicyValues:
     depth = int(level[asked].max(initial=0))
     terms = depth * (longest + 6) + mdp.n_states + 4
     error = (gamma(terms) * size + TINY * terms) * SLACK
-    return PolicyValues(value=value, error=error)
+    return FixedPoint(value=value, error=error)
 
 
 def _pairs(mdp: MDP) -> Numbers:

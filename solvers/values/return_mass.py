@@ -1,20 +1,15 @@
-"""The way of an episode's probability mass, laid out block by block.
+"""The probability mass of (state, reward so far), carried through an episode block by block.
+
+    m(s', x + r) += p · m(s, x)        for each outcome (p, s', r) of s
 
 The states that an episode may visit fall into blocks: those of the same greatest distance from the
 start once states that lead back to each other count as one. Every transition leads to a later
 block, or back into its own. So a block is complete when its turn comes, and can be forgotten.
 
-Carries probability mass over (state, reward so far) on a coarse lattice, in arrays.
-
-    m(s', x + r) += p · m(s, x)        for each outcome (p, s', r) of s
-
-A block of n states has an array (n, W) over all W multiples between its least and its greatest
-reward so far. Outcomes with the same reward r are one sparse matrix, and x + r is a shift.
-
-Carries probability mass over (state, reward so far) on a fine lattice, in dictionaries.
-
-The rule is that of `returns_dense`, for rewards of which few sums occur although the lattice is
-fine, and for exact masses: these are integers, the masses of a block being over one denominator.
+On a coarse lattice of rewards, a block of n states has an array (n, W) over all W multiples between
+its least and its greatest reward so far. Outcomes with the same reward r are one sparse matrix, and
+x + r is a shift. On a fine lattice, of which few sums occur, the masses are in dictionaries; so are
+exact masses, which are integers, those of a block being over one denominator.
 """
 
 from __future__ import annotations
@@ -30,13 +25,20 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats, Integers, Numbers, integers, spans
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.table import Floats, Integers, Numbers, integers
 from exact_mdp.solvers.bounds.gains import TINY
+from exact_mdp.solvers.bounds.layers import layers
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
+
+tqdm = later("tqdm")
 
 REMAINING = 1e-12
 # Of what may be left in a cycle anyway: without it, a slow one would drag long tails along.
 SLOW_EDGE = 1e-12
+EDGE = 1e-290  # masses below are dropped before they lose their digits, and the processor its speed
+CELLS = 2**26  # of a window
+STEPS = 20_000_000  # with dictionaries
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,7 +83,8 @@ class Flow:
         inside = chain.reached & ~mdp.terminal
         members = np.flatnonzero(inside)
         matrix = chain.graph[members][:, members].tocsr()
-        level = _levels(matrix)
+        entries = matrix.tocoo().coords
+        level, _ = layers(entries[1], entries[0], len(members))
         order = np.argsort(level, kind="stable")
         place = np.full(mdp.n_states, len(members))
         place[members[order]] = np.arange(len(members))
@@ -126,38 +129,7 @@ class Flow:
         return np.bincount(self.target, minlength=self.end + 1)
 
 
-def _levels(matrix: sp.csr_array) -> Integers:
-    """Return (n,) the greatest distance from a first state, cycles counting as one state."""
-    level = _peeled(matrix)
-    if (level >= 0).all():
-        return level
-    from scipy.sparse.csgraph import connected_components
-
-    count, label = connected_components(matrix, directed=True, connection="strong")
-    entries = matrix.tocoo()
-    here, there = label[entries.coords[0]], label[entries.coords[1]]
-    apart = here != there
-    ones = np.ones(int(apart.sum()))
-    level = _peeled(sp.csr_array((ones, (here[apart], there[apart])), (count, count)))
-    return np.asarray(level[label])
-
-
-def _peeled(matrix: sp.csr_array) -> Integers:
-    """Return (n,) the greatest number of steps to each state; -1 where a cycle leads to it."""
-    states = matrix.shape[0]
-    waiting = np.bincount(matrix.indices, minlength=states)
-    level = np.full(states, -1)
-    frontier, reached = np.flatnonzero(waiting == 0), 0
-    while len(frontier):
-        level[frontier] = reached
-        found = matrix.indices[spans(matrix.indptr[frontier], matrix.indptr[frontier + 1])]
-        found, count = np.unique(found, return_counts=True)
-        waiting[found] -= count
-        frontier, reached = found[waiting[found] == 0], reached + 1
-    return level
-
-
-def too_many() -> ModelError:
+def _too_many() -> ModelError:
     return ModelError(
         "too many different returns for their distribution to be worked out",
         where="rewards",
@@ -165,16 +137,12 @@ def too_many() -> ModelError:
     )
 
 
-def too_slow(sweeps: int, left: float) -> ModelError:
+def _too_slow(sweeps: int, left: float) -> ModelError:
     return ModelError(
         f"after {sweeps:,} sweeps {left:.1g} of the probability has not reached the end",
         where="policy",
         fix="raise max_sweeps; evaluate() gives mean and sd, simulate() samples returns",
     )
-
-
-EDGE = 1e-290
-CELLS = 2**26
 
 
 class _Window:
@@ -195,16 +163,13 @@ class _Window:
             # A little more than asked for, as the next demand comes soon.
             before, after = before + (before > 0) * width // 2, after + (after > 0) * width // 2
             if self.states * (width + before + after) > CELLS:
-                raise too_many()
+                raise _too_many()
             self.mass = np.pad(self.mass, ((0, 0), (before, after)))
             self.low -= before
         self.mass[rows, low - self.low : high - self.low] += mass
 
     def trim(self, edge: float = EDGE) -> float:
-        """Drop mass below `edge`, and empty edges; return what was lost by that.
-
-        So no number becomes so small that it loses its digits, and the processor its speed.
-        """
+        """Drop mass below `edge`, and empty columns at both ends; return what was lost by that."""
         small = self.mass < edge
         lost = float(self.mass.sum(where=small))
         self.mass[small] = 0.0
@@ -216,8 +181,6 @@ class _Window:
 
 def carry_dense(flow: Flow, max_sweeps: int) -> Carried:
     """Return the mass at the end, from arrays over the whole range of rewards so far."""
-    from tqdm import tqdm
-
     first, last = flow.first, int(flow.block[-1])
     groups = _groups(flow)
     windows: dict[int, _Window] = {}
@@ -232,7 +195,7 @@ def carry_dense(flow: Flow, max_sweeps: int) -> Carried:
         add(block, np.array([state - first[block]]), 0, np.array([[float(weight)]]))
     lost, roundings = 0.0, 4
     entering = np.maximum.reduceat(flow.entering, first[:-1])
-    for block in tqdm(range(last), desc="returns", unit="block", delay=2, disable=None):
+    for block in tqdm.tqdm(range(last), desc="returns", unit="block", delay=2, disable=None):
         window, sweeps = windows.pop(block, None), 1
         if window is None:  # what led here was too small to speak of
             continue
@@ -310,10 +273,7 @@ def _swept(
         if left <= tolerance:
             return total, lost + left, sweep
         moving = following
-    raise too_slow(max_sweeps, left)
-
-
-STEPS = 20_000_000
+    raise _too_slow(max_sweeps, left)
 
 
 def carry_sparse(flow: Flow, max_sweeps: int) -> Carried:
@@ -397,7 +357,7 @@ def _carry(
             for state, spread in moving.items():
                 work += len(spread) * len(rows[state])
                 if work > STEPS:
-                    raise too_many()
+                    raise _too_many()
                 for (target, gain), share in rows[state].items():
                     inner = members.start <= target < members.stop
                     into = (
@@ -414,7 +374,7 @@ def _carry(
                 break
             moving = following
         else:
-            raise too_slow(max_sweeps, float(left))
+            raise _too_slow(max_sweeps, float(left))
         for state in members:
             masses[state].clear()
     return masses[flow.end], lost, sweeps

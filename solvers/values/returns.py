@@ -19,13 +19,16 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import lcm, sqrt
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.dynamic.stopping import check_counts
@@ -34,12 +37,17 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
 DENSE_RANGE = 10_000
 NEGLIGIBLE = 1e-280
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ReturnDistribution:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ReturnDistribution(Result):
     """Every possible return with its probability, in increasing order; K of them.
 
     Attributes
@@ -55,6 +63,13 @@ class ReturnDistribution:
         sweeps stopped, and tails below 10⁻²⁸⁰. 0 where all are listed.
     exact : tuple of Fraction, optional
         The probabilities as exact rationals, where these were asked for.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
+    >>> found = return_distribution(MDP.from_outcomes(rows), "random")
+    >>> found.mean, found.cdf(1), found.quantile(0.5)
+    (1.25, 0.5, Fraction(1, 2))
     """
 
     multiples: Numbers
@@ -64,14 +79,11 @@ class ReturnDistribution:
     remaining: float
     exact: tuple[Fraction, ...] | None = None
 
+    claim: ClassVar[Claim] = Claim.BOUNDED
+
     def __post_init__(self) -> None:
         self.multiples.setflags(write=False)
         self.probabilities.setflags(write=False)
-
-    @property
-    def claim(self) -> Claim:
-        """What is claimed of the probabilities: that `error` bounds their errors."""
-        return Claim.BOUNDED
 
     @property
     def error(self) -> Floats:
@@ -99,16 +111,14 @@ class ReturnDistribution:
     def mean(self) -> float:
         """Mean of the returns listed; infinite where it is beyond the range of floats."""
         scaled, power = self._scaled
-        with np.errstate(over="ignore"):
-            return float(np.ldexp(self.probabilities @ scaled, power))
+        return times(float(self.probabilities @ scaled), power)
 
     @cached_property
     def sd(self) -> float:
         """Standard deviation of the returns listed; infinite beyond the range of floats."""
         scaled, power = self._scaled
         spread = sqrt(float(self.probabilities @ (scaled - self.probabilities @ scaled) ** 2))
-        with np.errstate(over="ignore"):
-            return float(np.ldexp(spread, power))
+        return times(spread, power)
 
     def cdf(self, value: object) -> float:
         """Return the probability of a return of at most `value` (a number or "p/q")."""
@@ -136,11 +146,22 @@ class ReturnDistribution:
         """Return {return: probability}."""
         return dict(zip(self.values, self.probabilities.tolist(), strict=True))
 
+    def frame(self) -> DataFrame:
+        """Return the probability of every return, and its error bound."""
+        columns = {"probability": self.probabilities, "error": self.error}
+        return pandas.DataFrame(columns, index=pandas.Index(self.values, name="return"))
+
     def __repr__(self) -> str:
         return (
             f"ReturnDistribution({len(self.multiples)} returns, mean {self.mean:.6g}, "
             f"sd {self.sd:.6g}, remaining {self.remaining:.1g})"
         )
+
+
+def times(number: float, power: int) -> float:
+    """Return number · 2^power; infinite where that is beyond the range of floats."""
+    with np.errstate(over="ignore"):
+        return float(np.ldexp(number, power))
 
 
 def return_distribution(
@@ -165,6 +186,10 @@ def return_distribution(
         How often states that lead back to each other are swept at most.
     horizon : int, optional
         Stop after so many steps; see `evaluate`.
+
+    Returns
+    -------
+    ReturnDistribution
 
     Raises
     ------

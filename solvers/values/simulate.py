@@ -9,27 +9,38 @@ Learning, 2018, section 5.1).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import ceil, inf, log, log1p, sqrt
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.returns import times
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+tqdm = later("tqdm")
 
 NEGLIGIBLE = 1e-12
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Simulation:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Simulation(Result):
     """Returns of sampled episodes, and what they say of the policy's mean return.
 
     Attributes
@@ -45,6 +56,12 @@ class Simulation:
     truncation_error : float
         How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ). A horizon is no
         error: its returns are those of episodes that stop there.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
+    >>> print(simulate(MDP.from_outcomes(rows), "random", n=3, rng=0).value)
+    2 ± 0 s.e. (estimated)
     """
 
     returns: Floats
@@ -53,14 +70,11 @@ class Simulation:
     truncated: int
     truncation_error: float
 
+    claim: ClassVar[Claim] = Claim.ESTIMATED
+
     def __post_init__(self) -> None:
         self.returns.setflags(write=False)
         self.steps.setflags(write=False)
-
-    @property
-    def claim(self) -> Claim:
-        """What is claimed of the mean: it is an estimate."""
-        return Claim.ESTIMATED
 
     @property
     def episodes(self) -> int:
@@ -68,36 +82,39 @@ class Simulation:
         return len(self.returns)
 
     @property
-    def mean(self) -> float:
-        """Mean return."""
-        scaled, power = self._scaled
-        return float(np.ldexp(scaled.mean(), power))
+    def value(self) -> Estimated:
+        """The mean return with its standard error."""
+        return Estimated(value=self.mean, standard_error=self.standard_error)
 
-    @property
-    def sd(self) -> float:
-        """Standard deviation of the returns; infinite for one episode, which says nothing of it."""
-        scaled, power = self._scaled
-        with np.errstate(over="ignore"):
-            return float(np.ldexp(scaled.std(ddof=1), power)) if self.episodes > 1 else inf
-
-    @property
+    @cached_property
     def _scaled(self) -> tuple[Floats, int]:
         """The returns over a power of two, so that sums and squares stay within the floats."""
         power = int(np.frexp(np.abs(self.returns).max())[1])
         return np.ldexp(self.returns, -power), power
 
     @property
+    def mean(self) -> float:
+        """Mean return."""
+        scaled, power = self._scaled
+        return times(scaled.mean(), power)
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the returns; infinite for one episode, which says nothing of it."""
+        scaled, power = self._scaled
+        return times(scaled.std(ddof=1), power) if self.episodes > 1 else inf
+
+    @property
     def standard_error(self) -> float:
         """Standard error of `mean`."""
         return self.sd / sqrt(self.episodes)
 
-    @property
-    def estimate(self) -> Estimated:
-        """The mean with its standard error."""
-        return Estimated(value=self.mean, standard_error=self.standard_error)
+    def frame(self) -> DataFrame:
+        """Return the return and the steps of each episode."""
+        return pandas.DataFrame({"return": self.returns, "steps": self.steps})
 
     def __repr__(self) -> str:
-        return f"Simulation({self.episodes} episodes, mean {self.estimate})"
+        return f"Simulation({self.episodes} episodes, mean {self.value})"
 
 
 def simulate(
@@ -128,6 +145,10 @@ def simulate(
         Stop every episode after so many steps, without a further reward, as the environments of a
         time limit do; see `evaluate`.
 
+    Returns
+    -------
+    Simulation
+
     Raises
     ------
     ModelError
@@ -140,8 +161,6 @@ def simulate(
     >>> abs(found.mean - 1) < 4 * found.standard_error
     True
     """
-    from tqdm import tqdm
-
     check_counts("simulate", n=n, **({} if max_steps is None else {"max_steps": max_steps}))
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
     endless = mdp_of(model)
@@ -154,7 +173,7 @@ def simulate(
     returns, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
     happened = np.zeros(n, dtype=np.uint8)
     running, factor, step = np.flatnonzero(~mdp.terminal[state]), 1.0, 0
-    with tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
+    with tqdm.tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
         while len(running) and step < limit:
             outcome = _drawn(first, cumulative, state[running], generator)
             with np.errstate(over="ignore", invalid="ignore"):  # refused below

@@ -1,4 +1,4 @@
-"""How often a policy comes by: visits, steps until the end, and whether something ever happens.
+"""Expected visits of a policy, its steps until the end, and the probability of events.
 
     d(s') = μ(s') + γ Σ_s d(s) P_π(s, s')         expected discounted visits
     τ(s)  = 1 + Σ_s' P_π(s, s') τ(s')             expected steps until a terminal state
@@ -16,38 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure, transposed
-
-
-def occupancy(mdp: MDP, policy: PolicyLike) -> Floats:
-    """Return (L,) the expected discounted number of uses of each pair, from the start.
-
-    Below discount 1 they sum to 1 / (1 - γ), terminal states included, in which a policy stays for
-    ever. At discount 1 the pairs of terminal states are left at 0.
-
-    Raises
-    ------
-    ModelError
-        At discount 1 where an episode may never end.
-    SolverError
-        Where double precision cannot bound the error.
-
-    Examples
-    --------
-    >>> wait, leave = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
-    >>> mdp = MDP.from_arrays([wait, leave], [[1, 5], [0, 0]], discount="1/2")
-    >>> occupancy(mdp, np.array([0, 1])).round(6).tolist()
-    [1.333333, 0.0, 0.0, 0.666667]
-    """
-    chain = PolicyChain.of(mdp, policy)
-    if mdp.discount_exact == 1:
-        chain.require_end()
-    return pair_visits(chain, visits(mdp, chain.discounted))
 
 
 def visits(mdp: MDP, system: LinearSystem) -> FixedPoint:
@@ -59,7 +32,11 @@ def visits(mdp: MDP, system: LinearSystem) -> FixedPoint:
 
 
 def pair_visits(chain: PolicyChain, found: FixedPoint) -> Floats:
-    """Return (L,) uses of each pair from discounted visits; see `occupancy`."""
+    """Return (L,) the expected discounted number of uses of each pair, from discounted visits.
+
+    Below discount 1 they sum to 1 / (1 - γ), terminal states included, in which a policy stays for
+    ever. At discount 1 the pairs of terminal states are left at 0.
+    """
     mdp = chain.mdp
     stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
     return (found.value * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights

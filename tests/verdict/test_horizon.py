@@ -82,7 +82,7 @@ def test_known_optima_within_the_registered_limit(name: str) -> None:
     ends = mdp.terminal
     assert own[0][~ends] == pytest.approx(np.array(wanted)[~ends], abs=1e-12)
     assert (own[steps] == 0).all()
-    assert abs(found.start_value - wanted[0]) <= found.start_error_bound + 1e-13
+    assert abs(found.start_value - wanted[0]) <= found.start.error + 1e-13
 
 
 def test_the_optimum_is_certified_fraction_for_fraction() -> None:
@@ -113,7 +113,7 @@ def test_a_policy_of_a_solution_can_be_given_back() -> None:
     found = solve(mdp, horizon=12)
     for given in (found, found.policy, Policy.from_choices(found.mdp, found.policy)):
         own = evaluate(mdp, given, horizon=12)
-        assert abs(own.mean - found.start_value) <= own.error_bound + found.start_error_bound
+        assert abs(own.mean - found.start_value) <= own.start.error + found.start.error
     assert_policy_optimal(mdp, certify(mdp.within(12)).policy, max_regret=0, horizon=12)
 
 
@@ -201,7 +201,7 @@ def test_returns_sum_to_one_exactly() -> None:
     assert sum(found.exact) == 1
     mean = sum(p * v for p, v in zip(found.exact, found.values, strict=True))
     own = evaluate(mdp, "random", horizon=4)
-    assert abs(own.mean - float(mean)) <= own.error_bound + 1e-15
+    assert abs(own.mean - float(mean)) <= own.start.error + 1e-15
     lake = return_distribution(MDP.from_gymnasium(LAKE), "random", horizon=100)
     assert lake.remaining == 0
     assert abs(lake.probabilities.sum() - 1) <= lake.error.sum() + 1e-14
@@ -225,7 +225,7 @@ def test_the_environment_itself_agrees() -> None:
     """Episodes of Gymnasium with its own time limit, under the time-dependent optimum."""
     env = gymnasium.make(LAKE)
     found = solve(MDP.from_gymnasium(env), horizon=100)
-    action = found.policy.reshape(101, 16)
+    action = np.asarray(found.policy).reshape(101, 16)
     env.reset(seed=5)
     returns = []
     for _ in range(600):

@@ -138,7 +138,7 @@ def test_rows_that_are_mixed_and_miss_1_have_bounds_that_hold() -> None:
         for s in range(2):
             assert F(bounded.lower[s]) <= value[s] <= F(bounded.upper[s])
             assert abs(F(solution.value[s]) - value[s]) <= F(solution.error_bound)
-            assert abs(F(kept.value[s]) - value[s]) <= F(kept.value_error[s])
+            assert abs(F(kept.value[s]) - value[s]) <= F(kept.error[s])
 
 
 def test_a_sparse_array_of_pair_rewards_works() -> None:

@@ -59,7 +59,7 @@ def test_nothing_earned_is_exactly_nothing() -> None:
     """Without rewards the mean is 0 at any discount, however near to 1."""
     rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 0, 0)])]
     found = evaluate(MDP.from_outcomes(rows, F(10**16 - 1, 10**16)), [0, 0])
-    assert (found.mean, found.error_bound, found.sd, found.steps) == (0, 0, 0, inf)
+    assert (found.mean, found.start.error, found.sd, found.steps) == (0, 0, 0, inf)
 
 
 def test_the_command_tells_what_is_unknown(tmp_path: object) -> None:

@@ -17,6 +17,7 @@ import scipy.sparse.linalg
 
 from exact_mdp.mdp import MDP
 from exact_mdp.solvers import BackwardInduction, LinearProgram, certify, evaluate, solve
+from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import substitution
 from exact_mdp.solvers.parallel.sources import PACKAGES, ROOT
 
@@ -34,7 +35,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         found.extend([matrix.indices.dtype, matrix.indptr.dtype])
         return true(matrix, *given, **how)
 
-    monkeypatch.setattr(scipy.sparse.linalg, "spsolve_triangular", watched)
+    monkeypatch.setattr(elimination.linalg, "spsolve_triangular", watched)
     return found
 
 

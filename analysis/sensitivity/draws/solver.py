@@ -135,7 +135,7 @@ class ModelSolver:
         for d, drawn in models(self.model, names, draws):
             found = [evaluate(drawn, weights) for weights in policies]
             value[d] = [each.mean for each in found]
-            error[d] = [each.error_bound for each in found]
+            error[d] = [each.start.error for each in found]
         return {"value": value, "error": error}
 
     def both(
@@ -148,7 +148,7 @@ class ModelSolver:
             best = solve(drawn).start
             found = [evaluate(drawn, weights) for weights in policies]
             value[d] = [best.value, *(each.mean for each in found)]
-            error[d] = [best.error, *(each.error_bound for each in found)]
+            error[d] = [best.error, *(each.start.error for each in found)]
         return {"value": value, "error": error}
 
     def weights(self, row: Integers) -> Floats:

@@ -1,12 +1,14 @@
-"""BiCGSTAB and GMRES for (I - γ P) x = b, preconditioned by Gauss-Seidel up and down.
+"""Linear systems (I - γ P) x = b: BiCGSTAB, substitution along an order, and fill counted.
+
+BiCGSTAB is preconditioned by Gauss-Seidel up and down,
 
     M = (D - L) D⁻¹ (D - U),   I - γ P = D - L - U
 
-(van der Vorst, SIAM J. Sci. Stat. Comput. 13, 1992; Saad and Schultz, the same, 7, 1986; Saad,
-Iterative Methods for Sparse Linear Systems, 2003, algorithms 7.7 and 9.5 and section 10.2). A sweep
-carries news along a whole chain of states numbered in order, either way, so that queues and grids
-take few steps. Columns are sorted within each row. All sums are formed in one order: the answer
-does not depend on threads, nor on a library for linear algebra.
+(van der Vorst, SIAM J. Sci. Stat. Comput. 13, 1992; Saad, Iterative Methods for Sparse Linear
+Systems, 2003, algorithm 7.7 and section 10.2). A sweep carries news along a whole chain of states
+numbered in order, either way, so that queues and grids take few steps. Columns are sorted within
+each row. All sums are formed in one order: the answer does not depend on threads, nor on a library
+for linear algebra.
 """
 
 from __future__ import annotations
@@ -14,16 +16,14 @@ from __future__ import annotations
 import numpy as np
 
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import at, compiled, span
+from exact_mdp.solvers.kernels.compiling import Rows, at, compiled, span
 
 LEAST = 1e-14  # a cosine that is nothing but rounding
 
 
 @compiled
 def applied(
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
+    rows: Rows,
     discount: float,
     given: Floats,
     out: Floats,
@@ -34,7 +34,7 @@ def applied(
     With t = (D - L)⁻¹ x the latter is D t - L y, so that half of the entries need not be read a
     third time (after Eisenstat, SIAM J. Sci. Stat. Comput. 2, 1981).
     """
-    states = len(given)
+    (indptr, indices, data), states = rows, len(given)
     for state in range(states):
         total, diagonal = 0.0, 1.0
         for i in span(indptr[state], indptr[state + 1]):
@@ -67,10 +67,9 @@ def applied(
 
 
 @compiled
-def residual(
-    indptr: Numbers, indices: Numbers, data: Floats, discount: float, value: Floats, out: Floats
-) -> None:
+def residual(rows: Rows, discount: float, value: Floats, out: Floats) -> None:
     """Write x - γ P x (S,) of `value` x (S,) into `out`."""
+    indptr, indices, data = rows
     for state in range(len(value)):
         ahead = 0.0
         for i in span(indptr[state], indptr[state + 1]):
@@ -96,9 +95,7 @@ def dot(left: Floats, right: Floats) -> float:
 
 @compiled
 def bicgstab(
-    indptr: Numbers,
-    indices: Numbers,
-    data: Floats,
+    rows: Rows,
     discount: float,
     constant: Floats,
     rtol: float,
@@ -110,16 +107,6 @@ def bicgstab(
 
     Where a step breaks down, because the residual is orthogonal to the shadow that it is compared
     with, the method starts again from what it has, with the present residual for a shadow.
-
-    Parameters
-    ----------
-    constant : (S,)
-        b, of magnitude 1 or so.
-    rtol : float
-        The norm of the residual, as the recurrence has it, is to be at most this part of b's. It is
-        not worked out anew, as rounding may have kept it from falling so far.
-    room : (6, S)
-        To work in.
     """
     states = len(constant)
     r, shadow, p, v, t, y = room[0], room[1], room[2], room[3], room[4], room[5]
@@ -129,7 +116,7 @@ def bicgstab(
     rho, alpha, omega, length, size, fresh = 1.0, 1.0, 1.0, 0.0, 0.0, True
     for step in range(steps):
         if fresh:
-            residual(indptr, indices, data, discount, value, v)
+            residual(rows, discount, value, v)
             for i in range(states):
                 r[i] = constant[i] - v[i]
                 shadow[i], p[i], v[i] = r[i], 0.0, 0.0
@@ -141,7 +128,7 @@ def bicgstab(
         beta = (rho / before) * (alpha / omega)
         for i in range(states):
             p[i] = r[i] + beta * (p[i] - omega * v[i])
-        applied(indptr, indices, data, discount, p, y, v)
+        applied(rows, discount, p, y, v)
         along = dot(shadow, v)
         fresh = not (
             abs(rho) > LEAST * length * size and abs(along) > LEAST * length * np.sqrt(dot(v, v))
@@ -155,7 +142,7 @@ def bicgstab(
         size = np.sqrt(dot(r, r))
         if size <= goal:
             return step + 1
-        applied(indptr, indices, data, discount, r, y, t)
+        applied(rows, discount, r, y, t)
         square = dot(t, t)
         omega = dot(t, r) / square
         fresh = not abs(omega) * np.sqrt(square) > LEAST * size
@@ -171,89 +158,62 @@ def bicgstab(
 
 
 @compiled
-def gmres(
+def falls(indptr: Numbers, indices: Numbers, order: Numbers) -> bool:
+    """Return whether every entry (s, t) has order[t] < order[s]."""
+    for state in range(len(indptr) - 1):
+        for i in range(indptr[state], indptr[state + 1]):
+            if order[indices[i]] >= order[state]:
+                return False
+    return True
+
+
+@compiled
+def substitute(
+    rows: Rows,
+    discount: float,
+    sequence: Numbers,
+    constant: Floats,
+    value: Floats,
+) -> None:
+    """Write x (S,) into `value`, state after state of `sequence`, each after all it leads to."""
+    indptr, indices, data = rows
+    for state in sequence:
+        ahead = 0.0
+        for i in span(indptr[state], indptr[state + 1]):
+            ahead += data[i] * value[at(indices[i])]
+        value[state] = constant[state] + discount * ahead
+
+
+@compiled
+def fill(
     indptr: Numbers,
     indices: Numbers,
-    data: Floats,
-    discount: float,
-    constant: Floats,
-    rtol: float,
-    steps: int,
-    value: Floats,
-    basis: Floats,
-    small: Floats,
+    most: int,
+    operations: float,
+    parent: Numbers,
+    seen: Numbers,
+    count: Numbers,
 ) -> int:
-    """Write x into `value` (S,); return the steps taken, or -1 where `steps` do not suffice.
+    """Return the entries of L, diagonal included, for a symmetric pattern in the order given.
 
-    Restarted every m steps: where BiCGSTAB swings, its residual never grows.
-
-    Parameters
-    ----------
-    constant, rtol
-        As for `bicgstab`.
-    basis : (m + 2, S)
-        To work in: the directions, and one that is being made.
-    small : (m + 4, m + 1)
-        To work in: the Hessenberg matrix, its rotations, and the right-hand side.
+    Row i of L holds what is met on the way from each k < i of row i of the matrix up the
+    elimination tree (Liu, SIAM J. Matrix Anal. Appl. 11, 1990). Counting stops, with -1, where
+    there are more than `most`, or where elimination takes more than so many operations.
     """
-    states, most = len(constant), len(basis) - 2
-    y, cosine, sine, right = basis[most + 1], small[most + 1], small[most + 2], small[most + 3]
+    states = len(indptr) - 1
+    total, work = 0, 0.0
     for i in range(states):
-        value[i] = 0.0
-    goal = rtol * np.sqrt(dot(constant, constant))
-    done = 0
-    while done <= steps:
-        first = basis[0]
-        residual(indptr, indices, data, discount, value, first)
-        for i in range(states):
-            first[i] = constant[i] - first[i]
-        size = np.sqrt(dot(first, first))
-        if size <= goal:
-            return done
-        if not np.isfinite(size) or done == steps:
+        parent[i], seen[i], count[i] = -1, i, 1
+        total, work = total + 1, work + 1.0
+        for place in range(indptr[i], indptr[i + 1]):
+            k = indices[place]
+            while k < i and seen[k] != i:
+                if parent[k] < 0:
+                    parent[k] = i
+                seen[k] = i
+                total, work = total + 1, work + 2.0 * count[k] + 1.0
+                count[k] += 1
+                k = parent[k]
+        if total > most or work > operations:
             return -1
-        for i in range(states):
-            first[i] /= size
-        right[0], used = size, 0
-        while used < most and done < steps and abs(right[used]) > goal:
-            k, new = used, basis[used + 1]
-            applied(indptr, indices, data, discount, basis[k], y, new)
-            before = np.sqrt(dot(new, new))
-            for j in range(k + 1):
-                along = dot(new, basis[j])
-                small[j, k] = along
-                for i in range(states):
-                    new[i] -= along * basis[j, i]
-            length = np.sqrt(dot(new, new))
-            for j in range(k):
-                one, two = small[j, k], small[j + 1, k]
-                small[j, k] = cosine[j] * one + sine[j] * two
-                small[j + 1, k] = cosine[j] * two - sine[j] * one
-            whole = np.hypot(small[k, k], length)
-            if not whole > LEAST * before:
-                return -1  # the matrix is singular to rounding
-            cosine[k], sine[k], small[k, k] = small[k, k] / whole, length / whole, whole
-            right[k + 1] = -sine[k] * right[k]
-            right[k] = cosine[k] * right[k]
-            used, done = used + 1, done + 1
-            if not length > LEAST * before:
-                break  # the directions hold the solution
-            for i in range(states):
-                new[i] /= length
-        for number in range(used):
-            k = used - 1 - number
-            for j in range(k + 1, used):
-                right[k] -= small[k, j] * right[j]
-            right[k] /= small[k, k]
-        # The first direction is needed no more; the sum takes its place.
-        for i in range(states):
-            total = 0.0
-            for k in range(used):
-                total += right[k] * basis[k, i]
-            first[i] = total
-        applied(indptr, indices, data, discount, first, y, basis[1])
-        for i in range(states):
-            value[i] += y[i]
-        if abs(right[used]) <= goal:
-            return done
-    return -1
+    return total
