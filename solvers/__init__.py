@@ -7,6 +7,11 @@
 [2.0, 0.0]
 >>> solve(mdp).method
 'modified-policy-iteration'
+
+A solver is whatever `solve` accepts: a name, or an object with a `name` and `solve(mdp)`; the
+package `dynamic` says how to add one. A model is whatever `solve` accepts, too: an MDP, a Scenario,
+an operator, or an object that brings its own algorithms as `solve_with(solver, tol)`, as robust
+models and belief problems do.
 """
 
 from __future__ import annotations
@@ -39,9 +44,9 @@ if TYPE_CHECKING:
     from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
     from exact_mdp.solvers.proof.certify import certify
     from exact_mdp.solvers.robust.robust import solve_robust
-    from exact_mdp.solvers.values.evaluate import evaluate
-    from exact_mdp.solvers.values.returns import return_distribution
-    from exact_mdp.solvers.values.simulate import simulate
+    from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
+    from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
+    from exact_mdp.solvers.values.simulate import Simulation, simulate
 
 __all__ = [
     "SOLVERS",
@@ -52,11 +57,14 @@ __all__ = [
     "Certified",
     "Claim",
     "Estimated",
+    "Evaluation",
     "GaussSeidel",
     "LinearProgram",
     "ModifiedPolicyIteration",
     "PolicyIteration",
     "PrecisionWarning",
+    "ReturnDistribution",
+    "Simulation",
     "Solution",
     "Solver",
     "SolverError",
@@ -78,9 +86,9 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.solvers.proof.certificate": ["BoundedCertificate", "Certificate"],
         "exact_mdp.solvers.proof.certify": ["certify"],
         "exact_mdp.solvers.robust.robust": ["solve_robust"],
-        "exact_mdp.solvers.values.evaluate": ["evaluate"],
-        "exact_mdp.solvers.values.returns": ["return_distribution"],
-        "exact_mdp.solvers.values.simulate": ["simulate"],
+        "exact_mdp.solvers.values.evaluate": ["Evaluation", "evaluate"],
+        "exact_mdp.solvers.values.returns": ["ReturnDistribution", "return_distribution"],
+        "exact_mdp.solvers.values.simulate": ["Simulation", "simulate"],
     },
 )
 

@@ -338,7 +338,7 @@ def conclude(
 
 
 def check_settings(solver: Any) -> None:
-    """Raise ModelError for a `tol` that is not positive, or another number that is no count."""
+    """Raise ModelError for a `tol` that is not positive, or another number below 1."""
     name = type(solver).__name__
     settings = {field.name: getattr(solver, field.name) for field in fields(solver)}
     check_tolerance(name, settings.pop("tol", None))

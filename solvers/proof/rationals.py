@@ -37,7 +37,7 @@ Rational.register(_LowestTerms)
 
 
 def fractions(top: Iterable[int | None], bottom: Iterable[int], primes: int) -> Numbers:
-    """Return an array of the Fractions top / bottom, and None where there is no number."""
+    """Return an array of the Fractions top / bottom, and None where `top` is None."""
     found = [
         None if a is None else _fraction(a, b, primes) for a, b in zip(top, bottom, strict=True)
     ]

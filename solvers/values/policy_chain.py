@@ -251,13 +251,13 @@ class PolicyChain:
 
     @cached_property
     def undiscounted(self) -> LinearSystem:
-        """x = c + P_π x on the states that end; the others have empty rows."""
+        """Equation x = c + P_π x on the states that end; the others have empty rows."""
         matrix = self.transition if self.ends.all() else rows_of(self.transition, self.ends)
         return LinearSystem(matrix, 1.0, order=self.order, roundings=self.roundings)
 
     @cached_property
     def discounted(self) -> LinearSystem:
-        """x = c + γ P_π x; at discount 1 on the states that end."""
+        """Equation x = c + γ P_π x; at discount 1 on the states that end."""
         rate = self.mdp.discount
         if self.mdp.discount_exact == 1:
             return self.undiscounted
