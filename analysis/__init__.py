@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.gate.audit import Audit
-    from exact_mdp.analysis.gate.check import assert_policy_optimal, check
+    from exact_mdp.analysis.gate.check import Audit, assert_policy_optimal, check
     from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
 
 __all__ = [
@@ -30,8 +29,7 @@ __all__ = [
 __getattr__, __dir__ = names_later(
     __name__,
     {
-        "exact_mdp.analysis.gate.audit": ["Audit"],
-        "exact_mdp.analysis.gate.check": ["assert_policy_optimal", "check"],
+        "exact_mdp.analysis.gate.check": ["Audit", "assert_policy_optimal", "check"],
         "exact_mdp.analysis.gate.column_policies": [
             "BestPolicy",
             "best_policy",

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pytest
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.gate.audit import Audit
+    from exact_mdp.analysis.gate.check import Audit
     from exact_mdp.mdp.model import MDP
 
 SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")

@@ -10,10 +10,10 @@ from typing import Any
 from exact_mdp.analysis.cli.options import check_outputs, given
 from exact_mdp.analysis.cli.render import Report, Table, cell
 from exact_mdp.analysis.gate import check as gate
-from exact_mdp.analysis.gate.audit import UNEXPLAINED, Audit
+from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit
 from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.analysis.gate.junit import Case, write_junit
-from exact_mdp.analysis.gate.representation import Representation
+from exact_mdp.analysis.gate.reasons import Representation
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.solution import Certified
 

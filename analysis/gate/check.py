@@ -1,33 +1,339 @@
 """The audit of a policy or Q-table from anywhere against the exact optimum.
 
-    audit = check(mdp, learned, max_regret=…)   # how much it loses, where, and why
-    assert_policy_optimal(mdp, learned)         # the same as an assertion
+    audit = check(model, policy, max_regret=…)   # how much it loses, where, and why
+    assert_policy_optimal(model, policy)         # the same as an assertion
+
+The verdicts compare the regret at the start with the limits given, exactly where it is certified.
+Where it is bounded, the upper bound has to keep the limit: what the bounds do not decide does not
+pass. Without a limit the regret has to be zero: exactly, but for what the rounding of given floats
+can move (`analysis.gate.forgiveness`).
 
 No number in a verdict is sampled: see `analysis.gate.regret` for what is lost,
-`analysis.gate.disagreements` for the price of each state, `analysis.gate.representation` for what
-the policy's columns cannot express, `analysis.gate.q_error` for the action values. Ties are known:
-an action as good as the best is optimal.
+`analysis.gate.disagreements` for the price of each state, `analysis.gate.reasons` for what the
+policy's columns cannot express and for the errors of a Q-table. Ties are known: an action as good
+as the best is optimal.
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
+from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.disagreements import disagreements, own_visits
-from exact_mdp.analysis.gate.q_error import pair_values
+import numpy as np
+from numpy.typing import NDArray
+
+from exact_mdp.analysis.gate.disagreements import Disagreement, disagreements, own_visits
+from exact_mdp.analysis.gate.reasons import (
+    QError,
+    Representation,
+    pair_values,
+    q_error,
+    representation,
+)
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import LARGEST, exact, shown
-from exact_mdp.solvers.solution import Certified, SolverError
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import LARGEST, Floats, exact, shown
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
+from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+SHOWN = 5
+UNEXPLAINED = "floating point cannot tell what the columns that the policy reads cost"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """One thing that was checked, by name, whether it holds, and what was found in words."""
+
+    name: str
+    passed: bool
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Audit(Result):
+    """What a policy loses against the optimum, where and why.
+
+    Attributes
+    ----------
+    mdp : MDP
+    policy : Policy
+        The policy, or the greedy policy of the Q-table.
+    chain : PolicyChain
+        The model under it.
+    regret : Regret
+        Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
+    visits : (S,)
+        Its expected discounted visits from the start; undiscounted at discount 1.
+    disagreements : tuple of Disagreement
+        States with a choice where it does not act optimally, the costliest first.
+    max_regret, max_relative_regret : Fraction, optional
+        The limits; without either, the regret has to be zero.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> audit = check(mdp, [0, 0])
+    >>> print(audit.value, audit.frame()["gap"].tolist())
+    2 (certified) [2.0]
+    """
+
+    mdp: MDP
+    policy: Policy
+    chain: PolicyChain
+    regret: Regret
+    visits: Floats
+    disagreements: tuple[Disagreement, ...]
+    max_regret: Fraction | None = None
+    max_relative_regret: Fraction | None = None
+
+    def __repr__(self) -> str:
+        lost = f"regret {_number(self.value)}"
+        return (
+            f"Audit({'passed' if self.passed else 'failed'}: {lost} of "
+            f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements)"
+        )
+
+    def frame(self) -> DataFrame:
+        """Return the disagreements, one row for each state, the costliest first."""
+        rows = [vars(each) | {"optimal": " or ".join(each.optimal)} for each in self.disagreements]
+        return pandas.DataFrame(rows, columns=list(Disagreement.__dataclass_fields__))
+
+    @property
+    def value(self) -> Certified | Bounded:
+        """The regret at the start."""
+        return self.regret.at_start
+
+    @property
+    def error(self) -> float:
+        """How far the regret may be off; 0 where it is certified."""
+        return self.value.error if isinstance(self.value, Bounded) else 0.0
+
+    @property
+    def claim(self) -> Claim:
+        """Certified, or bounded."""
+        return self.value.claim
+
+    @property
+    def read_as(self) -> ReadAs:
+        """What the policy was taken from: "q" or "policy"."""
+        return self.policy.read_as
+
+    @property
+    def forgiven(self) -> Fraction:
+        """The regret that counts as none where no limit is given; 0 in an exact model."""
+        return self.regret.forgiven
+
+    @property
+    def relative_regret(self) -> float | None:
+        """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
+        best = self.regret.optimal
+        low, high = (best.value, best.value) if isinstance(best, Certified) else best.interval
+        if low <= 0 <= high:
+            return None
+        return float(Fraction(self.value.value) / abs(Fraction(best.value)))
+
+    # ---- verdicts ----------------------------------------------------------------------------
+
+    @property
+    def passed(self) -> bool:
+        """Whether every limit holds; what bounds cannot decide does not pass."""
+        return all(verdict.passed for verdict in self.verdicts)
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the bounds leave a verdict open, which then does not pass."""
+        return any(decision is None for _, decision, _ in self._decisions)
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """What was checked: each limit given, or that the regret is zero."""
+        return tuple(
+            Verdict(
+                name=name,
+                passed=decision is True,
+                text=text if decision is not None else f"{text}, {UNDECIDED}",
+            )
+            for name, decision, text in self._decisions
+        )
+
+    @cached_property
+    def _decisions(self) -> tuple[tuple[str, bool | None, str], ...]:
+        """What is checked, whether it holds (None: the bounds do not tell), and what was found."""
+        found, text = list[tuple[str, bool | None, str]](), f"it is {_number(self.value)}"
+        limit, relative = self.max_regret, self.max_relative_regret
+        if limit is None and relative is None:
+            name, zero = "the regret is zero", self.regret.zero
+            if self.regret.forgiveness.high:
+                name += " up to the rounding of the given floats"
+                text += f"; rounding can move it by {_below(self.forgiven)}"
+            found.append((name, zero, text))
+        if limit is not None:
+            name = f"the regret is at most {shown(limit, 10)}"
+            found.append((name, self.regret.decided(limit), text))
+        if relative is not None:
+            name = f"the relative regret is at most {shown(relative, 10)}"
+            found.append((name, *self._relative(relative)))
+        return tuple(found)
+
+    def _relative(self, limit: Fraction) -> tuple[bool | None, str]:
+        """Return whether the relative regret keeps a limit, and what it is."""
+        best = self.regret.optimal
+        if self.relative_regret is None:
+            return False, "it is undefined, because the optimal value is, or may be, 0"
+        text = f"it is {self.relative_regret:.6g} ({self.claim})"
+        if isinstance(best, Certified):
+            return self.regret.decided(limit * abs(best.value)), text
+        low, high = sorted(abs(Fraction(end)) for end in best.interval)
+        if self.regret.decided(limit * low):
+            return True, text
+        return (False if self.regret.decided(limit * high) is False else None), text
+
+    # ---- agreement ---------------------------------------------------------------------------
+
+    @cached_property
+    def _choosing(self) -> NDArray[np.bool_]:
+        return np.asarray(~self.mdp.forced & ~self.mdp.terminal)
+
+    @property
+    def agreement(self) -> float:
+        """Share of the states with a choice in which all that the policy does is optimal.
+
+        Terminal states do not count, and `unclear` ones as agreement. 1 where there is no choice.
+        """
+        states = int(self._choosing.sum())
+        return 1 - len(self.disagreements) / states if states else 1.0
+
+    @cached_property
+    def unclear(self) -> int:
+        """Number of states in which bounds do not tell whether what the policy does is optimal."""
+        used = self.regret.unclear & (self.chain.chosen > 0)
+        states = np.unique(self.mdp.pair_state[used])
+        listed = {each.state for each in self.disagreements}
+        return sum(self._choosing[s] and s not in listed for s in states.tolist())
+
+    @property
+    def agreement_by_visits(self) -> float:
+        """The same share of the policy's visits to states with a choice."""
+        total = float(self.visits[self._choosing].sum())
+        wrong = sum(each.expected_visits for each in self.disagreements)
+        return max(0.0, 1 - wrong / total) if total > 0 else 1.0
+
+    # ---- reasons -----------------------------------------------------------------------------
+
+    @cached_property
+    def q_error(self) -> QError | None:
+        """How wrong the Q-table is; None for a policy."""
+        if self.policy.values is None:
+            return None
+        said = pair_values(self.mdp, self.policy, self.policy.values)
+        optimal = self.regret.optimal_value[self.mdp.pair_state] - self.regret.gap
+        used = self.visits[self.mdp.pair_state] * self.chain.weights
+        return q_error(self.mdp, said, optimal, used)
+
+    @cached_property
+    def representation(self) -> Representation | None:
+        """What the policy's columns cannot express.
+
+        None where it reads the whole state, or where floating point cannot bound the values that
+        the search needs (`unexplained`); the verdict does not depend on it.
+        """
+        if self._reads_all:
+            return None
+        try:
+            return representation(self.mdp, self.policy, self.regret)
+        except SolverError:
+            return None
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether floating point cannot tell what the policy's columns cannot express."""
+        return not self._reads_all and self.representation is None
+
+    @property
+    def _reads_all(self) -> bool:
+        return set(self.policy.columns) == set(self.mdp.space.names)
+
+    def message(self, *, explain: bool = True) -> str:
+        """Return in words what was found, the costly states by name.
+
+        Parameters
+        ----------
+        explain : bool
+            Say also what the policy's columns cannot express, which takes a search.
+
+        Returns
+        -------
+        str
+            Several lines.
+        """
+        lost, listed, source = self.regret, self.disagreements, self.policy.source
+        lines = [f"the array was read as {source}"] if source else []
+        lines += [
+            f"{'passed' if each.passed else 'failed'}: {each.name}; {each.text}"
+            for each in self.verdicts
+        ]
+        lines.append(
+            f"optimal value {float(lost.optimal.value):.10g}, learned"
+            f" {float(lost.learned.value):.10g}; not optimal in {len(listed)} of"
+            f" {int(self._choosing.sum())} states with a choice"
+        )
+        if self.unclear:
+            lines.append(f"in {self.unclear} more the bounds do not tell")
+        lines += [
+            f"  ({each.label}): {each.learned}, not {' or '.join(each.optimal)};"
+            f" gap {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
+            for each in listed[:SHOWN]
+        ]
+        if len(listed) > SHOWN:
+            rest = sum(each.cost for each in listed[SHOWN:])
+            lines.append(f"  and {len(listed) - SHOWN} more, {rest:.6g} in all")
+        if explain and self.representation is not None:
+            lines.append(str(self.representation))
+        elif explain and self.unexplained:
+            lines.append(UNEXPLAINED)
+        return "\n".join(lines)
+
+
+UNDECIDED = (
+    "which the bounds do not decide: give a limit that they keep (--max-regret,"
+    " max_regret=…), or ask for exact values (--certify, exact_values=True)"
+)
+
+
+def _number(value: Certified | Bounded) -> str:
+    """Return a number with its claim; an exact one may have thousands of digits, and is rounded."""
+    if isinstance(value, Certified):
+        return f"{float(value.value):.10g} ({value.claim})"
+    return str(value)
+
+
+def _below(number: Fraction) -> str:
+    """Return a number of two digits that is not above the given one."""
+    rounded = Context(prec=2, rounding=ROUND_DOWN).create_decimal(Decimal(float(number)))
+    return f"up to {rounded:g}"
+
+
+# ---- the two verbs -----------------------------------------------------------------------------
 
 
 def check(
-    mdp: MDP,
-    learned: object,
+    model: MDP | Scenario,
+    policy: PolicyLike,
     *,
     max_regret: object | None = None,
     max_relative_regret: object | None = None,
@@ -39,10 +345,11 @@ def check(
 
     Parameters
     ----------
-    mdp : MDP
-    learned : Policy, str, path, mapping, array, Solution or TrainingRun
-        Whatever `Policy.of` takes, Q-tables included. Of these the greedy policy counts, the lowest
-        action number on a tie.
+    model : MDP or Scenario
+    policy : PolicyLike
+        "optimal", "random", "always:ACTION", a mapping, an array, a Policy, a Solution, a training
+        run or a path, Q-tables included. Of these the greedy policy counts, the lowest action
+        number on a tie.
     max_regret, max_relative_regret : number or "p/q", optional
         Limits for the regret at the start and for its ratio to the absolute optimal value, which is
         undefined where that is 0, and does not pass. Without either, the audit passes only where
@@ -60,6 +367,10 @@ def check(
         `mdp.within(horizon)`. What is learned over states is the same at every time there; tables
         (N, S, A) depend on time.
 
+    Returns
+    -------
+    Audit
+
     Raises
     ------
     ModelError
@@ -74,46 +385,44 @@ def check(
     >>> audit.passed, round(float(audit.regret.at_start.value), 3), round(audit.agreement, 3)
     (False, 63.062, 0.333)
     """
+    mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon)
     limits = {
         "max_regret": _limit("max_regret", max_regret),
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
     }
-    policy = policy_of(mdp, learned, kind=kind)
-    chain = PolicyChain.of(mdp, policy)
-    said = None if policy.values is None else pair_values(mdp, policy, policy.values)
+    held = policy_of(mdp, policy, kind=kind)
+    chain = PolicyChain.of(mdp, held)
 
-    def audit(lost: Regret) -> Audit:
-        visits = own_visits(chain, exact=isinstance(lost.at_start, Certified))
+    def audit(exactly: bool | None) -> Audit:
+        lost = regret(mdp, chain, exact=exactly)
+        visits, floats = own_visits(chain, exact=isinstance(lost.at_start, Certified))
         return Audit(
             mdp=mdp,
-            policy=policy,
+            policy=held,
             chain=chain,
             regret=lost,
-            visits=visits.value,
-            disagreements=disagreements(mdp, chain, lost, visits),
-            said=said,
-            read_as=policy.read_as,
-            source=policy.source,
+            visits=visits,
+            disagreements=disagreements(mdp, chain, lost, visits, priced=floats),
             **limits,
         )
 
     try:
-        result = audit(regret(mdp, chain, exact=exact_values))
+        result = audit(exact_values)
     except SolverError:  # floats cannot bound the answer, which rational arithmetic may give
         if exact_values is not None or not cheap(mdp, LAST_CYCLE):
             raise
-        return audit(regret(mdp, chain, exact=True))
+        return audit(True)
     if exact_values is None and result.undecided and cheap(mdp, LAST_CYCLE):
         with suppress(ModelError):  # a cycle that is too ill-conditioned leaves it undecided
-            return audit(regret(mdp, chain, exact=True))
+            return audit(True)
     return result
 
 
 def assert_policy_optimal(
-    mdp: MDP,
-    policy: object,
+    model: MDP | Scenario,
+    policy: PolicyLike,
     max_regret: object | None = None,
     *,
     max_relative_regret: object | None = None,
@@ -124,8 +433,8 @@ def assert_policy_optimal(
 
     Parameters
     ----------
-    mdp : MDP
-    policy : Policy, str, path, mapping, array, Solution or TrainingRun
+    model : MDP or Scenario
+    policy : PolicyLike
         A policy or Q-table; see `check`.
     max_regret, max_relative_regret : number or "p/q", optional
         Limits at the start; both must hold. Without either the regret must be zero; see `check`.
@@ -139,6 +448,13 @@ def assert_policy_optimal(
     Audit
         For further checks.
 
+    Raises
+    ------
+    AssertionError
+        Where a limit does not hold.
+    ModelError
+        As `check` does.
+
     Examples
     --------
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
@@ -149,7 +465,7 @@ def assert_policy_optimal(
       (state 0): 0, not 1; gap 2 x 1 visits = 2
     """
     audit = check(
-        mdp,
+        model,
         policy,
         max_regret=max_regret,
         max_relative_regret=max_relative_regret,

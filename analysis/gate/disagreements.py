@@ -26,6 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.analysis.gate.exact_policy import exact_visits
+from exact_mdp.analysis.gate.forgiveness import policy_taking
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
@@ -58,9 +59,9 @@ class Disagreement:
     cost : float
         expected_visits · gap; these sum to the regret.
     gain_if_corrected : float or None
-        What the policy's value at the start gains if this state alone is put right.
+        What the policy's value at the start gains if this state alone is corrected.
     loss_if_alone : float or None
-        What the optimal value at the start loses if this state alone is got wrong.
+        What the optimal value at the start loses if this state alone is wrong.
         Both are None beyond the 50 costliest states of a model with cycles and over 500 states,
         and in models where floating point cannot bound the visits.
     """
@@ -76,87 +77,61 @@ class Disagreement:
     loss_if_alone: float | None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Visits:
-    """Discounted visits of a policy from the start.
+def own_visits(chain: PolicyChain, *, exact: bool) -> tuple[Floats, bool]:
+    """Return the visits (S,) of a policy from the start, and whether they are from floats.
 
-    Attributes
-    ----------
-    value : (S,)
-        Exactly 0 in states that are not reached.
-    floats : bool
-        Whether they are from floating point. Rational arithmetic takes over where this cannot bound
-        them.
-    """
-
-    value: Floats
-    floats: bool
-
-
-def own_visits(chain: PolicyChain, *, exact: bool) -> Visits:
-    """Return the visits of a policy.
-
-    Parameters
-    ----------
-    chain : PolicyChain
-    exact : bool
-        Whether rational arithmetic may be used: where the regret is certified, it is quick enough.
-
-    Raises
-    ------
-    SolverError
-        Where floating point cannot bound the visits, and `exact` is False.
+    They are exactly 0 in states that are not reached. Rational arithmetic takes over where floats
+    cannot bound them, if `exact` allows it: where the regret is certified, it is quick enough.
+    Otherwise this raises SolverError.
     """
     try:
         found = visits(chain.mdp, chain.discounted).value
     except SolverError:
         if not exact:
             raise
-        return Visits(value=exact_visits(chain), floats=False)
-    return Visits(value=np.where(chain.reached, found, 0.0), floats=True)
+        return exact_visits(chain), False
+    return np.where(chain.reached, found, 0.0), True
 
 
 def disagreements(
-    mdp: MDP, chain: PolicyChain, found: Regret, seen: Visits
+    mdp: MDP, chain: PolicyChain, found: Regret, visited: Floats, *, priced: bool
 ) -> tuple[Disagreement, ...]:
     """Return every state with a choice in which the policy may not act optimally, costliest first.
 
-    Parameters
-    ----------
-    chain : PolicyChain
-        The model under the policy.
-    found : Regret
-        Its regret.
-    seen : Visits
-        Its `own_visits`.
+    `found` is the regret of the policy of `chain`, and `visited` its visits; `priced` is whether
+    these are from floats, with which changes can be priced.
     """
-    visited = seen.value
     first = mdp.pair_offsets[:-1]
     gap = np.add.reduceat(chain.weights * found.gap, first)
     wrong = np.add.reduceat(chain.weights * ~found.optimal_pairs, first) > 0
     states = np.flatnonzero(wrong & ~mdp.terminal)
+    if not len(states):
+        return ()
     cost = visited * gap
     states = states[np.lexsort((states, -gap[states], -cost[states]))]
-    number = np.where(found.optimal_pairs, np.arange(mdp.n_pairs), mdp.n_pairs)
-    best = PolicyChain(mdp=mdp, chosen=np.zeros(mdp.n_pairs))
-    best.chosen[np.minimum.reduceat(number, first)] = 1.0
+    best = policy_taking(mdp, found.optimal_pairs)
     cheap = levels(mdp) is not None or mdp.n_states <= LARGE
-    priced = states if cheap else states[:PRICED]
-    other = own_visits(best, exact=isinstance(found.at_start, Certified))
+    changed = states if cheap else states[:PRICED]
+    others, floats = own_visits(best, exact=isinstance(found.at_start, Certified))
     prices: Iterator[tuple[float, float]] = iter(())
-    if seen.floats and other.floats:
-        corrected = _changes(chain, found.learned_value, visited, best, priced)
-        losses = -_changes(best, found.optimal_value, other.value, chain, priced)
+    if priced and floats:
+        corrected = _changes(chain, found.learned_value, visited, best, changed)
+        losses = -_changes(best, found.optimal_value, others, chain, changed)
         prices = zip(corrected.tolist(), losses.tolist(), strict=True)
     listed = []
     for state in states.tolist():
         gain, loss = next(prices, (None, None))
+        pairs = mdp.pairs_of(state)
         listed.append(
             Disagreement(
                 state=state,
                 label=mdp.space.label(state),
                 learned=_action(chain, state),
-                optimal=_optimal(mdp, found, state),
+                optimal=tuple(
+                    mdp.actions[mdp.pair_action[pair]]
+                    for pair in pairs
+                    if found.optimal_pairs[pair]
+                ),
                 gap=float(gap[state]),
                 expected_visits=float(visited[state]),
                 cost=float(cost[state]),
@@ -172,10 +147,7 @@ def _changes(
 ) -> Floats:
     """Return what the start gains if a policy does in one state as another does, state by state.
 
-    Parameters
-    ----------
-    chain, value, visited : PolicyChain, (S,), (S,)
-        The policy with its values and visits.
+    The policy of `chain` has the values (S,) and visits (S,) given.
     """
     mdp = chain.mdp
     known, used = np.nan_to_num(value), other.pairs
@@ -201,11 +173,3 @@ def _action(chain: PolicyChain, state: int) -> str:
     if len(names) == 1:
         return names[0]
     return ", ".join(f"{chain.weights[p]:.4g} {name}" for p, name in zip(taken, names, strict=True))
-
-
-def _optimal(mdp: MDP, found: Regret, state: int) -> tuple[str, ...]:
-    return tuple(
-        mdp.actions[mdp.pair_action[pair]]
-        for pair in mdp.pairs_of(state)
-        if found.optimal_pairs[pair]
-    )

@@ -20,7 +20,7 @@ import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
+from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers, spans
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.proof.rationals import fraction
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -39,14 +39,7 @@ class Values(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExactPolicy:
-    """Exact values of a policy, deterministic or mixed.
-
-    Attributes
-    ----------
-    mdp : MDP
-    numerator, group, denominator : sequences of int
-        V(s) = numerator[s] / denominator[group[s]].
-    """
+    """Exact values V(s) = numerator[s] / denominator[group[s]] of a policy."""
 
     mdp: MDP
     numerator: Sequence[int]
@@ -56,42 +49,29 @@ class ExactPolicy:
     @cached_property
     def value_float(self) -> Floats:
         """(S,) the values, each rounded once."""
-        below = [self.denominator[group] for group in self.group.tolist()]
-        return divide(np.array(self.numerator, object), np.array(below, object))
+        return divide(np.array(self.numerator, object), np.array(self._below, object))
 
     @cached_property
     def value(self) -> list[Fraction]:
         """The values of all states."""
-        below = (self.denominator[group] for group in self.group.tolist())
-        return [fraction(a, b) for a, b in zip(self.numerator, below, strict=True)]
+        return [fraction(a, b) for a, b in zip(self.numerator, self._below, strict=True)]
 
     @property
     def start_value(self) -> Fraction:
         """The value of the start distribution."""
-        states = ((state, weight) for state, weight in self.mdp.start)
-        return sum(
-            (
-                weight * Fraction(self.numerator[s], self.denominator[self.group[s]])
-                for s, weight in states
-            ),
-            Fraction(0),
-        )
+        below = self._below
+        terms = (weight * Fraction(self.numerator[s], below[s]) for s, weight in self.mdp.start)
+        return sum(terms, Fraction(0))
+
+    @property
+    def _below(self) -> list[int]:
+        return [self.denominator[group] for group in self.group.tolist()]
 
 
 def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -> ExactPolicy:
     """Return the exact values of a policy whose equations are known to have one solution.
 
-    Parameters
-    ----------
-    chain : PolicyChain
-    earned : (S,) Fractions, optional
-        What each state earns, in place of the model's rewards.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> exact_policy(PolicyChain.of(mdp, "random")).start_value
-    Fraction(2, 1)
+    With `earned`, (S,) Fractions, that is what each state earns in place of the model's rewards.
     """
     mdp = chain.mdp
     rows, times = mixed_rows(bellman_rows(mdp), chain), 1
@@ -116,13 +96,6 @@ def exact_visits(chain: PolicyChain) -> Floats:
 
     These solve the transposed equations d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached.
     Terminal states count arrivals.
-
-    Examples
-    --------
-    >>> rows = [(0, 0, [("1/3", 0, 1), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])]
-    >>> mdp = MDP.from_outcomes(rows)
-    >>> exact_visits(PolicyChain.of(mdp, [0, 0])).tolist()
-    [1.5, 1.0]
     """
     mdp = chain.mdp
     rows = mixed_rows(bellman_rows(mdp), chain)
@@ -150,12 +123,26 @@ def exact_visits(chain: PolicyChain) -> Floats:
     found = solve_exactly(flow)
     if not _holds(flow, found):
         raise RuntimeError("exact visits of a policy do not solve their equations")
-    below = [found.denominator[group] for group in found.group.tolist()]
-    return divide(np.array(found.numerator, object), np.array(below, object))
+    counted = ExactPolicy(
+        mdp=mdp, numerator=found.numerator, group=found.group, denominator=found.denominator
+    )
+    return counted.value_float
 
 
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
     """Return the Bellman rows of the model in which each state has the policy's mixed pair."""
+    if len(chain.pairs) == len(rows.scale):  # one pair a state: its row as it is
+        first, last = rows.offsets[chain.pairs], rows.offsets[chain.pairs + 1]
+        entries = spans(first, last)
+        return BellmanRows(
+            pair_offsets=np.arange(len(rows.scale) + 1),
+            terminal=rows.terminal,
+            scale=rows.scale,
+            constant=rows.constant[chain.pairs],
+            offsets=np.concatenate([[0], np.cumsum(last - first)]),
+            next=rows.next[entries],
+            weight=rows.weight[entries],
+        )
     offsets, following, weight = rows.offsets.tolist(), rows.next.tolist(), rows.weight.tolist()
     constant, scale = rows.constant.tolist(), rows.scale.tolist()
     scales, constants, lengths = list[int](), list[int](), list[int]()
@@ -185,16 +172,7 @@ def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
 
 
 def exact_gaps(mdp: MDP, best: Values, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:
-    """Return V*(s) - Q*(l) of some pairs as numerator and denominator, both integers.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [["1/3", 3], [0, 0]])
-    >>> from exact_mdp import certify
-    >>> top, bottom = exact_gaps(mdp, certify(mdp), [0])[0]
-    >>> Fraction(top, bottom)
-    Fraction(8, 3)
-    """
+    """Return V*(s) - Q*(l) of some pairs as numerator and denominator, both integers."""
     found: dict[int, tuple[int, int]] = {}
     asked = list(pairs)
     if not asked:

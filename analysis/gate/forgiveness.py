@@ -14,6 +14,11 @@ Two policies whose values differ by at most F^π + F^* cannot be told apart by t
 than the floats, F^* being that of an optimal policy. Nothing outside what is reached from the start
 has any say in it, and it is 0 where all numbers are exact. It is computed from below and above, and
 as a rational where these two do not decide.
+
+A pair ties with the best action where its gap is at most what rounding can move: by using the pair
+and then acting optimally, and by acting optimally,
+
+    gap(s, a) ≤ e(s, a) + γ Σ_s' P(s, a, s') F*(s') + F*(s)
 """
 
 from __future__ import annotations
@@ -21,52 +26,37 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import inf
+from math import inf, isfinite
 
 import numpy as np
+from numpy.typing import NDArray
 
+from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import SLACK, TINY
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Range:
-    """Numbers known from below and above.
-
-    Attributes
-    ----------
-    low, high : (K,)
-    """
+    """Numbers (K,) known from below and above."""
 
     low: Floats
     high: Floats
 
 
 def of_floats(mdp: MDP) -> bool:
-    """Return whether any number of the model was given as a float that rounding may have moved.
-
-    Examples
-    --------
-    >>> step = [[[0, 1], [0, 1]]]
-    >>> of_floats(MDP.from_arrays(step, [1, 0])), of_floats(MDP.from_arrays(step, [0.1, 0]))
-    (False, True)
-    """
+    """Return whether any number of the model was given as a float that rounding may have moved."""
     return bool(mdp.table.weight_rounding().any() or mdp.table.gain_rounding().any())
 
 
 def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
-    """Return e(l) of every pair, (L,), for values (S,) known up to an error (S,).
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [0.1, 0])
-    >>> found = per_use(mdp, np.array([0.1, 0.0]), np.zeros(2))
-    >>> bool(found.low[0] <= 2.0**-57 <= found.high[0]), float(found.low[1])
-    (True, 0.0)
-    """
+    """Return e(l) of every pair, (L,), for values (S,) known up to an error (S,)."""
     table, first = mdp.table, mdp.table.offsets[:-1]
     rounded = table.gain_rounding()
     if len(rounded) != table.pairs:
@@ -83,7 +73,7 @@ def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
     return Range(low=least / SLACK, high=most * SLACK + TINY * (most > 0))
 
 
-def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
+def _exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
     """Return e(l) of one pair as a rational, for exact values of all states."""
     table = mdp.table
     begin, end = int(table.offsets[pair]), int(table.offsets[pair + 1])
@@ -102,10 +92,7 @@ def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
 def in_all(chain: PolicyChain, each: Range, *, reached: bool = False) -> Range:
     """Return F (S,) of a policy, from e(l) of every pair; up to infinity where floats fail.
 
-    Parameters
-    ----------
-    reached : bool
-        Leave out what the policy never reaches from the start.
+    With `reached`, what the policy never reaches from the start is left out.
     """
     mdp = chain.mdp
     counted = ~mdp.terminal & (chain.reached if reached else True)
@@ -129,14 +116,9 @@ def in_all(chain: PolicyChain, each: Range, *, reached: bool = False) -> Range:
 
 @dataclass(eq=False)
 class Forgiveness:
-    """What the rounding of the given floats can move at the start.
+    """What the rounding of the given floats can move at the start: proven bounds.
 
-    Attributes
-    ----------
-    low, high : Fraction or infinity
-        Proven bounds.
-    make : callable, optional
-        Works it out exactly.
+    `make` works it out exactly, where that is possible.
     """
 
     low: Fraction
@@ -161,3 +143,73 @@ def bounds_at_start(mdp: MDP, *parts: Range) -> tuple[Fraction, Fraction | float
             low += weight * Fraction(float(part.low[state]))
             high += weight * Fraction(float(part.high[state]))
     return low, high
+
+
+def policy_taking(mdp: MDP, marked: Flags) -> PolicyChain:
+    """Return the chain that takes the first marked pair (L,) of every state."""
+    numbers = np.where(marked, np.arange(mdp.n_pairs), mdp.n_pairs)
+    chosen = np.zeros(mdp.n_pairs)
+    chosen[np.minimum.reduceat(numbers, mdp.pair_offsets[:-1])] = 1.0
+    return PolicyChain(mdp=mdp, chosen=chosen)
+
+
+def tie_range(mdp: MDP, value: Floats, error: Floats, best: PolicyChain) -> Range:
+    """Return (L,) the gap up to which each pair ties with the best; V* is known up to an error."""
+    each = per_use(mdp, value, error)
+    later = in_all(best, each)
+    low, high = (
+        here + mdp.discount * (mdp.transition @ after) + after[mdp.pair_state]
+        for here, after in ((each.low, later.low), (each.high, later.high))
+    )
+    return Range(low=low / SLACK, high=high * SLACK)
+
+
+def exact_ties(mdp: MDP, best: Certificate, tie: Range, pairs: Integers) -> Flags:
+    """Return (L,) which of some pairs tie with the best, decided in rational arithmetic."""
+    found = np.zeros(mdp.n_pairs, dtype=bool)
+    later: Sequence[Fraction] | None = None
+    for pair, (top, bottom) in exact_gaps(mdp, best, pairs.tolist()).items():
+        gap, low, high = Fraction(top, bottom), float(tie.low[pair]), float(tie.high[pair])
+        if gap <= Fraction(low) or (isfinite(high) and gap > Fraction(high)):
+            found[pair] = gap <= Fraction(low)
+            continue
+        if later is None:
+            later = _exactly_in_all(policy_taking(mdp, best.optimal_pairs), best.value.tolist())
+        limit = _exactly_per_use(mdp, best.value.tolist(), pair)
+        row = mdp.table.row(pair)
+        limit += mdp.discount_exact * sum((p * later[t] for p, t, _ in row), Fraction(0))
+        found[pair] = gap <= limit + later[int(mdp.pair_state[pair])]
+    return found
+
+
+def _exactly_in_all(chain: PolicyChain, value: Sequence[Fraction]) -> Sequence[Fraction]:
+    """Return F (S,) of a policy as rationals, for its exact values."""
+    mdp, earned = chain.mdp, [Fraction(0)] * chain.mdp.n_states
+    for state in np.flatnonzero(~mdp.terminal).tolist():
+        for pair, share in chain.exact_weights(state).items():
+            earned[state] += share * _exactly_per_use(mdp, value, pair)
+    return exact_policy(chain, earned).value
+
+
+def exact_forgiveness(
+    mdp: MDP, chain: PolicyChain, own: ExactPolicy | Certificate, best: Certificate
+) -> Forgiveness:
+    """Return what rounding can move at the start, for exact values of a policy and the optimum."""
+    if not of_floats(mdp):
+        return Forgiveness(low=Fraction(0), high=Fraction(0))
+    both = ((chain, own), (policy_taking(mdp, best.optimal_pairs), best))
+
+    def make() -> Fraction:
+        total = Fraction(0)
+        for of, values in both:
+            moved = _exactly_in_all(of, list(values.value))
+            total += sum((weight * moved[state] for state, weight in mdp.start), Fraction(0))
+        return total
+
+    parts = []
+    for of, values in both:
+        worth = values.value_float
+        error = UNIT * np.abs(worth) + TINY  # these values were rounded once
+        parts.append(in_all(of, per_use(mdp, worth, error), reached=True))
+    low, high = bounds_at_start(mdp, *parts)
+    return Forgiveness(low=low, high=high, make=make)

@@ -1,84 +1,73 @@
-"""The optimum of a model with a proof in rationals that an independent checker has accepted.
-
-How much a policy loses against the optimum: exactly where that is cheap, else within bounds.
+"""How much a policy loses against the optimum: exactly where that is cheap, else within bounds.
 
     regret(s) = V*(s) - V^π(s) = Σ_s' d_s(s') gap(s', π(s')),    gap(s, a) = V*(s) - Q*(s, a)
 
 with d_s the discounted visits of π that begins in s. V* comes with a certificate that its checker
-has accepted. So does V^π of a deterministic policy, because the model in which every state offers
-only what it takes there has that for an optimum; that of a mixed one solves its equations exactly
-(`analysis.gate.exact_policy`). Large models and long cycles are bounded in floating point instead:
-V* ≤ V + c w and V^π ≥ V + c' w as in `solvers.bounds.bounds`, which is narrow where little is lost,
-or the two values, each with its error. Even there a regret of 0 can be certified: where in every
-state that the policy reaches each action taken is better than all others by more than the errors
-(or has the same row and reward), the policy is optimal.
+has accepted. V^π solves the policy's equations exactly (`analysis.gate.exact_policy`); where all
+that π takes is optimal it is V*, which solves the same equations. Large models and long cycles are
+bounded in floating point instead: V* ≤ V + c w and V^π ≥ V + c' w as in `solvers.bounds.bounds`,
+which is narrow where little is lost, or the two values, each with its error.
+
+Even there a regret of 0 can be certified. Around the values V, with low · w ≤ V* - V ≤ high · w,
+
+    Q*(l) - V(s) = d(l) + γ Σ_s' P(l, s') (V*(s') - V(s')),    d(l) = r(l) + γ P_l V - V(s)
+
+lies between two floats, rounding included. An action is optimal where no other one of its state may
+be better; two actions with the same expected reward and the same row are equally good whatever V*
+is. Where all that a policy does in each state that it reaches is optimal, so is the policy: V* then
+solves its equations, which have one solution where it ends or γ < 1.
 
 Where all numbers are exact, an action is optimal where its gap is 0. With floats among them, it
 ties with the best where its gap is at most what their rounding can move
-(`analysis.gate.forgiveness`): by using the pair and then acting optimally, and by acting optimally,
-
-    gap(s, a) ≤ e(s, a) + γ Σ_s' P(s, a, s') F*(s') + F*(s)
-
-Doubles decide this where their errors allow it, and rational arithmetic decides the rest.
+(`analysis.gate.forgiveness`). Doubles decide this where their errors allow it, and rational
+arithmetic decides the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from math import isfinite
-from typing import TYPE_CHECKING
+from math import inf, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.action_bounds import ActionBounds
 from exact_mdp.analysis.gate.exact_policy import Values, exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import (
+    Flags,
     Forgiveness,
-    Range,
     bounds_at_start,
-    exactly_per_use,
+    exact_forgiveness,
+    exact_ties,
     in_all,
     of_floats,
     per_use,
+    policy_taking,
+    tie_range,
 )
 from exact_mdp.mdp.chain import components, is_acyclic
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.bounds.bounds import Bounds, bounds
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import at_start
 
-if TYPE_CHECKING:
-    from exact_mdp.solvers.proof.certificate import Certificate
-
 
 def proven(mdp: MDP) -> Certificate:
-    """Return a certificate that its checker has accepted.
-
-    Examples
-    --------
-    >>> print(proven(MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])).start)
-    2 (certified)
-    """
-    from exact_mdp.solvers.proof.certify import certify
-
+    """Return a certificate that its checker has accepted."""
     found = certify(mdp)
     if faults := found.violations():
         raise RuntimeError(f"a certificate does not hold: {faults[0]}")
     return found
 
 
-Flags = NDArray[np.bool_]
 EXACT_TRANSITIONS = 100_000
 EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
 EXACT_CYCLE = 64  # states of the largest cycle
@@ -196,23 +185,6 @@ def regret(
     return _certified(mdp, chain, optimum if isinstance(optimum, Certificate) else proven(mdp))
 
 
-def under(mdp: MDP, pairs: Integers) -> MDP:
-    """Return the model in which every state offers only the pair (S,) that a policy takes.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[1, 0], [0, 1]]], [1, 0], discount="1/2")
-    >>> under(mdp, np.array([1, 2])).reward.tolist()
-    [1.0, 0.0]
-    """
-    chosen = np.zeros(mdp.n_pairs)
-    chosen[pairs] = 1.0
-    table = PolicyChain(mdp=mdp, chosen=chosen).table
-    return mdp.with_(
-        table=table, pair_state=mdp.pair_state[pairs], pair_action=mdp.pair_action[pairs]
-    )
-
-
 def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
     """Return whether rational arithmetic is quick: few transitions, cycles of few states."""
     if mdp.n_transitions > (EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME):
@@ -224,8 +196,7 @@ def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
 
 
 def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
-    single = len(chain.pairs) == mdp.n_states
-    own = proven(under(mdp, chain.pairs)) if single else exact_policy(chain)
+    own = best if best.optimal_pairs[chain.pairs].all() else exact_policy(chain)
     optimal, gap = _gaps(mdp, best)
     return Regret(
         optimal=best.start,
@@ -238,12 +209,14 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=gap,
         optimum=best,
-        forgiveness=_forgiveness(mdp, chain, own.value_float, best, lambda: list(own.value)),
+        forgiveness=exact_forgiveness(mdp, chain, own, best),
     )
 
 
 def _differences(best: Values, own: Values) -> Floats:
     """Return (S,) the exact differences of the values, each rounded once."""
+    if own is best:
+        return np.zeros(len(best.numerator))
     found = []
     for state, (a, c) in enumerate(zip(best.numerator, own.numerator, strict=True)):
         b = best.denominator[best.group[state]]
@@ -261,100 +234,18 @@ def _gaps(mdp: MDP, best: Certificate) -> tuple[Flags, Floats]:
     others = ~optimal & ~mdp.terminal[mdp.pair_state]
     rough = others & (doubt > ACCURATE * gap)
     if of_floats(mdp):
-        tie = _ties(mdp, best)
+        value = best.value_float
+        ideal = policy_taking(mdp, best.optimal_pairs)
+        tie = tie_range(mdp, value, UNIT * np.abs(value) + TINY, ideal)
         with np.errstate(invalid="ignore"):
             equal = others & (gap + doubt <= tie.low)
             open_ = others & ~equal & ~(gap - doubt > tie.high)
-        equal |= _exact_ties(mdp, best, tie, np.flatnonzero(open_))
+        equal |= exact_ties(mdp, best, tie, np.flatnonzero(open_))
         optimal |= equal
         rough &= ~equal
     for pair, (top, bottom) in exact_gaps(mdp, best, np.flatnonzero(rough).tolist()).items():
         gap[pair] = top / bottom
     return optimal, np.where(optimal, 0.0, np.maximum(gap, 0.0))
-
-
-def _ties(mdp: MDP, best: Certificate) -> Range:
-    """Return (L,) the gap up to which each pair ties with the best: what rounding can move."""
-    value = best.value_float
-    return _tie_range(mdp, value, UNIT * np.abs(value) + TINY, _best_chain(mdp, best))
-
-
-def _tie_range(mdp: MDP, value: Floats, error: Floats, best: PolicyChain) -> Range:
-    each = per_use(mdp, value, error)
-    later = in_all(best, each)
-    low, high = (
-        here + mdp.discount * (mdp.transition @ after) + after[mdp.pair_state]
-        for here, after in ((each.low, later.low), (each.high, later.high))
-    )
-    return Range(low=low / SLACK, high=high * SLACK)
-
-
-def _exact_ties(mdp: MDP, best: Certificate, tie: Range, pairs: Integers) -> Flags:
-    """Return (L,) which of some pairs tie with the best, decided in rational arithmetic."""
-    found = np.zeros(mdp.n_pairs, dtype=bool)
-    later: Sequence[Fraction] | None = None
-    for pair, (top, bottom) in exact_gaps(mdp, best, pairs.tolist()).items():
-        gap, low, high = Fraction(top, bottom), float(tie.low[pair]), float(tie.high[pair])
-        if gap <= Fraction(low) or (isfinite(high) and gap > Fraction(high)):
-            found[pair] = gap <= Fraction(low)
-            continue
-        if later is None:
-            later = _exactly_in_all(_best_chain(mdp, best), best.value.tolist())
-        limit = exactly_per_use(mdp, best.value.tolist(), pair)
-        row = mdp.table.row(pair)
-        limit += mdp.discount_exact * sum((p * later[t] for p, t, _ in row), Fraction(0))
-        found[pair] = gap <= limit + later[int(mdp.pair_state[pair])]
-    return found
-
-
-# ---- what rounding can move ----------------------------------------------------------------------
-
-
-def _best_chain(mdp: MDP, best: Certificate | Bounds) -> PolicyChain:
-    """Return the chain of the first optimal action of every state."""
-    if isinstance(best, Bounds):
-        pairs = best.pairs
-    else:
-        numbers = np.where(best.optimal_pairs, np.arange(mdp.n_pairs), mdp.n_pairs)
-        pairs = np.minimum.reduceat(numbers, mdp.pair_offsets[:-1])
-    chosen = np.zeros(mdp.n_pairs)
-    chosen[pairs] = 1.0
-    return PolicyChain(mdp=mdp, chosen=chosen)
-
-
-def _forgiveness(
-    mdp: MDP,
-    chain: PolicyChain,
-    value: Floats,
-    best: Certificate,
-    exactly: Callable[[], list[Fraction]],
-) -> Forgiveness:
-    """Return what rounding can move at the start, for exact values that were rounded once."""
-    if not of_floats(mdp):
-        return Forgiveness(low=Fraction(0), high=Fraction(0))
-    ideal = _best_chain(mdp, best)
-
-    def part(of: PolicyChain, worth: Floats) -> Range:
-        return in_all(of, per_use(mdp, worth, UNIT * np.abs(worth) + TINY), reached=True)
-
-    def make() -> Fraction:
-        total = Fraction(0)
-        for of, values in ((chain, exactly()), (ideal, best.value.tolist())):
-            moved = _exactly_in_all(of, values)
-            total += sum((weight * moved[state] for state, weight in mdp.start), Fraction(0))
-        return total
-
-    low, high = bounds_at_start(mdp, part(chain, value), part(ideal, best.value_float))
-    return Forgiveness(low=low, high=high, make=make)
-
-
-def _exactly_in_all(chain: PolicyChain, value: Sequence[Fraction]) -> Sequence[Fraction]:
-    """Return F (S,) of a policy as rationals, for its exact values."""
-    mdp, earned = chain.mdp, [Fraction(0)] * chain.mdp.n_states
-    for state in np.flatnonzero(~mdp.terminal).tolist():
-        for pair, share in chain.exact_weights(state).items():
-            earned[state] += share * exactly_per_use(mdp, value, pair)
-    return exact_policy(chain, earned).value
 
 
 # ---- bounds --------------------------------------------------------------------------------------
@@ -400,8 +291,10 @@ def _bounded_forgiveness(
     """Return what rounding can move at the start, of the policy's own part, and at most by pair."""
     if not of_floats(mdp):
         return Forgiveness(low=Fraction(0), high=Fraction(0)), np.zeros(mdp.n_pairs)
-    ideal = _best_chain(mdp, optimum)
-    tie = _tie_range(mdp, optimum.value, optimum.state_error, ideal)
+    taken = np.zeros(mdp.n_pairs, dtype=bool)
+    taken[optimum.pairs] = True
+    ideal = policy_taking(mdp, taken)
+    tie = tie_range(mdp, optimum.value, optimum.state_error, ideal)
     own = in_all(chain, per_use(mdp, value, error), reached=True)
     best = in_all(ideal, per_use(mdp, optimum.value, optimum.state_error), reached=True)
     low, _ = bounds_at_start(mdp, own)
@@ -421,5 +314,92 @@ def _narrow(mdp: MDP, value: Floats, chain: PolicyChain) -> float:
     try:
         found = bounds(mdp, value, chain.pairs)
     except SolverError:
-        return float("inf")
+        return inf
     return float((found.high - found.low) * (mdp.start_distribution @ found.weight) * SLACK)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActionBounds:
+    """What bounds on V* say of each pair.
+
+    Attributes
+    ----------
+    low, high : (L,)
+        Bounds of Q*(l) - V(s).
+    gap, least_gap, most_gap : (L,)
+        What the pair falls short of the optimum: the best guess, and bounds; 0 in `most_gap` where
+        it is proven to be optimal.
+    """
+
+    mdp: MDP
+    low: Floats
+    high: Floats
+    gap: Floats
+    least_gap: Floats
+    most_gap: Floats
+
+    @classmethod
+    def of(cls, mdp: MDP, optimum: Bounds) -> ActionBounds:
+        """Return what is known of a model's actions."""
+        # Q*(l) - V(s) = d(l) + γ P_l (V* - V), and low · w ≤ V* - V ≤ high · w.
+        near = gains(mdp, optimum.value)
+        flow = mdp.discount * (mdp.transition @ optimum.weight)
+        off = near.error + 4 * UNIT * (np.abs(near.value) + near.error) + TINY
+        low = near.value - off + _outward(optimum.low * flow, -1)
+        high = near.value + off + _outward(optimum.high * flow, 1)
+        low, high = _outward(low, -1, 4 * UNIT), _outward(high, 1, 4 * UNIT)
+        first, state = mdp.pair_offsets[:-1], mdp.pair_state
+        best = np.maximum.reduceat(near.value, first)[state]
+        most = np.where(mdp.forced[state], low, _largest_other(mdp, high))
+        return cls(
+            mdp=mdp,
+            low=low,
+            high=high,
+            gap=best - near.value,
+            least_gap=_outward(np.maximum.reduceat(low, first)[state] - high, -1, 4 * UNIT),
+            most_gap=np.maximum(_outward(most - low, 1, 4 * UNIT), 0.0),
+        )
+
+    def all_best(self, chain: PolicyChain) -> bool:
+        """Return whether all that a policy does where it comes is proven to be optimal."""
+        mdp = self.mdp
+        live = (chain.reached & ~mdp.terminal)[mdp.pair_state]
+        open_ = live & (chain.chosen > 0) & (self.most_gap > 0)
+        return all(self._beats(int(pair)) for pair in np.flatnonzero(open_))
+
+    def _beats(self, pair: int) -> bool:
+        """Return whether all other pairs of the state are worse, or have the same outcomes."""
+        mdp, own = self.mdp, None
+        for other in mdp.pairs_of(int(mdp.pair_state[pair])):
+            if other == pair or self.high[other] <= self.low[pair]:
+                continue
+            own = _outcomes(mdp, pair) if own is None else own
+            if _outcomes(mdp, other) != own:
+                return False
+        return True
+
+
+def _outcomes(mdp: MDP, pair: int) -> tuple[Fraction, dict[int, Fraction]]:
+    """Return the exact expected reward and the exact row of a pair."""
+    reward, row = Fraction(0), dict[int, Fraction]()
+    for chance, following, gain in mdp.table.row(pair):
+        reward += chance * gain
+        row[following] = row.get(following, Fraction(0)) + chance
+    return reward, row
+
+
+def _largest_other(mdp: MDP, values: Floats) -> Floats:
+    """Return (L,) the largest value among the other pairs of the state; -inf without any."""
+    first, state = mdp.pair_offsets[:-1], mdp.pair_state
+    best = np.maximum.reduceat(values, first)
+    numbers = np.where(values == best[state], np.arange(mdp.n_pairs), mdp.n_pairs)
+    leader = np.minimum.reduceat(numbers, first)
+    rest = values.copy()
+    rest[leader] = -inf
+    found = best[state]
+    found[leader] = np.maximum.reduceat(rest, first)
+    return np.asarray(found)
+
+
+def _outward(values: Floats, sign: int, share: float = SLACK - 1) -> Floats:
+    return np.asarray(values + sign * (share * np.abs(values) + TINY))

@@ -7,20 +7,34 @@ where `best` is the value of the best deterministic policy that reads the same c
 reads these columns can avoid it. The second is the *learning error*; it is negative where π mixes
 and gains by that. What it would be worth to remember more is the value of the best policy that
 reads further columns, too.
+
+A Q-table may also be wrong about the optimal action values, and about what it will earn:
+
+    error(s, a) = Q(row(s), a) - Q*(s, a)
+
+over the pairs of all states with a choice that any policy can reach, infinities left out. A table
+that shares rows among states cannot be right everywhere, and a greedy policy can be optimal under
+large errors: these numbers explain, they do not judge. What the table promises at the start,
+max_a Q, is set beside what its greedy policy is worth there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
+from math import inf
 
 import numpy as np
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
 from exact_mdp.analysis.gate.regret import Regret, regret
 from exact_mdp.analysis.gate.relaxation import Relaxations, Rows, one_hot
+from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import by_time, rows_read
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK
 from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -72,6 +86,16 @@ class Representation:
         """How much more than the best policy found another one may be worth."""
         return 0.0 if self.best.proven else self.best.upper_bound - self.best.value.value
 
+    def __str__(self) -> str:
+        best = self.best
+        read = ", ".join(best.columns) or "nothing"
+        proof = "proven" if best.proven else f"no other is worth over {best.upper_bound:.10g}"
+        return (
+            f"the best policy that reads {read} alone is worth {best.value.value:.10g} ({proof});"
+            f" of the regret, {float(self.loss.value):.6g} is due to what the policy reads and"
+            f" {float(self.learning_error.value):.6g} to what was learned"
+        )
+
     @cached_property
     def memory(self) -> tuple[BestPolicy, ...]:
         """The best policies that read more columns; see `value_of_memory`."""
@@ -83,29 +107,9 @@ class Representation:
         return row_changes(self.mdp, self.policy) if self.policy.deterministic else ()
 
 
-def representation(
-    mdp: MDP, policy: Policy, lost: Regret, *, node_limit: int | None = None
-) -> Representation:
-    """Return how much of a policy's regret its columns explain.
-
-    Parameters
-    ----------
-    lost : Regret
-        The policy's regret.
-    node_limit : int, optional
-        See `best_policy`.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.solvers.values.policy_chain import PolicyChain
-    >>> mdp = Scenario.load("yuan2025").compile()
-    >>> policy = Policy.of(mdp, "always:directive")
-    >>> found = representation(mdp, policy, regret(mdp, PolicyChain.of(mdp, policy)))
-    >>> found.best.columns, round(float(found.loss.value), 4), found.uncertainty
-    ((), 77.9004, 0.0)
-    """
-    best = best_policy(mdp, columns_read(mdp, policy), start=policy, node_limit=node_limit)
+def representation(mdp: MDP, policy: Policy, lost: Regret) -> Representation:
+    """Return how much of a policy's regret `lost` its columns explain."""
+    best = best_policy(mdp, columns_read(mdp, policy), start=policy)
     optimum = lost.optimum
     loss = regret(mdp, PolicyChain.of(mdp, best.policy), optimum=optimum).at_start
     return Representation(
@@ -127,16 +131,7 @@ def _difference(all_of_it: Certified | Bounded, part: Certified | Bounded) -> Ce
 
 
 def row_changes(mdp: MDP, policy: Policy) -> tuple[RowChange, ...]:
-    """Return the rows of a deterministic policy's table whose change alone gains, the most first.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> mdp = Scenario.load("yuan2025").compile()
-    >>> changes = row_changes(mdp, Policy.of(mdp, "always:none"))
-    >>> [(change.row, change.best, round(change.gain, 3)) for change in changes]
-    [('all states', 'non-directive', 126.031)]
-    """
+    """Return the rows of a policy's table whose change alone gains, the most first."""
     rows = Rows.of(mdp, columns_read(mdp, policy))
     own = rows.choices(policy)
     others = rows.available & rows.asked[:, None] & ~one_hot(own, mdp.n_actions)
@@ -165,3 +160,89 @@ def row_changes(mdp: MDP, policy: Policy) -> tuple[RowChange, ...]:
 def columns_read(mdp: MDP, policy: Policy) -> tuple[str, ...]:
     """Return the columns that a policy reads, in the model's order."""
     return tuple(name for name in mdp.space.names if name in policy.columns)
+
+
+# ---- errors of a Q-table ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class QError:
+    """Errors of a Q-table against the optimal action values.
+
+    Attributes
+    ----------
+    largest : float
+        The greatest |error|.
+    where : str
+        State and action of that error.
+    mean : float
+        Mean error: above 0 where the table promises too much.
+    root_mean_square : float
+    visited : float
+        Root mean square error of the actions taken, each weighted by the policy's visits.
+    promised : float
+        max_a Q at the start.
+    """
+
+    largest: float
+    where: str
+    mean: float
+    root_mean_square: float
+    visited: float
+    promised: float
+
+
+def pair_values(mdp: MDP, policy: Policy, table: Numbers) -> Floats:
+    """Return (L,) what a Q-table says of each pair; NaN where it says nothing.
+
+    The table is (K, A) over the states, or the columns that its greedy policy reads; (N, S, A) by
+    time.
+    """
+    table = by_time(mdp, table, np.nan, of_actions=True)
+    keys = rows_read(mdp, policy.space)[mdp.pair_state]
+    column = np.array(
+        [policy.actions.index(name) if name in policy.actions else -1 for name in mdp.actions]
+    )[mdp.pair_action]
+    found = np.full(mdp.n_pairs, np.nan)
+    said = (column >= 0) & (keys < len(table))
+    found[said] = _floats(table[keys[said], column[said]])
+    return found
+
+
+def _floats(values: Numbers) -> Floats:
+    """Return numbers of any type as floats, infinite where they are beyond these."""
+    if values.dtype == object:
+        return np.array([_float(value) for value in values], dtype=np.float64)
+    with np.errstate(over="ignore"):
+        return values.astype(np.float64)
+
+
+def _float(value: float | Fraction) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return inf if value > 0 else -inf
+
+
+def q_error(mdp: MDP, said: Floats, optimal: Floats, used: Floats) -> QError | None:
+    """Return the errors of action values, or None where no state with a choice can be reached.
+
+    `said` and `optimal` are (L,) action values; `used` (L,) the expected uses of pairs.
+    """
+    asked = (reachable(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state] & np.isfinite(said)
+    if not asked.any():
+        return None
+    error = np.where(asked, np.where(asked, said, 0.0) - optimal, 0.0)
+    worst = int(np.argmax(np.abs(error)))
+    weight = np.where(asked, used, 0.0)
+    total = float(weight.sum())
+    best = np.fmax.reduceat(said, mdp.pair_offsets[:-1])
+    start = mdp.start_distribution > 0
+    return QError(
+        largest=float(np.abs(error).max()),
+        where=mdp.where(worst),
+        mean=float(error[asked].mean()),
+        root_mean_square=float(np.sqrt((error[asked] ** 2).mean())),
+        visited=float(np.sqrt(weight @ error**2 / total)) if total > 0 else 0.0,
+        promised=float(mdp.start_distribution[start] @ best[start]),
+    )
