@@ -6,7 +6,7 @@ fault of the program itself. A signal that asks to stop ends with 128 + its numb
 130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed; and 141, without a word, where the reader
 of a pipe went away (`| head`).
 
-Failures are told on standard error. The variable EXACT_MDP_TRACEBACK=1 shows the traceback, for
+Failures are reported on standard error. The variable EXACT_MDP_TRACEBACK=1 shows the traceback, for
 reports of a fault.
 """
 
@@ -29,6 +29,8 @@ from typing import Any, NoReturn, TextIO
 
 import click
 
+from exact_mdp.mdp.errors import ModelError, short, shown_text
+
 DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
 SIGNALS = 128  # what shells add to the number of the signal that ended a program
 TRACEBACK = "EXACT_MDP_TRACEBACK"
@@ -46,32 +48,30 @@ class Stopped(KeyboardInterrupt):
         self.number = number
 
 
-class Program(click.Command):
-    """A command that is a program of its own: it ends as this module says."""
+class _Ends:
+    """A program of its own, which ends as this module says."""
 
     def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
         """Run, and end the process."""
+        assert isinstance(self, click.Command)
         name = prog_name or str(self.name)
         if args is None:
             leave(run(self, name, sys.argv[1:]))
         sys.exit(run(self, name, args))
 
 
-class Programs(click.Group):
-    """The same of a group of commands."""
+class Program(_Ends, click.Command):
+    """A command that is a program of its own."""
 
-    def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
-        """Run, and end the process."""
-        name = prog_name or str(self.name)
-        if args is None:
-            leave(run(self, name, sys.argv[1:]))
-        sys.exit(run(self, name, args))
+
+class Programs(_Ends, click.Group):
+    """A group of commands that is a program of its own."""
 
 
 def run(
     command: click.Command, program: str, words: Sequence[str], told: Told | None = None
 ) -> int:
-    """Run a command and return its exit status; what goes wrong is told on standard error.
+    """Run a command and return its exit status; what goes wrong is reported on standard error.
 
     Parameters
     ----------
@@ -90,8 +90,8 @@ def run(
     1
     """
     if not _streams():
-        what = "standard output is closed, so that the result could not be told"
-        fix = "direct it to /dev/null to see the status alone"
+        what = "standard output is closed, so the result could not be printed"
+        fix = "send it to /dev/null to see the exit status alone"
         return _told(BROKEN, _message("OSError", what, program, fix), told)
     output = _Output(sys.stdout)
     try:
@@ -148,7 +148,7 @@ def _outcome(
         _silence(sys.stdout)
         if isinstance(unwritten, BrokenPipeError):
             return PIPE_CLOSED, ""
-        fix = "make room there, or direct it elsewhere"
+        fix = "make room there, or send it elsewhere"
         return BROKEN, _message(
             "OSError", f"cannot write to standard output: {unwritten.strerror}", usage, fix
         )
@@ -160,27 +160,21 @@ def _outcome(
         path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
         what, place = error.format_message().removesuffix("."), path or program
         return REFUSED, _message(type(error).__name__, what, place, f"see {place} --help")
-
-    from exact_mdp.mdp.errors import ModelError
-
     if isinstance(error, ModelError):
         where = _option(command, name, error.where, words) or usage
         fix = error.fix or f"see {usage} --help"
         return REFUSED, _message(type(error).__name__, error.what, where, fix)
     if isinstance(error, UserWarning):  # an error where Python is told so: -W error, PYTHONWARNINGS
-        fix = "correct it, or let warnings be warnings"
+        fix = "correct it, or do not turn warnings into errors"
         return REFUSED, _message(type(error).__name__, str(error), usage, fix)
     return BROKEN, _broken(error, usage)
 
 
 def _broken(error: BaseException, usage: str) -> str:
     """Return the message for what is neither bad input nor a failed check."""
-    from exact_mdp.analysis.optimum import Contradiction
-    from exact_mdp.mdp.errors import short
-    from exact_mdp.solvers.solution import SolverError
-
     kind, said = type(error).__name__, short(" ".join(str(error).split()))
-    if isinstance(error, SolverError | Contradiction):
+    # By name: the modules that define these errors take long to load.
+    if any(base.__name__ in ("SolverError", "Contradiction") for base in type(error).__mro__):
         return f"{kind}: {error}"
     if isinstance(error, MemoryError):
         return _message("MemoryError", said or "not enough memory", usage, "use a smaller model")
@@ -236,8 +230,6 @@ def _option(command: click.Command, name: str, where: str, words: Sequence[str])
 
 
 def _message(kind: str, what: str, where: str, fix: str) -> str:
-    from exact_mdp.mdp.errors import shown_text
-
     what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
     return f"{kind}: {what}\n  where: {where}\n  fix:   {fix}"
 
@@ -337,8 +329,6 @@ def _warner() -> Callable[..., None]:
     told: set[str] = set()
 
     def warn(message: Warning | str, *rest: object, **more: object) -> None:
-        from exact_mdp.mdp.errors import shown_text
-
         text = shown_text(str(message), lines=True)
         if text not in told:
             told.add(text)

@@ -1,15 +1,15 @@
-"""A pytest fixture that holds policies against the exact optimum of a model.
+"""A pytest fixture that compares policies with the exact optimum of a model.
 
     def test_policy(policy_gate):
         policy_gate("yuan2025", "policy.json", max_regret=0.1)
 
 `policy_gate(model, policy, *, max_regret=None, max_relative_regret=None, set=(), discount=None,
-kind="auto")`
-takes an `MDP`, or any MODEL of the command line (a scenario's name, a `.toml`, `.npz` or `.umb`
-file, `gymnasium:ID`) with `set` and `discount` as `--set` and `--discount`, and any policy or
-Q-table that `analysis.check` takes. Files are looked for beside the test first, then in the working
-directory. The test fails, naming the costly states, where the regret is above a limit, or above
-zero where none is given; otherwise the audit is returned for further assertions:
+kind="auto", horizon=None)` takes an `MDP`, or any MODEL of the command line (a scenario's name, a
+`.toml`, `.npz` or `.umb` file, `gymnasium:ID`) with `set` and `discount` as `--set` and
+`--discount`, and any policy or Q-table that `analysis.check` takes. It looks for files beside the
+test first, then in the working directory. The test fails, naming the costly states, where the
+regret is above a limit, or above zero where none is given; otherwise the audit is returned for
+further assertions:
 
     audit = policy_gate(mdp, q_table, max_relative_regret="1/100")
     assert audit.agreement == 1
@@ -21,6 +21,7 @@ pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -56,32 +57,20 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
 
     def gate(
         model: MDP | str | Path,
-        policy: object,
+        policy: Any,
         *,
-        max_regret: object | None = None,
-        max_relative_regret: object | None = None,
         set: Sequence[str] = (),
         discount: object | None = None,
-        kind: str = "auto",
-        horizon: int | None = None,
+        **limits: Any,
     ) -> Audit:
         __tracebackhide__ = True
-        from exact_mdp.analysis.gate.check import check
-        from exact_mdp.mdp.io.load import load_model
-
-        mdp: MDP
+        check = import_module("exact_mdp.analysis.gate.check").check
+        load_model = import_module("exact_mdp.mdp.io.load").load_model
         if isinstance(model, str | Path):
             mdp = load_model(_beside(request.path, model), sets=set, discount=discount)
         else:
             mdp = model if discount is None else model.with_(discount=discount)
-        audit = check(
-            mdp,
-            _beside(request.path, policy),
-            max_regret=max_regret,
-            max_relative_regret=max_relative_regret,
-            kind=kind,
-            horizon=horizon,
-        )
+        audit: Audit = check(mdp, _beside(request.path, policy), **limits)
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.
         request.node.user_properties += [
             ("claim", str(audit.claim)),

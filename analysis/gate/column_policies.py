@@ -27,14 +27,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solver import mdp_of
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
+    from pandas import DataFrame
+
+pandas, progress = later("pandas"), later("tqdm")
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of |value|; see `is_proven`
@@ -42,8 +48,8 @@ ALL_SETS = 3  # further columns of which every set is tried
 ROWS_TRIED = 64  # rows that one step of the ascent tries to change
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BestPolicy:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BestPolicy(Result):
     """The best policy found that reads some columns, and how good any other can be.
 
     Attributes
@@ -71,9 +77,25 @@ class BestPolicy:
     proven: bool
     nodes: int
 
+    @property
+    def error(self) -> float:
+        """How far the value may be off."""
+        return self.value.error
+
+    def frame(self) -> DataFrame:
+        """Return the policy, one row for each combination of values of the columns."""
+        space, names = self.policy.space, self.policy.actions
+        taken = [row for row, chances in enumerate(self.policy.table) if chances.max() > 0]
+        return pandas.DataFrame(
+            {
+                "row": [space.label(row) or "all states" for row in taken],
+                "action": [names[int(self.policy.table[row].argmax())] for row in taken],
+            }
+        )
+
 
 def best_policy(
-    mdp: MDP,
+    model: MDP | Scenario,
     columns: Sequence[str] = ("status",),
     *,
     start: Policy | None = None,
@@ -83,13 +105,17 @@ def best_policy(
 
     Parameters
     ----------
-    mdp : MDP
+    model : MDP or Scenario
     columns : names of columns of the model's states; none for one action throughout
     start : Policy, optional
         A policy that reads these columns, to begin from as well.
     node_limit : int, optional
         Relaxations to solve at most; by the model's size unless given, from 100 to 5,000. Where the
         search ends there, the upper bound is sound all the same, and `proven` is false.
+
+    Returns
+    -------
+    BestPolicy
 
     Raises
     ------
@@ -104,6 +130,7 @@ def best_policy(
     >>> best.proven, round(best.value.value, 6), best.mixed_upper_bound < 146.2359
     (True, 146.235871, True)
     """
+    mdp = mdp_of(model)
     if node_limit is None:
         node_limit = max(100, min(5000, WORK // mdp.n_transitions))
     if node_limit < 1:
@@ -117,10 +144,7 @@ def searched(
 ) -> BestPolicy:
     """Return what branch and bound finds among the policies that read some columns.
 
-    Parameters
-    ----------
-    relaxations : what bounds and evaluates them: `Relaxations(rows)`, or another with its methods
-    start, node_limit : as in `best_policy`
+    `relaxations` bounds and evaluates them: `Relaxations(rows)`, or another with its methods.
     """
     search = _Search(rows, relaxations, start)
     search.run(node_limit)
@@ -155,7 +179,7 @@ def is_proven(value: Bounded, upper: float) -> bool:
 
 
 def value_of_memory(
-    mdp: MDP,
+    model: MDP | Scenario,
     columns: Sequence[str] = ("status",),
     *,
     known: Sequence[BestPolicy] = (),
@@ -163,14 +187,25 @@ def value_of_memory(
 ) -> tuple[BestPolicy, ...]:
     """Return the best policy for `columns`, and for them with each set of further columns.
 
-    What remembering a counter is worth is the difference between two of the values. Where more than
+    The value of remembering a counter is the difference between two of the values. Where more than
     three columns are left, only each of them and all of them are added.
 
     Parameters
     ----------
+    model : MDP or Scenario
+    columns : names of columns of the model's states
     known : best policies for some of the sets, optional
     node_limit : int, optional
         See `best_policy`.
+
+    Returns
+    -------
+    tuple of BestPolicy
+
+    Raises
+    ------
+    ModelError
+        As `best_policy` does.
 
     Examples
     --------
@@ -179,6 +214,7 @@ def value_of_memory(
     >>> [best.columns for best in value_of_memory(mdp, ("subtask", "status"))]
     [('subtask', 'status'), ('subtask', 'trial', 'status')]
     """
+    mdp = mdp_of(model)
     names = mdp.space.names
     for name in columns:
         mdp.space.column(name)
@@ -235,12 +271,11 @@ class _Search:
 
     def run(self, limit: int) -> None:
         """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
-        from tqdm import tqdm
-
-        with tqdm(desc="policies", unit=" nodes", delay=1, disable=None, leave=False) as bar:
+        shown = {"desc": "policies", "unit": " nodes", "delay": 1, "disable": None, "leave": False}
+        with progress.tqdm(**shown) as bar:
             self._run(limit, bar)
 
-    def _run(self, limit: int, bar: tqdm[Any]) -> None:
+    def _run(self, limit: int, bar: Any) -> None:
         heap, number = [(-self.upper, 0, self.root, self.split)], count(1)
         while heap:
             children = list[Flags]()
