@@ -32,8 +32,7 @@ from math import ceil, floor, log, log2, sqrt
 
 import numpy as np
 
-from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.check import check
+from exact_mdp.analysis.gate.check import Audit, check
 from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.mdp import MDP, Policy
 from exact_mdp.mdp.errors import ModelError
