@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from exact_mdp.mdp.care.scenario import Scenario
     from exact_mdp.mdp.errors import ModelError, ScenarioWarning
     from exact_mdp.mdp.model import MDP
-    from exact_mdp.mdp.parameter import Parameter
-    from exact_mdp.mdp.parametric import Family, moving
+    from exact_mdp.mdp.parametric.family import Family, moving
+    from exact_mdp.mdp.parametric.parameter import Parameter
     from exact_mdp.mdp.policies.policy import Policy, PolicyLike
     from exact_mdp.mdp.space import Column, StateSpace
 
@@ -40,8 +40,8 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.mdp.care.scenario": ["Scenario"],
         "exact_mdp.mdp.errors": ["ModelError", "ScenarioWarning"],
         "exact_mdp.mdp.model": ["MDP"],
-        "exact_mdp.mdp.parameter": ["Parameter"],
-        "exact_mdp.mdp.parametric": ["Family", "moving"],
+        "exact_mdp.mdp.parametric.parameter": ["Parameter"],
+        "exact_mdp.mdp.parametric.family": ["Family", "moving"],
         "exact_mdp.mdp.policies.policy": ["Policy", "PolicyLike"],
         "exact_mdp.mdp.space": ["Column", "StateSpace"],
     },

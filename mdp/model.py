@@ -25,7 +25,7 @@ from exact_mdp.mdp import build
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.horizon import unrolled
 from exact_mdp.mdp.io.gymnasium import outcomes_of
-from exact_mdp.mdp.symbolic import (
+from exact_mdp.mdp.parametric.symbolic import (
     arrays_degrees,
     changed_degrees,
     followed,

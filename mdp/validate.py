@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, located
-from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,

@@ -15,8 +15,8 @@ from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.care.tables import READINGS
-from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Family, moving
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

@@ -24,8 +24,8 @@ from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.solvers import evaluate, solve
 
 global_module = import_module("exact_mdp.analysis.sensitivity.draws.global_")

@@ -11,7 +11,7 @@ from exact_mdp.analysis.sensitivity import gradient
 from exact_mdp.analysis.sensitivity.gradient import Derivative
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family, moving, parametric
-from exact_mdp.mdp.row_change import pieces
+from exact_mdp.mdp.parametric.row_change import pieces
 
 F = Fraction
 H = F(1, 10**4)

@@ -23,7 +23,7 @@ from exact_mdp.analysis.sensitivity import (
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.care import scenario as care_scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
-from exact_mdp.mdp.row_change import pieces, row_change, transition_entries
+from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
 from exact_mdp.solvers import BackwardInduction
 
 F = Fraction

@@ -31,7 +31,7 @@ from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction, rat
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.row_change import RowChange
+from exact_mdp.mdp.parametric.row_change import RowChange
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma

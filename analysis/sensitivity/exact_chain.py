@@ -18,7 +18,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.row_change import Entries, reward_entries, transition_entries
+from exact_mdp.mdp.parametric.row_change import Entries, reward_entries, transition_entries
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:

@@ -22,7 +22,12 @@ from exact_mdp.analysis.sensitivity.exact_chain import LARGEST, rational, ratios
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.row_change import Change, RowChange, reward_entries, transition_entries
+from exact_mdp.mdp.parametric.row_change import (
+    Change,
+    RowChange,
+    reward_entries,
+    transition_entries,
+)
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import levels
 

@@ -27,10 +27,10 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import is_acyclic
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.parametric.row_change import pieces, row_change
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.row_change import pieces, row_change
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 

@@ -39,7 +39,7 @@ from exact_mdp.mdp.care.laws import ExactChances, chances
 from exact_mdp.mdp.care.rules import FINAL, PLACES, Rules
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers, divide, float_array, integers
 

@@ -24,7 +24,7 @@ from typing import Any, Self
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
-from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
 from exact_mdp.mdp.validate import as_discount
 

@@ -25,7 +25,7 @@ from exact_mdp.mdp.care.tables import (
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
-from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import as_discount
 

@@ -20,8 +20,8 @@ from exact_mdp.analysis.sensitivity import (
 from exact_mdp.analysis.sensitivity.derivatives import Checked
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family, moving, parametric, room_of
-from exact_mdp.mdp.row_change import pieces, row_change
-from exact_mdp.mdp.symbolic import degrees_of
+from exact_mdp.mdp.parametric.row_change import pieces, row_change
+from exact_mdp.mdp.parametric.symbolic import degrees_of
 from exact_mdp.solvers import certify
 from exact_mdp.solvers.solution import Claim
 

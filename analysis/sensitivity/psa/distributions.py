@@ -47,8 +47,8 @@ from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
-from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import Floats
 
 KINDS = ("beta", "dirichlet", "normal", "gamma")

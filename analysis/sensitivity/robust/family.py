@@ -20,7 +20,7 @@ from exact_mdp.analysis.sensitivity.robust.care import BoxBounds
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
-from exact_mdp.mdp.row_change import (
+from exact_mdp.mdp.parametric.row_change import (
     Entries,
     RowChange,
     pieces,

@@ -5,7 +5,7 @@
 on a piece between two breakpoints. A polynomial of degree d is fixed by d + 1 compiled models
 (Newton's divided differences); in rational arithmetic that is no approximation. That the degree is
 d follows from the rules of a care scenario, is proven by a run of a family's builder on polynomials
-(`mdp.symbolic`), or is checked at further points: one that does not fit refutes it, and where no
+(see `.symbolic`), or is checked at further points: one that does not fit refutes it, and where no
 proof is found those that do fit are all that is known.
 """
 
@@ -20,8 +20,8 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, room_of
-from exact_mdp.mdp.symbolic import Degrees, degrees_of
+from exact_mdp.mdp.parametric.family import Family, Parametric, parameter_of, room_of
+from exact_mdp.mdp.parametric.symbolic import Degrees, degrees_of
 from exact_mdp.mdp.table import Integers, Numbers, distinct, merged, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
@@ -171,7 +171,7 @@ def row_change(
 
     Examples
     --------
-    >>> from exact_mdp.mdp.parametric import moving
+    >>> from exact_mdp.mdp.parametric.family import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> family = moving(mdp, {"p": [(0, 0)]})
     >>> found = row_change(family, "p", Piece(low=Fraction(0), high=Fraction(1)))

@@ -26,7 +26,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, shown
 
 DISCOUNT = "discount"
@@ -74,8 +74,8 @@ class Family:
     """A parametric model made of a function.
 
     Derivatives and thresholds rest on the degrees. They are certified where a run of `build` on
-    polynomials proves the degree (`mdp.symbolic`), which it does where `build` adds, multiplies and
-    compares the fractions that it is given and hands them to one of MDP's constructors. Otherwise
+    polynomials proves the degree (see `.symbolic`), which it does where `build` adds, multiplies
+    and compares the fractions that it is given and hands them to one of MDP's constructors. Otherwise
     the degree is checked at further points: a wrong one is refused, and a right one is called what
     it is, checked.
 
