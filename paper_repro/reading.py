@@ -112,21 +112,11 @@ class Store:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
-    """The model under one reading.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    label : str
-        What it changes: "default", or "reading = option".
-    runs, episodes : int
-        See `Sizes`.
-    store : Store
-    """
+    """The model under one reading."""
 
     scenario: Scenario
-    label: str = "default"
-    runs: int = QUICK.runs
+    label: str = "default"  # what it changes: "default", or "reading = option"
+    runs: int = QUICK.runs  # see `Sizes`
     episodes: int = QUICK.episodes
     store: Store = field(default_factory=Store)
 

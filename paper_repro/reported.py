@@ -13,8 +13,10 @@ every claim is taken from some of them.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
@@ -153,53 +155,9 @@ def compatible(policy: Integers) -> bool:
 
 # ---- the paper's sections, and what else it numbers --------------------------------------------
 
-SECTIONS = {
-    "Abstract": "Abstract",
-    "Section 1": "Introduction",
-    "Section 2": "Agent PLWD",
-    "Section 2.1": "Probabilistic model of PLWD states",
-    "Section 2.1.1": "Without external assistance",
-    "Section 2.1.2": "With external assistance",
-    "Section 2.1.3": "Subtask skipping",
-    "Section 2.2": "LLM-based PLWD behavior simulation",
-    "Section 3": "RL-based agent Robot Caregiver",
-    "Section 3.1": "LLM-based robot perception",
-    "Section 3.2": "RL-based robot action selection module",
-    "Section 3.2.1": "State space",
-    "Section 3.2.2": "Action space",
-    "Section 3.2.3": "Immediate reward",
-    "Section 3.2.4": "Learning algorithm design and training",
-    "Section 3.2.5": "Evaluation metrics",
-    "Section 3.3": "LLM-based robot action execution module",
-    "Section 4": "Results and discussion",
-    "Section 4.1": "RL-based action selection strategy",
-    "Section 4.2": "Agent PLWD-robot interaction",
-    "Section 4.3": "Limitations and future work",
-    "Section 5": "Conclusion",
-}
-
-# Tables, equations and figures: the section that each stands in, and what it shows.
-NUMBERED = {
-    "Table 1": ("Section 2", "Terms and definitions"),
-    "Table 2": ("Section 2.1", "Assistance types"),
-    "Table 3": ("Section 2.1.1", "Transition probabilities without assistance"),
-    "Table 4": ("Section 3.2.3", "Weights of the reward components"),
-    "Equation 1": ("Section 3.2.3", "Immediate reward"),
-    "Equation 2": ("Section 3.2.4", "Decaying exploration"),
-    "Figure 1": ("Section 2", "Architecture of the two agents"),
-    "Figure 2": ("Section 2", "Flowchart of their interaction"),
-    "Figure 3": ("Section 2.1", "State transition model of the agent PLWD"),
-    "Figure 4": ("Section 2.1", "Mechanism of a status's dynamics"),
-    "Figure 5": ("Section 2.2", "Prompt of the behavior simulation"),
-    "Figure 6": ("Section 3.1", "Prompt of the perception module"),
-    "Figure 7": ("Section 3.3", "Prompt of action execution, brief guidance, without status"),
-    "Figure 8": ("Section 3.3", "Prompt of action execution, detailed guidance, with status"),
-    "Figure 9": ("Section 4.1", "Average return during training, three strategies"),
-    "Figure 10": ("Section 4.1", "Learned policies of the two exploration schedules"),
-    "Figure 11": ("Section 4.2", "Screenshot of a recorded experiment"),
-    "Figure 12": ("Section 4.2", "Example of an interaction"),
-}
-
+_NAMED = tomllib.loads((Path(__file__).parent / "places.toml").read_text("utf-8"))
+SECTIONS: dict[str, str] = _NAMED["sections"]
+NUMBERED: dict[str, tuple[str, str]] = _NAMED["numbered"]
 PLACES = SECTIONS | {place: title for place, (_, title) in NUMBERED.items()}
 FIGURES = {place: title for place, title in PLACES.items() if place.startswith("Figure")}
 

@@ -44,17 +44,9 @@ def run(
 ) -> tuple[list[Judged], list[str]]:
     """Write numbers, report, figures and run record into `out`.
 
-    Parameters
-    ----------
-    out : folder, made where it does not exist; what an interrupted run left there is used
-    sizes : how much is sampled
-    quick : said in run.json
-    scheduler : a Dask cluster for the search over the readings and the training under them
-
-    Returns
-    -------
-    judged : every claim
-    off : what differs from the pinned values; nothing where all agree
+    What an interrupted run left there is used. On a Dask `scheduler` run the search over the
+    readings and the training under them. Returns every claim, and what differs from the pinned
+    values.
     """
     started = time.perf_counter()
     store = Store.under(out)

@@ -8,17 +8,16 @@ that the text leaves open against other readings as well.
 How to add a claim. It is one entry in the module of its part of the paper (`model`, `learning`,
 `returns`, `policies`): a decorator on the function that works it out.
 
-    @CLAIMS.add(
-        "policy.1100",                                  # its name
-        "Section 4.1, Figure 10",                       # its places, keys of reported.PLACES
-        "Forgetful and confused: directive is best.",   # what the paper says, in our words
-        "statement",                                    # how it is judged, a key of claim.RULES
-        open=True,                                      # other readings are tried as well
-    )
+    @CLAIMS.add("policy.1100", "Section 4.1, Figure 10", "statement", open=True)
     def _both(reading: Reading) -> Finding:
+        '''Forgetful and confused: directive assistance is best.'''
         best = optimal_actions(reading, "1100")
         right = sum(NUMBER["directive"] in each for each in best)
         return statement(right == len(best), f"optimal in {right} of {len(best)} states")
+
+The decorator gives its name, its places in the paper (keys of `reported.PLACES`), the rule that
+judges it (a key of `claim.RULES`), and whether the text leaves open what decides it, so that other
+readings are tried as well. The docstring is what the paper says, in our words.
 
 The function gets a `Reading` (model, optimum, policies, training runs) and returns a `Finding`,
 made by the function of its rule in `claim`: statement, plotted, event, usual, undecided. A number

@@ -27,7 +27,7 @@ from enum import StrEnum
 from fractions import Fraction
 from math import erfc, sqrt
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from exact_mdp.analysis.learning.outcomes import share_interval
 from exact_mdp.paper_repro.reading import Reading
@@ -35,7 +35,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim, Estimated
 
 Kind = Literal["input", "finding"]
 Number = Certified | Bounded | Estimated
-Work = TypeVar("Work", bound=Callable[..., object])
 STANDARD_ERRORS = 3.0
 JOINT_LIMIT = erfc(STANDARD_ERRORS / sqrt(2))  # chance of a normal number further off than that
 READ_OFF_A_PLOT = 5.0
@@ -67,30 +66,15 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What a claim comes to under one reading.
-
-    Attributes
-    ----------
-    verdict : Verdict
-    why : str
-        One line.
-    number : Certified, Bounded, Estimated or None
-        The exact counterpart of what the paper says, with its kind of claim.
-    shown : str
-        How it reads, where it is not a plain number.
-    difference, standard_error : float, optional
-        Exact less paper; the exact standard error of the paper's average.
-    details : mapping
-        More numbers, for `numbers.json`.
-    """
+    """What a claim comes to under one reading."""
 
     verdict: Verdict
-    why: str
-    number: Number | None = None
-    shown: str = ""
-    difference: float | None = None
-    standard_error: float | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
+    why: str  # one line
+    number: Number | None = None  # the exact counterpart of what the paper says
+    shown: str = ""  # how it reads, where it is not a plain number
+    difference: float | None = None  # exact less paper
+    standard_error: float | None = None  # the exact one, of the paper's average
+    details: Mapping[str, Any] = field(default_factory=dict)  # more, for `numbers.json`
 
     @property
     def exact(self) -> float | None:
@@ -110,9 +94,12 @@ class Finding:
         return self.difference / self.standard_error
 
 
+Work = Callable[[Reading], Finding | Fraction]
+
+
 @dataclass(frozen=True, kw_only=True)
 class PaperClaim:
-    """One claim of the paper.
+    """One claim of the paper: where it stands, what it says, and how it is worked out and judged.
 
     Attributes
     ----------
@@ -142,7 +129,7 @@ class PaperClaim:
     source: str
     says: str
     rule: str
-    work: Callable[[Reading], Finding | Fraction]
+    work: Work
     kind: Kind = "finding"
     paper: float | Fraction | None = None
     unit: str = ""
@@ -172,12 +159,13 @@ class Claims(list[PaperClaim]):
     """The claims of one part of the paper, in its order; `add` puts one in."""
 
     def add(
-        self, name: str, source: str, says: str, rule: str = "statement", **more: Any
+        self, name: str, source: str, rule: str = "statement", *, says: str = "", **more: Any
     ) -> Callable[[Work], Work]:
-        """Return a decorator that adds a claim which the function works out."""
+        """Return a decorator that adds a claim, which the function words and works out."""
 
         def keep(work: Work) -> Work:
-            self.append(PaperClaim(id=name, source=source, says=says, rule=rule, work=work, **more))
+            told = says or " ".join((work.__doc__ or "").split())
+            self.append(PaperClaim(id=name, source=source, says=told, rule=rule, work=work, **more))
             return work
 
         return keep
@@ -188,11 +176,12 @@ class Claims(list[PaperClaim]):
         source: str,
         says: str,
         paper: Fraction | int | str,
-        exact: Callable[[Reading], Finding | Fraction],
+        exact: Work,
         **more: Any,
     ) -> None:
         """Add an input: a number of the paper that the model has to hold exactly."""
-        self.add(name, source, says, "entry", kind="input", paper=Fraction(paper), **more)(exact)
+        number = Fraction(paper)
+        self.add(name, source, "entry", says=says, kind="input", paper=number, **more)(exact)
 
 
 # ---- the rules ---------------------------------------------------------------------------------

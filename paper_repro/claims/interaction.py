@@ -43,7 +43,7 @@ def claims() -> Claims:
         decide = DECIDED.get(name)
         rule = "open" if decide is None else "statement"
         work = partial(_found, told=told, decide=decide)
-        found.add(f"agents.{name}", source, told.claim, rule)(work)
+        found.add(f"agents.{name}", source, rule, says=told.claim)(work)
     return found
 
 

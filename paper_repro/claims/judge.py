@@ -33,21 +33,12 @@ SCOPE_SUPPORTED = "readings tried (the default, those with one change, and the b
 
 @dataclass(frozen=True, kw_only=True)
 class OtherReadings:
-    """How many of the readings tried agree with a claim.
-
-    Attributes
-    ----------
-    tried, reproduced : int
-    example : str
-        One reading that agrees, the default first; empty where none does.
-    scope : str
-        Which readings were tried.
-    """
+    """How many of the readings tried agree with a claim."""
 
     tried: int
     reproduced: int
-    example: str
-    scope: str
+    example: str  # one that agrees, the default first; empty where none does
+    scope: str  # which readings were tried
 
     @property
     def text(self) -> str:
@@ -106,19 +97,9 @@ def judge(
     evidence: Evidence | None = None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> list[Judged]:
-    """Work claims out.
+    """Work claims out under the default reading, and open ones under others too.
 
-    Parameters
-    ----------
-    claims : sequence of PaperClaim
-    reading : Reading
-        The default one.
-    others : iterable of Reading
-        Those under which open claims are worked out again.
-    evidence : Evidence, optional
-        Of all readings, whose average returns are known.
-    progress : function
-        Called with what begins.
+    With the evidence of all readings, claims about average returns are judged under all of them.
     """
     known = {} if evidence is None else agreeing(evidence)
     findings = []
@@ -195,21 +176,11 @@ def best_supported(evidence: Evidence, base: Reading, sizes: Sizes) -> Iterator[
 
 @dataclass(frozen=True, kw_only=True)
 class Pinned:
-    """What a claim is expected to come to.
+    """What a claim is expected to come to."""
 
-    Attributes
-    ----------
-    verdict : str or list of str
-        A list where the number of runs decides.
-    reason : str
-        Why the value is believed, and why the tolerance is what it is.
-    value, tolerance : float or None
-        None for a claim without a number.
-    """
-
-    verdict: str | list[str]
-    reason: str
-    value: float | None = None
+    verdict: str | list[str]  # a list where the number of runs decides
+    reason: str  # why the value is believed, and why the tolerance is what it is
+    value: float | None = None  # None for a claim without a number
     tolerance: float | None = None
 
 

@@ -38,11 +38,12 @@ CLAIMS = Claims()
 
 # ---- settings, as the code that uses them holds them -------------------------------------------
 
-_TRAINING = SETTINGS["constant"]
-
-
-def _held(reading: Reading, value: float | Fraction) -> Fraction:
-    return Fraction(str(value))
+_CODE, _RATE = SETTINGS["constant"], "Learning rate. Used as stated."
+_DISCOUNT = "Discount factor in training. Used as stated."
+_LEAST = "The least ε that the decay comes down to. Used as stated."
+_SNAPSHOT = "Each epoch's policy is that of its 10th episode."
+_POINT = "Each point of a learning curve is the average of 40 experiments."
+_CHOICE = "The final policy is chosen among the five suggested most often."
 
 
 def _epsilon(reading: Reading, epoch: int, paper: float) -> Finding:
@@ -56,62 +57,31 @@ def _epsilon(reading: Reading, epoch: int, paper: float) -> Finding:
     )
 
 
-for _name, _says, _paper, _value in (
-    ("rate", "Learning rate.", "1/20", float(_TRAINING.rate.values(1)[0])),
-    ("discount", "Discount factor in training.", "19/20", Fraction(_TRAINING.discount)),
-    ("epochs", "Epochs.", 6000, _TRAINING.epochs),
-    ("episodes", "Episodes of an epoch.", 30, _TRAINING.episodes),
-    ("epsilon", "Constant ε.", "1/10", PAPER_CONSTANT.value),
-):
-    _find = partial(_held, value=_value)
-    CLAIMS.entry(f"training.{_name}", "Section 3.2.4", f"{_says} Used as stated.", _paper, _find)
+def _setting(name: str, source: str, says: str, paper: str, held: object) -> None:
+    CLAIMS.entry(name, source, says, paper, lambda reading: Fraction(str(held)))
+
+
+_setting("training.rate", "Section 3.2.4", _RATE, "1/20", _CODE.rate.values(1)[0])
+_setting("training.discount", "Section 3.2.4", _DISCOUNT, "19/20", _CODE.discount)
+_setting("training.epochs", "Section 3.2.4", "Epochs. Used as stated.", "6000", _CODE.epochs)
+_EPISODES = "Episodes of an epoch. Used as stated."
+_setting("training.episodes", "Section 3.2.4", _EPISODES, "30", _CODE.episodes)
+_CONSTANT = "Constant ε. Used as stated."
+_setting("training.epsilon", "Section 3.2.4", _CONSTANT, "1/10", PAPER_CONSTANT.value)
 for _epoch, _paper in ((0, 1.0), (300, 0.8)):
-    CLAIMS.add(
-        f"equation2.epoch-{_epoch}",
-        "Equation 2",
-        f"Decaying ε at epoch {_epoch}.",
-        kind="input",
-        paper=_paper,
-    )(partial(_epsilon, epoch=_epoch, paper=_paper))
-CLAIMS.entry(
-    "equation2.minimum",
-    "Equation 2",
-    "The least ε that the decay comes down to. Used as stated.",
-    "3/100",
-    partial(_held, value=PAPER_DECAYING.minimum),
-)
-for _name, _says, _paper, _value in (
-    (
-        "snapshot",
-        "Each epoch's policy is that of its 10th episode.",
-        10,
-        _TRAINING.snapshot_episode,
-    ),
-    (
-        "experiments",
-        "Each point of a learning curve is the average of 40 experiments.",
-        40,
-        EXPERIMENTS,
-    ),
-    (
-        "candidates",
-        "The final policy is chosen among the five suggested most often.",
-        5,
-        CANDIDATES,
-    ),
-):
-    CLAIMS.entry(f"training.{_name}", "Section 3.2.5", _says, _paper, partial(_held, value=_value))
+    _says, _find = f"Decaying ε at epoch {_epoch}.", partial(_epsilon, epoch=_epoch, paper=_paper)
+    CLAIMS.add(f"equation2.epoch-{_epoch}", "Equation 2", says=_says, kind="input", paper=_paper)(
+        _find
+    )
+_setting("equation2.minimum", "Equation 2", _LEAST, "3/100", PAPER_DECAYING.minimum)
+_setting("training.snapshot", "Section 3.2.5", _SNAPSHOT, "10", _CODE.snapshot_episode)
+_setting("training.experiments", "Section 3.2.5", _POINT, "40", EXPERIMENTS)
+_setting("training.candidates", "Section 3.2.5", _CHOICE, "5", CANDIDATES)
 
 
-@CLAIMS.add(
-    "training.selection-runs",
-    "Section 3.2.5",
-    "The final policy is chosen by 10,000 experiments with each candidate.",
-    "open",
-    kind="input",
-    paper=10_000,
-)
+@CLAIMS.add("training.selection-runs", "Section 3.2.5", "open", kind="input", paper=10000)
 def _selection_runs(reading: Reading) -> Finding:
+    """The final policy is chosen by 10,000 experiments with each candidate."""
     return undecided(
         "not used: here the candidates are compared by their exact values, what ever more "
         "experiments would come to"
@@ -143,20 +113,16 @@ for _schedule, _shown in SHOWN.items():
     CLAIMS.add(
         f"learning.converged.{_schedule}",
         "Section 4.1, Figure 9",
-        f"With {_shown} the average return after convergence is about {CONVERGED_RETURN}.",
         "plotted",
+        says=f"With {_shown} the average return after convergence is about {CONVERGED_RETURN}.",
         paper=CONVERGED_RETURN,
         learns=True,
     )(partial(_converged, schedule=_schedule))
 
 
-@CLAIMS.add(
-    "learning.similar",
-    "Section 4.1, Figure 9",
-    "Both exploration schedules perform alike.",
-    learns=True,
-)
+@CLAIMS.add("learning.similar", "Section 4.1, Figure 9", learns=True)
 def _similar(reading: Reading) -> Finding:
+    """Both exploration schedules perform alike."""
     constant, decaying = (reading.learned(schedule).converged for schedule in SETTINGS)
     apart = float(decaying.mean() - constant.mean())
     error = sqrt(constant.var(ddof=1) / len(constant) + decaying.var(ddof=1) / len(decaying))
@@ -169,13 +135,9 @@ def _similar(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add(
-    "learning.superior",
-    "Section 4.1, Figure 9",
-    "After convergence both are above the random strategy.",
-    learns=True,
-)
+@CLAIMS.add("learning.superior", "Section 4.1, Figure 9", learns=True)
 def _above_random(reading: Reading) -> Finding:
+    """After convergence both are above the random strategy."""
     random = reading.evaluations["random"].mean
     runs = np.concatenate([reading.learned(schedule).converged for schedule in SETTINGS])
     above = int((runs > random).sum())
@@ -235,36 +197,32 @@ for _schedule, _shown in SHOWN.items():
     CLAIMS.add(
         f"learning.unique.{_schedule}",
         "Section 4.1, Section 3.2.5",
-        f"With {_shown} {UNIQUE_POLICIES[_schedule]} unique policies are suggested in the last 100 "
-        "episodes of the run.",
         "event",
+        says=f"With {_shown} {UNIQUE_POLICIES[_schedule]} unique policies are suggested in the "
+        "last 100 episodes of the run.",
         paper=UNIQUE_POLICIES[_schedule],
         learns=True,
     )(partial(_unique, schedule=_schedule))
     CLAIMS.add(
         f"learning.anger.{_schedule}",
         "Section 4.1, Figure 10",
-        f"The run with {_shown} learns supportive assistance in all eight statuses with anger.",
         "event",
+        says=f"The run with {_shown} learns supportive assistance in all eight statuses with "
+        "anger.",
         learns=True,
     )(partial(_angry, schedule=_schedule))
     CLAIMS.add(
         f"learning.stated.{_schedule}",
         "Section 4.1, Figure 10",
-        f"The run with {_shown} learns the stated actions of 1100, 1000 and 0100.",
         "event",
+        says=f"The run with {_shown} learns the stated actions of 1100, 1000 and 0100.",
         learns=True,
     )(partial(_stated, schedule=_schedule))
 
 
-@CLAIMS.add(
-    "learning.same-but-first",
-    "Section 4.1, Figure 10",
-    "The policies of the two runs, one of each schedule, differ in status 0000 alone.",
-    "event",
-    learns=True,
-)
+@CLAIMS.add("learning.same-but-first", "Section 4.1, Figure 10", "event", learns=True)
 def _same_but_first(reading: Reading) -> Finding:
+    """The policies of the two runs, one of each schedule, differ in status 0000 alone."""
     constant, decaying = (reading.learned(schedule).final for schedule in SETTINGS)
     apart = constant != decaying
     rest, first = apart[:, 1:].sum(axis=1), apart[:, 0]
@@ -280,14 +238,9 @@ def _outcomes(reading: Reading) -> list[Outcomes]:
     return [reading.learned(schedule).outcomes for schedule in SETTINGS]
 
 
-@CLAIMS.add(
-    "learning.one-run-all-three",
-    "Section 4.1",
-    "The policies of a run's last 100 episodes differ in status 0000 alone.",
-    "event",
-    learns=True,
-)
+@CLAIMS.add("learning.one-run-all-three", "Section 4.1", "event", learns=True)
 def _differ_in_first(reading: Reading) -> Finding:
+    """The policies of a run's last 100 episodes differ in status 0000 alone."""
     changed = np.concatenate([each.changed for each in _outcomes(reading)])
     only = changed[:, 0] & ~changed[:, 1:].any(axis=1)
     anywhere = int(changed.any(axis=1).sum())
@@ -296,14 +249,9 @@ def _differ_in_first(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add(
-    "learning.selection",
-    "Section 3.2.5, Section 4.1",
-    "Choosing among the five most frequent policies gives the final, optimal policy.",
-    "usual",
-    learns=True,
-)
+@CLAIMS.add("learning.selection", "Section 3.2.5, Section 4.1", "usual", learns=True)
 def _selection(reading: Reading) -> Finding:
+    """Choosing among the five most frequent policies gives the final, optimal policy."""
     kept = np.concatenate([each.selected_regret for each in _outcomes(reading)])
     last = np.concatenate([each.regret for each in _outcomes(reading)])
     return usual(
@@ -315,14 +263,10 @@ def _selection(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add(
-    "learning.first-status-unsettled",
-    "Section 4.1, Section 4.3",
-    "The best assistance in status 0000 is hard to tell because of the model's chance.",
-    learns=True,
-)
+@CLAIMS.add("learning.first-status-unsettled", "Section 4.1, Section 4.3", learns=True)
 def _unsettled(reading: Reading) -> Finding:
-    """Compare what is lost by the runner-up in 0000 with what learning's noise moves."""
+    """The best assistance in status 0000 is hard to tell because of the model's chance."""
+    # Compare what is lost by the runner-up in 0000 with what learning's noise moves.
     mdp, optimum = reading.mdp, reading.evaluations["optimal"]
     final = np.concatenate([reading.learned(schedule).final[:, 0] for schedule in SETTINGS])
     shares = np.bincount(final, minlength=mdp.n_actions) / len(final)

@@ -77,14 +77,9 @@ def _rewards(mdp: MDP, trials: int) -> Iterator[tuple[int, int, int, bool, Fract
 # ---- Tables 1 and 2 ----------------------------------------------------------------------------
 
 
-@CLAIMS.add(
-    "table1.timesteps",
-    "Table 1",
-    "The timesteps of a scenario are the sum of the trials over all its subtasks.",
-    kind="input",
-    open=True,
-)
+@CLAIMS.add("table1.timesteps", "Table 1", kind="input", open=True)
 def _timesteps(reading: Reading) -> Finding:
+    """The timesteps of a scenario are the sum of the trials over all its subtasks."""
     mdp = reading.mdp
     trying = (mdp.space.values("trial") < reading.scenario.trials) & ~mdp.terminal
     found = [reading.evaluations[name] for name in ("optimal", "random")]
@@ -107,7 +102,7 @@ for _action, _number in reported.NUMBER.items():
     CLAIMS.add(
         f"table2.{_action}",
         "Table 2, Section 3.2.2",
-        f"Assistance a{_number} is {_action.replace('none', 'no assistance')}.",
+        says=f"Assistance a{_number} is {_action.replace('none', 'no assistance')}.",
         kind="input",
     )(partial(_named, number=_number, action=_action))
 
@@ -151,13 +146,10 @@ for _row, (_base, _entries) in reported.TABLE_3.items():
         )
 
 
-@CLAIMS.add(
-    "prose.no-recovery-alone",
-    "Section 2.1",
-    "Without assistance a status hardly ever goes away by itself (almost probability 1 of "
-    "staying).",
-)
+@CLAIMS.add("prose.no-recovery-alone", "Section 2.1")
 def _recovery(reading: Reading) -> Finding:
+    """Without assistance a status hardly ever goes away by itself (almost probability 1 of
+    staying)."""
     leaves = max(1 - marginal(reading.mdp, bit, NONE, status) for status, bit in BITS.items())
     return statement(
         leaves <= Fraction(1, 100),
@@ -171,13 +163,9 @@ def _points(effects: dict[str, Fraction]) -> str:
     return ", ".join(f"{name} {float(100 * value):+g}" for name, value in effects.items())
 
 
-@CLAIMS.add(
-    "prose.anger-weighs-most-on-forgetfulness",
-    "Section 2.1.1",
-    "Confusion, anger and disengagement raise forgetfulness, anger the most.",
-    open=True,
-)
+@CLAIMS.add("prose.anger-weighs-most-on-forgetfulness", "Section 2.1.1", open=True)
 def _anger_on_forgetfulness(reading: Reading) -> Finding:
+    """Confusion, anger and disengagement raise forgetfulness, anger the most."""
     sources = ("confusion", "anger", "disengagement")
     effects = {source: effect(reading.mdp, source, "forgetfulness") for source in sources}
     others = max(effects["confusion"], effects["disengagement"])
@@ -185,13 +173,9 @@ def _anger_on_forgetfulness(reading: Reading) -> Finding:
     return statement(holds, f"percentage points: {_points(effects)}")
 
 
-@CLAIMS.add(
-    "prose.anger-contributes-most",
-    "Section 2.1.1",
-    "Anger contributes more to the other statuses than they to each other.",
-    open=True,
-)
+@CLAIMS.add("prose.anger-contributes-most", "Section 2.1.1", open=True)
 def _anger_contributes(reading: Reading) -> Finding:
+    """Anger contributes more to the other statuses than they to each other."""
     effects = {
         source: sum((effect(reading.mdp, source, t) for t in BITS if t != source), Fraction(0))
         for source in BITS
@@ -202,13 +186,9 @@ def _anger_contributes(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add(
-    "prose.distress",
-    "Section 2.1.1",
-    "Forgetfulness and confusion lead to anger; these three lead to disengagement.",
-    open=True,
-)
+@CLAIMS.add("prose.distress", "Section 2.1.1", open=True)
 def _distress(reading: Reading) -> Finding:
+    """Forgetfulness and confusion lead to anger; these three lead to disengagement."""
     edges = [("forgetfulness", "anger"), ("confusion", "anger")]
     edges += [(name, "disengagement") for name in ("forgetfulness", "confusion", "anger")]
     effects = {f"{a} on {b}": effect(reading.mdp, a, b) for a, b in edges}
@@ -233,13 +213,9 @@ for _action, _stays in reported.ASSISTANCE.items():
             )
 
 
-@CLAIMS.add(
-    "assistance.rest",
-    "Section 2.1.2",
-    "Statuses that an assistance does not name move as without assistance.",
-    kind="input",
-)
+@CLAIMS.add("assistance.rest", "Section 2.1.2", kind="input")
 def _rest(reading: Reading) -> Finding:
+    """Statuses that an assistance does not name move as without assistance."""
     compared = wrong = 0
     for action, number in reported.NUMBER.items():
         for status in set(BITS) - set(reported.ASSISTANCE.get(action, {})):
@@ -282,24 +258,16 @@ CLAIMS.entry(
 )
 
 
-@CLAIMS.add(
-    "states.start",
-    "Section 3.2.1",
-    "An episode starts with none of the four statuses present.",
-    kind="input",
-)
+@CLAIMS.add("states.start", "Section 3.2.1", kind="input")
 def _start(reading: Reading) -> Finding:
+    """An episode starts with none of the four statuses present."""
     label = " and ".join(reading.mdp.space.label(state) for state, _ in reading.mdp.start)
     return statement("status 0000" in label, f"the start is {label}")
 
 
-@CLAIMS.add(
-    "states.end",
-    "Section 3.2.1",
-    "An episode ends when every subtask is completed or skipped.",
-    kind="input",
-)
+@CLAIMS.add("states.end", "Section 3.2.1", kind="input")
 def _end(reading: Reading) -> Finding:
+    """An episode ends when every subtask is completed or skipped."""
     mdp = reading.mdp
     ends = [mdp.space.label(state) for state in np.flatnonzero(mdp.terminal).tolist()]
     steps = sum(reading.scenario.tasks) * (reading.scenario.trials + 1)
@@ -328,15 +296,11 @@ CLAIMS.entry(
 # ---- rewards -----------------------------------------------------------------------------------
 
 
-@CLAIMS.add(
-    "equation1",
-    "Equation 1, Section 3.2.3",
-    "The immediate reward is the weighted sum of statuses, trial, completion, assistance, "
-    "timestep and task completion.",
-    kind="input",
-)
+@CLAIMS.add("equation1", "Equation 1, Section 3.2.3", kind="input")
 def _equation_1(reading: Reading) -> Finding:
-    """Hold every visible outcome of the compiled model against Equation 1, written out anew."""
+    """The immediate reward is the weighted sum of statuses, trial, completion, assistance, timestep
+    and task completion."""
+    # Hold every visible outcome of the compiled model against Equation 1, written out anew.
     w, last = reported.TABLE_4, np.cumsum(reading.scenario.tasks) - 1
     checked = wrong = 0
     for action, after, subtask, done, gain in _rewards(reading.mdp, reading.scenario.trials):
@@ -362,23 +326,17 @@ for _name, _weighs in reported.TABLE_4.items():
     )
 
 
-@CLAIMS.add(
-    "prose.minimal-assistance",
-    "Section 3.2.3",
-    "Completing a subtask costs more, the more intrusive the assistance.",
-)
+@CLAIMS.add("prose.minimal-assistance", "Section 3.2.3")
 def _minimal(reading: Reading) -> Finding:
+    """Completing a subtask costs more, the more intrusive the assistance."""
     found = [weights(reading.mdp)[f"assist.{action}"] for action in reported.ACTIONS]
     falls = all(a > b for a, b in pairwise(found))
     return statement(falls, "a0 to a3: " + ", ".join(str(value) for value in found))
 
 
-@CLAIMS.add(
-    "prose.anger-first",
-    "Section 3.2.3",
-    "Anger is charged most of the four statuses.",
-)
+@CLAIMS.add("prose.anger-first", "Section 3.2.3")
 def _anger_first(reading: Reading) -> Finding:
+    """Anger is charged most of the four statuses."""
     held = weights(reading.mdp)
     anger, *rest = (held[name] for name in ("anger", "forget", "confuse", "disengaged"))
     return statement(anger < min(rest), f"anger {anger}, the others {', '.join(map(str, rest))}")

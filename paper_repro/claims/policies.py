@@ -6,7 +6,6 @@ subtask and the trial; a certificate lists all optimal actions, ties included.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
@@ -17,6 +16,7 @@ from exact_mdp.analysis import check
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims.claim import Claims, Finding, statement
 from exact_mdp.paper_repro.reading import Reading
+from exact_mdp.paper_repro.readings.reported_policy import cost_by_status
 from exact_mdp.paper_repro.reported import ANGRY, FINAL, NUMBER
 from exact_mdp.solvers.solution import Certified
 
@@ -55,19 +55,15 @@ for _name, _statuses, _action, _says in (
     ("0100", ["0100"], "non-directive", "Confused only: non-directive assistance is best."),
     ("0000", ["0000"], "non-directive", "No status present: non-directive assistance is best."),
 ):
-    CLAIMS.add(f"policy.{_name}", "Section 4.1, Figure 10", _says, open=True)(
+    CLAIMS.add(f"policy.{_name}", "Section 4.1, Figure 10", says=_says, open=True)(
         partial(_best, statuses=_statuses, action=NUMBER[_action])
     )
 
 
-@CLAIMS.add(
-    "policy.respectively",
-    "Section 4.1, Figure 10",
-    "Forgetful only or confused only: directive in one and non-directive in the other, "
-    "whichever is meant.",
-    open=True,
-)
+@CLAIMS.add("policy.respectively", "Section 4.1, Figure 10", open=True)
 def _respectively(reading: Reading) -> Finding:
+    """Forgetful only or confused only: directive in one and non-directive in the other, whichever
+    is meant."""
     best = {status: optimal_actions(reading, status) for status in ("1000", "0100")}
     holds = any(
         all(NUMBER[action] in found for status, action in order.items() for found in best[status])
@@ -80,19 +76,12 @@ def _respectively(reading: Reading) -> Finding:
     return statement(holds, f"optimal actions are {told}")
 
 
-@CLAIMS.add(
-    "policy.final-is-optimal",
-    "Section 4.1",
-    "The final policy, with non-directive assistance in 0000, is optimal.",
-    open=True,
-)
+@CLAIMS.add("policy.final-is-optimal", "Section 4.1", open=True)
 def _regret(reading: Reading) -> Finding:
+    """The final policy, with non-directive assistance in 0000, is optimal."""
     audit = check(reading.mdp, reading.policies[f"reported.{FINAL}"])
-    lost, by_status = audit.regret.at_start, defaultdict[str, float](float)
-    for each in audit.disagreements:
-        by_status[reading.mdp.space.as_dict(each.state)["status"]] += each.cost
-    ordered = sorted(by_status.items(), key=lambda item: -item[1])
-    costs = ", ".join(f"{status} {cost:.2f}" for status, cost in ordered)
+    lost, by_status = audit.regret.at_start, cost_by_status(audit, reading.mdp.space)
+    costs = ", ".join(f"{status} {cost:.2f}" for status, cost in by_status.items())
     found, best = reading.averages, reading.evaluations["optimal"]
     fits = best.mean - float(found.mean[int(found.fitting), 0])
     least = best.mean - found.range(FINAL)[1]
@@ -107,20 +96,16 @@ def _regret(reading: Reading) -> Finding:
         f"{max(least, 0.0):.2f} at least",
         lost,
         f"regret {float(lost.value):.3f}",
-        cost_by_status=dict(by_status),
+        cost_by_status=by_status,
         relative_regret=audit.relative_regret,
         regret_of_best_fit=fits,
         least_regret=max(least, 0.0),
     )
 
 
-@CLAIMS.add(
-    "policy.status-suffices",
-    "Section 3.2.1",
-    "A policy may read the 16 statuses alone, without the trial or the subtask.",
-    open=True,
-)
+@CLAIMS.add("policy.status-suffices", "Section 3.2.1", open=True)
 def _status_suffices(reading: Reading) -> Finding:
+    """A policy may read the 16 statuses alone, without the trial or the subtask."""
     lacking = [s for s in reported.STATUSES if not set.intersection(*optimal_actions(reading, s))]
     why = "in every status one action is optimal in all subtasks and trials"
     if lacking:

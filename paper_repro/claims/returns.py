@@ -10,6 +10,7 @@ is weak evidence and disagreement strong.
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from exact_mdp.paper_repro.claims.claim import (
 from exact_mdp.paper_repro.reading import Reading
 from exact_mdp.paper_repro.readings.reported_policy import ranked, sums
 from exact_mdp.paper_repro.readings.search import Averages, of_order
-from exact_mdp.paper_repro.reported import COMPLETIONS, EXPERIMENTS, FINAL, STARTS
+from exact_mdp.paper_repro.reported import COMPLETIONS, EXPERIMENTS, FINAL, RANDOM_RETURN, STARTS
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.returns import return_distribution
 
@@ -51,7 +52,7 @@ def agreement(
     doubt = 2 * np.asarray(found.error)
     holds = {
         "return.optimal": np.asarray(optimum >= reported.CONVERGED_RETURN),
-        "return.random": np.abs(random - reported.RANDOM_RETURN) <= READ_OFF_A_PLOT,
+        "return.random": np.abs(random - RANDOM_RETURN) <= READ_OFF_A_PLOT,
         "return.superior": found.mean.min(axis=(-2, -1)) > random + doubt,
         "return.together": found.probability >= JOINT_LIMIT,
         "return.ranking": (-np.diff(mean, axis=-1) > doubt[..., None]).all(axis=-1),
@@ -71,9 +72,9 @@ def _mean(reading: Reading, name: str) -> Bounded:
     return reading.evaluations[name].start
 
 
-def _spread(reading: Reading, name: str) -> dict[str, float]:
+def _spread(reading: Reading, name: str) -> dict[str, Any]:
     """Return details of a policy's return: spread, and the simulated mean that checks it."""
-    found = {"sd": reading.evaluations[name].sd}
+    found: dict[str, Any] = {"sd": reading.evaluations[name].sd}
     if reading.label == "default":
         sampled = reading.simulated(name)
         found["simulated"] = sampled["mean"]
@@ -81,15 +82,10 @@ def _spread(reading: Reading, name: str) -> dict[str, float]:
     return found
 
 
-@CLAIMS.add(
-    "return.optimal",
-    "Section 4.1, Figure 9",
-    "The learned policies reach an average return of about 140; no policy can reach more "
-    "than the optimum.",
-    paper=reported.CONVERGED_RETURN,
-    open=True,
-)
+@CLAIMS.add("return.optimal", "Section 4.1, Figure 9", paper=reported.CONVERGED_RETURN, open=True)
 def _ceiling(reading: Reading) -> Finding:
+    """The learned policies reach an average return of about 140; no policy can reach more than the
+    optimum."""
     best = _mean(reading, "optimal")
     margin = best.value - reported.CONVERGED_RETURN
     side = "below" if margin > 0 else "above"
@@ -103,26 +99,16 @@ def _ceiling(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add(
-    "return.random",
-    "Section 4.1, Figure 9",
-    "The random strategy reaches an average return of around 70.",
-    "plotted",
-    paper=reported.RANDOM_RETURN,
-    open=True,
-)
+@CLAIMS.add("return.random", "Section 4.1, Figure 9", "plotted", paper=RANDOM_RETURN, open=True)
 def _random(reading: Reading) -> Finding:
+    """The random strategy reaches an average return of around 70."""
     spread = _spread(reading, "random")
-    return plotted(reported.RANDOM_RETURN, _mean(reading, "random"), **spread)
+    return plotted(RANDOM_RETURN, _mean(reading, "random"), **spread)
 
 
-@CLAIMS.add(
-    "return.superior",
-    "Section 4.1",
-    "The learned policies are superior to the random strategy.",
-    open=True,
-)
+@CLAIMS.add("return.superior", "Section 4.1", open=True)
 def _superior(reading: Reading) -> Finding:
+    """The learned policies are superior to the random strategy."""
     return statement(
         _holds(reading, "return.superior"),
         f"in each of the {len(COMPLETIONS)} ways to fill in what the text leaves open, a reported "
@@ -164,9 +150,9 @@ for _start, _paper in reported.AVERAGE_RETURN.items():
     CLAIMS.add(
         f"return.reported.{_start}",
         "Section 4.1",
-        f"The policy with {_start} assistance in status 0000 averages {_paper} over "
-        f"{EXPERIMENTS:,} experiments.",
         "average",
+        says=f"The policy with {_start} assistance in status 0000 averages {_paper} over "
+        f"{EXPERIMENTS:,} experiments.",
         paper=_paper,
         open=True,
     )(partial(_average, start=_start))
@@ -181,9 +167,10 @@ def _fit(found: Averages) -> str:
     )
 
 
-@CLAIMS.add("return.together", "Section 4.1", "The three averages, taken together.", open=True)
+@CLAIMS.add("return.together", "Section 4.1", open=True)
 def _together(reading: Reading) -> Finding:
-    """Add up squared standard errors, under the completion that makes the sum least."""
+    """The three averages, taken together."""
+    # Add up squared standard errors, under the completion that makes the sum least.
     found = reading.averages
     least = {order: found.chi_squared[of_order(order)].min() for order in reported.ORDERS}
     orders = ", ".join(
@@ -199,14 +186,11 @@ def _together(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add(
-    "return.ranking",
-    "Section 4.1",
-    "In status 0000 {} assistance is better than {}, and that better than {}.".format(*STARTS),
-    open=True,
-)
+@CLAIMS.add("return.ranking", "Section 4.1", open=True)
 def _ranking(reading: Reading) -> Finding:
-    """Judge, as the averages, by the completion that fits them best; show both orders."""
+    """In status 0000 non-directive assistance is better than directive, and that better than
+    supportive."""
+    # Judge, as the averages, by the completion that fits them best; show both orders.
     holds, found = _holds(reading, "return.ranking"), reading.averages
     names = ("as written", "swapped", "best joint fit")
     told = "; ".join(
@@ -221,12 +205,9 @@ def _ranking(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add(
-    "return.ranking.by-experiments",
-    "Section 4.1",
-    f"{EXPERIMENTS:,} experiments tell this ranking.",
-)
+@CLAIMS.add("return.ranking.by-experiments", "Section 4.1")
 def _ranking_by_experiments(reading: Reading) -> Finding:
+    """1,000 experiments tell this ranking."""
     policies = [reading.policies[f"reported.{start}"] for start in STARTS]
     laws = [return_distribution(reading.mdp, policy) for policy in policies]
     chance = ranked(*(sums(law, EXPERIMENTS) for law in laws))
@@ -241,14 +222,10 @@ def _ranking_by_experiments(reading: Reading) -> Finding:
 
 
 @CLAIMS.add(
-    "return.experiments",
-    "Section 4.1, Section 3.2.5",
-    f"The final policies were compared by {EXPERIMENTS:,} experiments each.",
-    "open",
-    kind="input",
-    paper=EXPERIMENTS,
+    "return.experiments", "Section 4.1, Section 3.2.5", "open", kind="input", paper=EXPERIMENTS
 )
 def _experiments(reading: Reading) -> Finding:
+    """The final policies were compared by 1,000 experiments each."""
     sd = reading.evaluations[f"reported.{FINAL}"].sd
     few, many = (sd / runs**0.5 for runs in (EXPERIMENTS, OTHER_RUNS))
     return undecided(

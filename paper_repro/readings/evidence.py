@@ -56,24 +56,14 @@ EXPERIMENTS = (reported.EXPERIMENTS, 10_000)  # Section 4.1 says 1,000, Section 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
-    """Log likelihoods of R readings and C completions, part by part.
-
-    Attributes
-    ----------
-    search : ReadingSearch
-    experiments : int
-        Runs behind each reported average.
-    random_tolerance, converged_tolerance : float or None
-        Standard deviations of the numbers read off the plot; None leaves the number out.
-    averages : (R, C)
-        Of the three reported averages.
-    """
+    """Log likelihoods of R readings and C completions, part by part."""
 
     search: ReadingSearch
-    experiments: int
+    experiments: int  # runs behind each reported average
+    # Standard deviations of the numbers read off the plot; None leaves the number out.
     random_tolerance: float | None
     converged_tolerance: float | None
-    averages: Floats
+    averages: Floats  # (R, C) of the three reported averages
 
     def __post_init__(self) -> None:
         for name in ("random_tolerance", "converged_tolerance"):
@@ -249,26 +239,13 @@ STATEMENTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """How well some statements can hold together under one reading and completion.
+    """How well some statements can hold together under one reading and completion."""
 
-    Attributes
-    ----------
-    statements : tuple of str
-        Keys of `STATEMENTS`.
-    score : float
-        The least over readings and completions of the largest distance among the statements, in
-        standard deviations.
-    reading, completion : int
-        Where it is least.
-    readings : int
-        Number of readings under which they hold together with some completion.
-    """
-
-    statements: tuple[str, ...]
-    score: float
-    reading: int
+    statements: tuple[str, ...]  # keys of `STATEMENTS`
+    score: float  # the least, over those, of the largest distance, in standard deviations
+    reading: int  # where it is least
     completion: int
-    readings: int
+    readings: int  # how many readings let them hold together with some completion
 
     @property
     def possible(self) -> bool:

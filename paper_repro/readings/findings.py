@@ -61,25 +61,13 @@ WITHOUT_RANDOM = "without the random strategy"  # the variant that leaves that c
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReadingStudy:
-    """Which reading it is, as far as the paper's numbers tell.
-
-    Attributes
-    ----------
-    search : ReadingSearch
-    evidence : mapping
-        By the name of the variant; the first is the main one.
-    joints : mapping
-        How well every set of statements can hold together, for 1,000 and 10,000 experiments.
-    learned : LearningEvidence
-    policies : tuple of PolicyUnderReading
-        The reported policies under the default and the best supported readings.
-    """
+    """Which reading it is, as far as the paper's numbers tell."""
 
     search: ReadingSearch
-    evidence: Mapping[str, Evidence]
-    joints: Mapping[int, Sequence[Joint]]
+    evidence: Mapping[str, Evidence]  # by the name of the variant; the first is the main one
+    joints: Mapping[int, Sequence[Joint]]  # every set of statements, for 1,000 and 10,000 runs
     learned: LearningEvidence
-    policies: Sequence[PolicyUnderReading]
+    policies: Sequence[PolicyUnderReading]  # under the default and the best supported readings
 
     @property
     def main(self) -> Evidence:
@@ -105,21 +93,9 @@ def reading_study(
 ) -> ReadingStudy:
     """Return the whole study.
 
-    Parameters
-    ----------
-    seed : int
-        Of the learning runs; everything else is exact.
-    space : ReadingSpace
-        The readings to search.
-    out : path, optional
-        Folder for finished pieces.
-    quick : bool
-        Train and audit less; the search over the readings stays whole.
-    sizes : mapping, optional
-        Readings to train under, runs of each schedule, and best supported readings under which the
-        policies are audited, named as in `QUICK`.
-    n_jobs, scheduler, progress
-        As for `search`.
+    `seed` is that of the learning runs; everything else is exact. `sizes` says, named as in
+    `QUICK`, under how many readings is trained, how often, and under how many of the best supported
+    ones the policies are audited. The other arguments are those of `search`.
     """
     size, folder = sizes or (QUICK if quick else FULL), None if out is None else Path(out)
     found = search(
@@ -172,13 +148,7 @@ def sentences(
 ) -> list[Sentence]:
     """Return what is identified, what is not, and what cannot hold together.
 
-    Parameters
-    ----------
-    found : mapping
-        As `variants` gives it, the main one first.
-    joints : {experiments: sets}
-        As `joint` gives them.
-    learned : LearningEvidence, optional
+    From `variants`, the main one first, and by number of experiments what `joint` gives.
     """
     main = next(iter(found.values()))
     return [

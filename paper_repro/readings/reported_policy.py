@@ -25,6 +25,7 @@ probability of the others, which the cyclic transform adds to those kept; it is 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -33,10 +34,10 @@ from math import ceil, floor, log, log2, sqrt
 import numpy as np
 
 from exact_mdp.analysis.gate.check import Audit, check
-from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.mdp import MDP, Policy
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
 from exact_mdp.paper_repro.readings.evidence import EXPERIMENTS, Evidence
 from exact_mdp.paper_repro.readings.search import ReadingSearch
@@ -66,45 +67,17 @@ class RankingChance:
         return self.normal if self.exact is None else min(self.exact.value, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class StatusCost:
-    """A status in which a policy is not optimal everywhere, and what that costs an episode."""
-
-    status: str
-    learned: str
-    optimal: tuple[str, ...]  # actions, where the status is visited most
-    visits: float  # expected, in an episode
-    cost: float  # of an episode; costs add up to the regret
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyUnderReading:
-    """What the reported policies are worth under one reading with one completion.
+    """What the reported policies are worth under one reading with one completion."""
 
-    Attributes
-    ----------
-    reading, completion : int
-    label : str
-        What the reading changes from the default.
-    mdp : MDP
-    audit : Audit
-        Of the final policy, a2 in 0000.
-    evaluations : mapping
-        Of the three policies, by their action in 0000.
-    ranking : tuple of RankingChance
-        For 1,000 and for 10,000 experiments.
-    regret_range : (float, float)
-        Least and largest regret of the final policy over all completions.
-    """
-
-    reading: int
     completion: int
-    label: str
+    label: str  # what the reading changes from the default
     mdp: MDP
-    audit: Audit
-    evaluations: Mapping[str, Evaluation]
-    ranking: tuple[RankingChance, ...]
-    regret_range: tuple[float, float]
+    audit: Audit  # of the final policy, a2 in 0000
+    evaluations: Mapping[str, Evaluation]  # of the three policies, by their action in 0000
+    ranking: tuple[RankingChance, ...]  # for 1,000 and for 10,000 experiments
+    regret_range: tuple[float, float]  # of the final policy, over all completions
 
     @property
     def value(self) -> Certified | Bounded:
@@ -121,22 +94,13 @@ class PolicyUnderReading:
         """Exact regret of the final policy."""
         return self.audit.regret.at_start
 
-    def by_status(self) -> list[StatusCost]:
-        """Return what each status costs, subtasks and trials added up, the costliest first."""
-        found: dict[str, list[Disagreement]] = {}
-        for each in self.audit.disagreements:
-            found.setdefault(self.mdp.space.as_dict(each.state)["status"], []).append(each)
-        rows = [
-            StatusCost(
-                status=status,
-                learned=each[0].learned,
-                optimal=max(each, key=lambda one: one.expected_visits).optimal,
-                visits=sum(one.expected_visits for one in each),
-                cost=sum(one.cost for one in each),
-            )
-            for status, each in found.items()
-        ]
-        return sorted(rows, key=lambda row: (-row.cost, row.status))
+
+def cost_by_status(audit: Audit, space: StateSpace) -> dict[str, float]:
+    """Return what each status costs an episode, the costliest first; costs add up to the regret."""
+    found: defaultdict[str, float] = defaultdict(float)
+    for each in audit.disagreements:
+        found[space.as_dict(each.state)["status"]] += each.cost
+    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
 
 def under_reading(search: ReadingSearch, reading: int, completion: int) -> PolicyUnderReading:
@@ -151,7 +115,6 @@ def under_reading(search: ReadingSearch, reading: int, completion: int) -> Polic
         laws = [return_distribution(mdp, each.chain) for each in found.values()]
     regrets = search.regret[reading]
     return PolicyUnderReading(
-        reading=reading,
         completion=completion,
         label=search.space.label(reading),
         mdp=mdp,

@@ -19,7 +19,6 @@ The range over all completions stands beside every number that depends on them.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -59,19 +58,11 @@ PAPER_READINGS = ReadingSpace(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Averages:
-    """Exact moments of the return under every completion, of one reading or of R readings.
+    """Exact moments of the return under every completion, of one reading or of R readings."""
 
-    Attributes
-    ----------
-    mean, variance : (C, 3) or (R, C, 3)
-        Last axis: the action in 0000, in the order of `reported.STARTS`.
-    error : float or (R,)
-        How far a mean may be from the exact one.
-    """
-
-    mean: Floats
-    variance: Floats
-    error: float | Floats
+    mean: Floats  # (C, 3) or (R, C, 3), last axis: the action in 0000, in the order of `STARTS`
+    variance: Floats  # the same
+    error: float | Floats  # (R,) how far a mean may be from the exact one
 
     @cached_property
     def score(self) -> Floats:
@@ -133,42 +124,20 @@ def averages(scenario: Scenario) -> Averages:
 class ReadingSearch:
     """Exact figures of R readings, C completions and the three reported policies.
 
-    Attributes
-    ----------
-    scenario : Scenario
-        The default reading.
-    space : ReadingSpace
-        The readings; R of them.
-    completions : tuple of mapping
-        Actions by status, for the statuses whose action the text leaves open.
-    mean, variance : (R, C, 3)
-        Of the return; last axis: the action in 0000, in the order of `reported.STARTS`.
-    random_mean, random_variance : (R,)
-        The same of the random strategy.
-    optimum : (R,)
-        Optimal value at the evaluation discount, over policies that know subtask and trial.
-    gaps : (R, 16, 4)
-        What each action loses to the best one by status vector, in the first trial of the first
-        subtask, at the evaluation discount.
-    error, variance_error : (R,)
-        How far the means and the optimum, and the variances, may be from the exact ones: the
-        bounds of `solvers.care`, which hold a priori.
-    seconds : float
-        What the search took, this time.
+    Errors are the bounds of `solvers.care`, which hold a priori.
     """
 
-    scenario: Scenario
-    space: ReadingSpace
-    completions: tuple[Mapping[str, str], ...]
-    mean: Floats
-    variance: Floats
-    random_mean: Floats
-    random_variance: Floats
-    optimum: Floats
-    gaps: Floats
-    error: Floats
-    variance_error: Floats
-    seconds: float
+    scenario: Scenario  # the default reading
+    space: ReadingSpace  # the readings; R of them
+    completions: tuple[Mapping[str, str], ...]  # actions by status, where the text leaves them open
+    mean: Floats  # (R, C, 3) of the return; last axis: the action in 0000, in the order of `STARTS`
+    variance: Floats  # the same
+    random_mean: Floats  # (R,) of the random strategy
+    random_variance: Floats  # (R,)
+    optimum: Floats  # (R,) at the evaluation discount, over policies that know subtask and trial
+    gaps: Floats  # (R, 16, 4) what an action loses by status, in the first trial of all
+    error: Floats  # (R,) of the means and the optimum
+    variance_error: Floats  # (R,)
 
     def __post_init__(self) -> None:
         for name in ARRAYS:
@@ -227,33 +196,16 @@ def search(
     out: str | Path | None = None,
     progress: bool = False,
 ) -> ReadingSearch:
-    """Evaluate every compatible policy under every reading.
+    """Evaluate every compatible policy under every reading; the last one is `evaluation_discount`.
 
-    Parameters
-    ----------
-    scenario : Scenario, optional
-        The paper's model unless given.
-    space : ReadingSpace
-        The readings; the last one is `evaluation_discount`.
-    n_jobs : int, optional
-        Processes; all cores where None.
-    scheduler : str, optional
-        A Dask cluster instead, "tcp://host:port" or "local"; see `solvers.parallel.many.many`.
-    out : path, optional
-        Folder for finished pieces; an interrupted search goes on from there.
-    progress : bool
-        Show a bar on standard error where that is a terminal.
-
-    Raises
-    ------
-    ModelError
-        For other readings than these, and where the folder holds another search or a damaged file.
+    In `n_jobs` processes, all cores where None, or on a Dask cluster, "tcp://host:port" or "local"
+    (see `solvers.parallel.many.many`). An interrupted search goes on from the folder `out`. Raises
+    ModelError where that holds another search or a damaged file.
     """
     if space.names[-1:] != ("evaluation_discount",):
         raise ModelError(
             "the last reading is not evaluation_discount", where="search", fix="put it last"
         )
-    started = time.perf_counter()
     base = Scenario.load("yuan2025") if scenario is None else scenario
     policies = reported.policies()
     scenarios = range(0, len(space), len(space.options["evaluation_discount"]))
@@ -284,7 +236,6 @@ def search(
         space=space,
         completions=COMPLETIONS,
         **joined,
-        seconds=time.perf_counter() - started,
     )
 
 

@@ -110,25 +110,12 @@ def random_baseline(mdp: MDP, seed: int) -> LearningCurve:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LearningEvidence:
-    """S runs of both schedules under each of T readings.
+    """S runs of both schedules under each of T readings; schedules in the order of `SETTINGS`."""
 
-    Attributes
-    ----------
-    readings : (T,) ints
-        The readings that were trained, at the first evaluation discount.
-    unique : (T, 2, S) ints
-        Greedy policies in a run's last 100 episodes; schedules in the order of `SETTINGS`.
-    compatible : (T, 2, S) bool
-        Whether each of these policies does what the text states: its actions with anger, in 1100,
-        1000 and 0100 (either order), and one of a1, a2, a3 in 0000.
-    final : (T, 2, S, 16) ints
-        Actions of the final policy by status.
-    """
-
-    readings: Integers
-    unique: Integers
-    compatible: NDArray[np.bool_]
-    final: Numbers
+    readings: Integers  # (T,) those that were trained, at the first evaluation discount
+    unique: Integers  # (T, 2, S) greedy policies in a run's last 100 episodes
+    compatible: NDArray[np.bool_]  # (T, 2, S) whether these can all be what the paper describes
+    final: Numbers  # (T, 2, S, 16) actions of the final policy by status
 
     @property
     def seeds(self) -> int:

@@ -109,11 +109,7 @@ def worsening() -> tuple[tuple[PriceOfPerception, ...], Hedging, AccuracyCurves,
     return found, Hedging.of(mdp, LEVELS, found), accuracy_curves(mdp), accuracy_needed(mdp)
 
 
-@PICTURES.add(
-    "agents_perception_confusion",
-    "What the scripted agent reads out of its own behaviours, by true status. It misreads each "
-    "status at a known rate; the matrix is counted from labelled behaviours.",
-)
+@PICTURES.add("agents_perception_confusion")
 def _confusion() -> Figure:
     figure, ax = plt.subplots(figsize=(5.6, 5.6))
     plot_confusion(Counted(counts=measured().counts.counts).mean, ax=ax)
@@ -121,11 +117,7 @@ def _confusion() -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "agents_perception_errors",
-    "Which errors of the scripted agent's perception cost the optimal policy most. The loss "
-    "against perfect perception, by status, where what is perceived is taken for true.",
-)
+@PICTURES.add("agents_perception_errors")
 def _errors() -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 3.2))
     found = measured()
@@ -140,12 +132,7 @@ def _errors() -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "agents_perception_accuracy",
-    "The optimal policy's value when it takes what it perceives for true, by accuracy. One status "
-    "read with the accuracy and the others perfectly, and all four alike; the point is the "
-    "accuracy that keeps 95 % of the value.",
-)
+@PICTURES.add("agents_perception_accuracy")
 def _accuracy() -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     _, _, curves, needed = worsening()
@@ -154,12 +141,7 @@ def _accuracy() -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "agents_perception_memory",
-    "What is left of the optimum as perception worsens, with memory and without. The best "
-    "controller that remembers (between bounds), the best policy that reads the perceived status "
-    "alone, and the optimal policy that takes it for true.",
-)
+@PICTURES.add("agents_perception_memory")
 def _memory() -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     plot_prices(LEVELS, worsening()[0], ax=ax)
@@ -167,10 +149,7 @@ def _memory() -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "agents_perception_hedging",
-    "The best action for each perceived status as perception worsens, without memory.",
-)
+@PICTURES.add("agents_perception_hedging")
 def _hedging() -> Figure:
     figure, ax = plt.subplots(figsize=(7.4, 5.0))
     plot_hedging(worsening()[1], ax=ax)

@@ -1,11 +1,12 @@
 """The figures of the model and of learning: what each shows, which of the paper's it answers to.
 
-A figure is a `Picture`: a name, a caption, a description for those who cannot see it, and a
-function that draws it; `draw_all` saves them as SVG and PNG.
+A figure is a `Picture`: its words, which stand in `figures.toml`, and a function that draws it;
+`draw_all` saves them as SVG and PNG.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,7 @@ from exact_mdp.analysis.plots.paper import (
     plot_experiments,
     plot_trials,
 )
-from exact_mdp.mdp import MDP, Policy
+from exact_mdp.mdp import MDP, Policy, PolicyLike
 from exact_mdp.mdp.table import Floats
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.reading import SEED, Reading
@@ -46,69 +47,43 @@ from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.values.returns import return_distribution
 
 ROUNDING = 1e-9
+WORDS = tomllib.loads((Path(__file__).parent / "figures.toml").read_text("utf-8"))
 Draw = TypeVar("Draw", bound=Callable[..., Figure])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """One figure.
-
-    Attributes
-    ----------
-    name : str
-        Of its files.
-    title, caption : str
-    alt : str
-        What is to be seen, in words.
-    place : str
-        The figure of the paper that it answers to; empty for one that the paper has not.
-    draw : function
-        Draws it from what it is about: a Reading, a ReadingStudy, or nothing.
-    learns : bool
-        Whether it shows training runs.
-    """
+    """One figure: the name of its files, its words, and the function that draws it."""
 
     name: str
     title: str
     caption: str
-    alt: str
-    place: str
-    draw: Callable[..., Figure]
-    learns: bool = False
+    alt: str  # what is to be seen, in words
+    place: str  # the figure of the paper that it answers to; empty for one that the paper has not
+    draw: Callable[..., Figure]  # from what it is about: a Reading, a ReadingStudy, or nothing
+    learns: bool  # whether it shows training runs
 
 
 class Pictures(list[Picture]):
     """The figures of one part of the report; `add` puts one in."""
 
-    def add(
-        self,
-        name: str,
-        caption: str,
-        *,
-        title: str = "",
-        alt: str = "",
-        place: str = "",
-        learns: bool = False,
-    ) -> Callable[[Draw], Draw]:
-        """Return a decorator that adds a figure which the function draws.
-
-        Without a title it is called by its name, without a description as its caption begins.
-        """
+    def add(self, name: str, *, learns: bool = False) -> Callable[[Draw], Draw]:
+        """Return a decorator that adds a figure which the function draws."""
+        words = WORDS[name]
+        title = words.get("title") or name.removeprefix("agents_").replace("_", " ").capitalize()
+        first = words["caption"].partition(". ")[0].removesuffix(".")
 
         def keep(draw: Draw) -> Draw:
-            called = title or name.removeprefix("agents_").replace("_", " ").capitalize()
-            seen = alt or f"{called}. {caption.partition('. ')[0].removesuffix('.')}."
-            self.append(
-                Picture(
-                    name=name,
-                    title=called,
-                    caption=caption,
-                    alt=seen,
-                    place=place,
-                    draw=draw,
-                    learns=learns,
-                )
+            picture = Picture(
+                name=name,
+                title=title,
+                caption=words["caption"],
+                alt=words.get("alt", f"{title}. {first}."),
+                place=words.get("place", ""),
+                draw=draw,
+                learns=learns,
             )
+            self.append(picture)
             return draw
 
         return keep
@@ -139,15 +114,7 @@ PICTURES = Pictures()
 """The figures of Sections 2 to 4.1, in the order of the paper."""
 
 
-@PICTURES.add(
-    "trial_flow",
-    "Up to five trials; a trial that ends in status 0000 completes the subtask, the "
-    "last failed one skips it. Exact probabilities.",
-    title="Trials of a subtask",
-    alt="Five boxes in a row, one for each trial, with arrows up to “subtask completed” and "
-    "onwards to the next trial; after the fifth trial an arrow leads to “skipped”.",
-    place="Figure 3",
-)
+@PICTURES.add("trial_flow")
 def _trials(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(9.5, 3.3))
     flows = {
@@ -159,7 +126,7 @@ def _trials(reading: Reading) -> Figure:
     return figure
 
 
-def trial_flow(mdp: MDP, policy: object, trials: int) -> tuple[Floats, Floats]:
+def trial_flow(mdp: MDP, policy: PolicyLike, trials: int) -> tuple[Floats, Floats]:
     """Return (M,) probabilities that each trial of subtask 0 is made, and completes it if made."""
     found, trial = evaluate(mdp, policy), mdp.space.values("trial")
     here = (mdp.space.values("subtask") == 0) & (trial < trials) & ~mdp.terminal
@@ -185,14 +152,7 @@ def status_law(mdp: MDP, action: int) -> Floats:
     return law
 
 
-@PICTURES.add(
-    "status_transitions",
-    "One panel for each action; 16 status vectors ordered by how many statuses are present.",
-    title="Moves of the status vector under each action",
-    alt="Four network diagrams, one for each action, of the same 16 status vectors, with an "
-    "arrow for each move of 10 % or more, darker and thicker the likelier it is.",
-    place="Figure 3",
-)
+@PICTURES.add("status_transitions")
 def _transitions(reading: Reading) -> Figure:
     figure, axes = plt.subplots(2, 2, figsize=(11, 9.5))
     for (action, number), ax in zip(NUMBER.items(), axes.flat, strict=True):
@@ -207,15 +167,7 @@ def _transitions(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "influence_graph",
-    "Without assistance a status that is present raises the chance of the others; "
-    "percentage points of Table 3, read from row to column.",
-    title="Influence between statuses",
-    alt="Network of the four statuses. Each arrow carries the percentage points that one "
-    "status adds to another, the off-diagonal numbers of Table 3.",
-    place="Figure 4",
-)
+@PICTURES.add("influence_graph")
 def _influence(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 5.6))
     plot_influence(reading.scenario, ax=ax)
@@ -223,19 +175,7 @@ def _influence(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "learning_curves",
-    "Above: average return of 40 experiments with the greedy policy of each epoch, one "
-    "run of each strategy; pale: range within 20 epochs, heavy: mean of 100. Below, without "
-    "Monte Carlo noise: exact values of the same policies over many runs, mean and 5 to 95 % "
-    "band. The dotted line is the optimum.",
-    title="Learning curves of three strategies",
-    alt="Three panels of return against epoch. Above, sampled curves of constant exploration, "
-    "decaying exploration and random actions; below, a mean and a band of exact values for "
-    "each exploration. The optimum is a dotted line.",
-    place="Figure 9",
-    learns=True,
-)
+@PICTURES.add("learning_curves", learns=True)
 def _learning(reading: Reading) -> Figure:
     figure = plt.figure(figsize=(8, 7))
     grid = figure.add_gridspec(2, 1)
@@ -258,16 +198,7 @@ def _learning(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "learned_policies",
-    "The commonest final action in each status and the share of runs that end with "
-    "it. A heavy frame marks where it is not the optimal one.",
-    title="Learned policies of the two exploration schedules",
-    alt="Two four by four maps of the status vectors, one for each exploration, with the "
-    "commonest final action and the percentage of runs that end with it in each cell.",
-    place="Figure 10",
-    learns=True,
-)
+@PICTURES.add("learned_policies", learns=True)
 def _learned_maps(reading: Reading) -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(8.4, 4.6))
     for ax, (name, shown) in zip(axes, SHOWN.items(), strict=True):
@@ -293,13 +224,7 @@ def _action_legend(figure: Figure, mdp: MDP, *, columns: int) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
 
 
-@PICTURES.add(
-    "optimal_policy_map",
-    "Exact; it is the same in every subtask and trial where one map is shown.",
-    title="The optimal policy",
-    alt="Four by four map of the status vectors with the optimal action in each; the claims "
-    "of Section 4.1 say of each status that the paper names which action is optimal there.",
-)
+@PICTURES.add("optimal_policy_map")
 def _policy_map(reading: Reading) -> Figure:
     """Draw one map for each different one among the subtasks and trials."""
     space, size = reading.mdp.space, len(STATUSES)
@@ -330,17 +255,7 @@ def _policy_map(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "three_policies",
-    "Exact means of the three policies with exact standard errors of 1,000 "
-    "experiments, beside what the paper reports: with 1000 and 0100 as the sentence is "
-    "written, and with the completion, the best of 512, that fits all three averages best. "
-    "Grey: the range over all completions.",
-    title="The three reported averages",
-    alt="Six rows, two for each action in status 0000, as written and best joint fit, with the "
-    "exact mean, its standard errors, the range over all completions and the reported "
-    "average; the distance in standard errors stands at the right.",
-)
+@PICTURES.add("three_policies")
 def _averages(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(7.6, 3.9))
     found = reading.averages
@@ -359,14 +274,7 @@ def _averages(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "return_distributions",
-    "Exact distribution of an episode's return under the optimal policy, under the "
-    "policy that the paper reports (as written), and under random actions.",
-    title="Distribution of the return",
-    alt="Three bar charts of probability against return on one scale: the optimal policy, the "
-    "reported final policy, random actions.",
-)
+@PICTURES.add("return_distributions")
 def _returns(reading: Reading) -> Figure:
     labels = {
         "optimal": "optimal policy",
@@ -384,15 +292,7 @@ def _returns(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "cost_of_choices",
-    "Expected return lost by taking an action whenever a status comes up, everything "
-    "else being optimal. A heavy frame marks the action of the reported final policy, with "
-    "1000 and 0100 as written.",
-    title="What each choice costs",
-    alt="Table of 16 status vectors by four actions. Each cell carries the loss of its action; "
-    "a heavy frame marks the action of the reported final policy.",
-)
+@PICTURES.add("cost_of_choices")
 def _choices(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 5.6))
     policy = reported.policy(FINAL, reading.completion)
@@ -418,14 +318,7 @@ def choice_losses(reading: Reading) -> Floats:
     return np.where(np.abs(losses) < ROUNDING, 0.0, losses)
 
 
-@PICTURES.add(
-    "unique_policies",
-    "Share of our runs by the number of policies that are greedy in the last 100 "
-    "episodes, with 95 % intervals. The paper reports three (constant) and two (decaying).",
-    title="Unique policies in the last 100 episodes",
-    alt="Bar chart of the share of runs against the number of unique policies for both schedules.",
-    learns=True,
-)
+@PICTURES.add("unique_policies", learns=True)
 def _unique(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 3.6))
     plot_distinct({shown: reading.learned(name).outcomes for name, shown in SHOWN.items()}, ax=ax)
@@ -438,13 +331,7 @@ def _unique(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add(
-    "final_regret",
-    "Share of runs whose final policy loses at most so much of the optimum.",
-    title="What learning leaves on the table",
-    alt="Two rising step curves, one for each exploration schedule.",
-    learns=True,
-)
+@PICTURES.add("final_regret", learns=True)
 def _regrets(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 3.6))
     plot_regrets({shown: reading.learned(name).outcomes for name, shown in SHOWN.items()}, ax=ax)

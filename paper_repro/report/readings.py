@@ -26,6 +26,7 @@ from exact_mdp.paper_repro.readings.evidence import (
     largest_possible,
 )
 from exact_mdp.paper_repro.readings.findings import ReadingStudy, method
+from exact_mdp.paper_repro.readings.reported_policy import cost_by_status
 from exact_mdp.paper_repro.readings.training import SETTINGS
 from exact_mdp.paper_repro.report.figures import Pictures
 from exact_mdp.paper_repro.report.report import Part
@@ -58,10 +59,7 @@ def readings_part(study: ReadingStudy) -> Part:
 # ---- figures -----------------------------------------------------------------------------------
 
 
-@PICTURES.add(
-    "reading_support",
-    "Posterior weight of each option of each reading, under three sets of evidence.",
-)
+@PICTURES.add("reading_support")
 def _support(study: ReadingStudy) -> Figure:
     shown = {
         "1,000 experiments each": "1,000 experiments, tolerance 5",
@@ -117,10 +115,7 @@ def _support_bars(ax: Axes, listed: Mapping[str, Sequence[OptionSupport]]) -> No
     ax.set_xlabel("posterior weight")
 
 
-@PICTURES.add(
-    "reading_ranking",
-    "The best supported readings and the default: exact means beside what was reported.",
-)
+@PICTURES.add("reading_ranking")
 def _ranking(study: ReadingStudy) -> Figure:
     search, found = study.search, study.main
     numbers = list(dict.fromkeys([*found.ranking[:RANKED].tolist(), 0]))
@@ -181,10 +176,7 @@ def _wrapped(label: str) -> str:
     return ", ".join(parts[:half]) + ",\n" + ", ".join(parts[half:])
 
 
-@PICTURES.add(
-    "reading_scatter",
-    "Mean return of the final policy and of the random strategy, one point for each reading.",
-)
+@PICTURES.add("reading_scatter")
 def _scatter(study: ReadingStudy) -> Figure:
     figure, (whole, near) = plt.subplots(1, 2, figsize=(11.5, 5.2))
     for ax, size in ((whole, 9), (near, 22)):
@@ -251,10 +243,7 @@ def _points(study: ReadingStudy, ax: Axes, size: float) -> None:
     )
 
 
-@PICTURES.add(
-    "reading_joint",
-    "The largest sets of statements that can hold together, and the smallest that cannot.",
-)
+@PICTURES.add("reading_joint")
 def _joint(study: ReadingStudy) -> Figure:
     columns = {
         n: [*largest_possible(sets), *contradictions(sets)] for n, sets in study.joints.items()
@@ -304,10 +293,7 @@ def _joint_column(bars: Axes, dots: Axes, sets: Sequence[Joint], order: Sequence
     dots.tick_params(axis="y", length=0)
 
 
-@PICTURES.add(
-    "reading_learning",
-    "Shares of runs with the reported number of unique policies, by reading, with intervals.",
-)
+@PICTURES.add("reading_learning")
 def _learning(study: ReadingStudy) -> Figure:
     learned = study.learned
     figure, ax = plt.subplots(figsize=(8.2, 4.2))
@@ -381,7 +367,8 @@ def _best_readings(study: ReadingStudy) -> Table:
 def _policies(study: ReadingStudy) -> Table:
     rows = []
     for each in study.policies:
-        costs = [f"{cost.status} {cost.cost:.2f}" for cost in each.by_status() if cost.cost >= 5e-3]
+        costly = cost_by_status(each.audit, each.mdp.space).items()
+        costs = [f"{status} {cost:.2f}" for status, cost in costly if cost >= 0.005]
         low, high = each.regret_range
         rows.append(
             (

@@ -12,6 +12,7 @@ their own.
 from __future__ import annotations
 
 import base64
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,7 @@ from exact_mdp.paper_repro.reported import COMPLETIONS, FIGURES, FINAL, SECTIONS
 from exact_mdp.solvers.solution import Claim
 
 jinja2 = later("jinja2")
+WORDS = tomllib.loads((Path(__file__).parent / "first_page.toml").read_text("utf-8"))
 TEMPLATES = Path(__file__).parent / "templates"
 ENTRIES = ("table", "assistance.", "skip.")  # claims that are single entries of a table
 CLAIM_WORDS = {
@@ -61,8 +63,8 @@ def render(
 ) -> tuple[str, str]:
     """Return the report as Markdown and as HTML; the figures are read from `out`/figures."""
     data = {
-        "about": ABOUT,
-        "limits": LIMITS,
+        "about": WORDS["about"],
+        "limits": WORDS["limits"],
         "plain": plain(judged, reading),
         "counts": counts(judged, "finding"),
         "counted": counted(judged),
@@ -167,17 +169,6 @@ def _picture(path: Path) -> str:
 
 # ---- the first page ----------------------------------------------------------------------------
 
-ABOUT = (
-    "The paper lets a simulated robot learn, by trial and error, which kind of spoken help to give "
-    "a simulated person living with dementia. The simulation follows fixed probabilities. So the "
-    "best possible help can also be computed, without trial and error, and everything that the "
-    "paper reports can be held against it. That is done here, claim by claim."
-)
-LIMITS = (
-    "This is about a simulation with invented probabilities, by its authors' own account a "
-    "simplification. It says nothing about any person, and it is not medical advice."
-)
-
 
 class Plain(NamedTuple):
     """One finding in plain words, and the claim that it rests on."""
@@ -192,58 +183,6 @@ PLAIN_ACTIONS = {
     "supportive": "encouragement",
     "non-directive": "a hint",
     "directive": "clear instruction",
-}
-
-# For each claim what to say where it is reproduced, and where it is not.
-WORDS: dict[str, tuple[str, str]] = {
-    "policy.anger": (
-        "When the person is angry, encouragement is best, whatever else is the matter. The paper "
-        "says so, and it is exactly right.",
-        "When the person is angry, encouragement is not always best, as the paper says it is.",
-    ),
-    "policy.1100": (
-        "When the person is forgetful and confused, but neither angry nor disengaged, clear "
-        "instruction is best, as the paper says.",
-        "When the person is forgetful and confused, clear instruction is not best, unlike what "
-        "the paper says.",
-    ),
-    "policy.0100": (
-        "When the person is confused only, a hint is best, as the paper says.",
-        "When the person is confused only, the paper's policy, as its sentence is written, gives a "
-        "hint; clear instruction is better. This costs {confused:.1f} of {optimum:.1f} points on "
-        "average.",
-    ),
-    "policy.0000": (
-        "When nothing is the matter, a hint is best: it keeps the person from becoming forgetful "
-        "or confused. The paper finds this too.",
-        "When nothing is the matter, a hint is not best, unlike what the paper finds.",
-    ),
-    "learning.superior": (
-        "What the robot learns is better than help at random in every one of our training runs.",
-        "What the robot learns is not always better than help at random.",
-    ),
-    "return.random": (
-        "Help at random earns {random:.0f} points on average, about as the paper's plot shows.",
-        "Help at random earns {random:.0f} points on average, where the paper's plot shows about "
-        "{plotted}: either the text is to be read otherwise, or the paper's simulation differs "
-        "from it.",
-    ),
-    "return.together": (
-        "The three averages that the paper gives agree with exact computation where what the text "
-        "leaves open is filled in as fits them best, the best of {ways} ways: with {one} when the "
-        "person is forgetful only, {other} when confused only, which is the paper's sentence "
-        "{order}.",
-        "The three averages that the paper gives do not agree with exact computation, in whichever "
-        "of {ways} ways what the text leaves open is filled in, under the reading of the text that "
-        "is used here first; other readings are tried below.",
-    ),
-    "policy.final-is-optimal": (
-        "The paper's final policy is the best there is.",
-        "The paper's final policy stays {near:.1f} to {far:.1f} points below the best possible "
-        "{optimum:.1f}, depending on how “respectively” is read: {reported:.1f} with the sentence "
-        "as written, {fitting:.1f} with it {order} and the rest filled in as fits the averages "
-        "best. Nothing that the text leaves open closes the gap: {least:.1f} points at least.",
-    ),
 }
 
 
@@ -273,9 +212,10 @@ def plain(judged: Sequence[Judged], reading: Reading) -> list[Plain]:
         "other": PLAIN_ACTIONS[filled["0100"]],
         "order": reported.order(filled),
     }
-    return [
-        Plain(verdict, (no, yes)[verdict is Verdict.REPRODUCED].format(**numbers), name)
-        for name, (yes, no) in WORDS.items()
-        if name in by_name
-        for verdict in [by_name[name].verdict]
-    ]
+    sentences = []
+    for name, words in WORDS["claims"].items():
+        if name in by_name:
+            verdict = by_name[name].verdict
+            text = words["reproduced" if verdict is Verdict.REPRODUCED else "otherwise"]
+            sentences.append(Plain(verdict, text.format(**numbers), name))
+    return sentences
