@@ -12,14 +12,13 @@ from oracle import Oracle
 
 from exact_mdp.analysis.sensitivity import (
     Range,
-    around,
     load_ranges,
     one_way,
     thresholds,
     tornado,
     two_way,
-    whole,
 )
+from exact_mdp.analysis.sensitivity.ranges import around, whole
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.care import scenario as care_scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric

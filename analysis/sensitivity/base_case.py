@@ -13,6 +13,7 @@ from hashlib import sha256
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Solution
@@ -38,11 +39,10 @@ class BaseCase:
         """The optimum."""
         return solve(self.mdp)
 
-    def held(self, policy: object) -> Floats:
+    def held(self, policy: PolicyLike) -> Floats:
         """Return (L,) probabilities of pairs of a policy; "optimal" is today's optimum."""
-        if isinstance(policy, str) and policy == "optimal":
-            policy = self.solution
-        return PolicyChain.of(self.mdp, policy).chosen
+        today = isinstance(policy, str) and policy == "optimal"
+        return PolicyChain.of(self.mdp, self.solution if today else policy).chosen
 
     def taken(self, choice: Integers) -> Floats:
         """Return (L,) 1 for the pairs that (S,) action numbers take; a state's only pair always."""

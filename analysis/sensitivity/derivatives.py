@@ -32,6 +32,7 @@ from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.row_change import RowChange
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
@@ -75,7 +76,7 @@ class Checked:
 class ExactPass:
     """Value and occupancy of a policy in rationals, and the derivatives that they give."""
 
-    def __init__(self, mdp: MDP, policy: object) -> None:
+    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
         self.mdp = mdp
         self.certificate: Certificate | None = None
         if isinstance(policy, str) and policy == "optimal":
@@ -166,7 +167,7 @@ def _rewarded(mdp: MDP, pairs: Integers, gains: Sequence[Fraction]) -> MDP:
 class BoundedPass:
     """Value and occupancy of a policy in floats, and the derivatives that they give."""
 
-    def __init__(self, mdp: MDP, policy: object) -> None:
+    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
         self.mdp = mdp
         if isinstance(policy, str) and policy == "optimal":
             solution = solve(mdp)

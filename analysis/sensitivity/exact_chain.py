@@ -19,6 +19,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.row_change import Entries, reward_entries, transition_entries
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class ExactChain:
     (['2', '0'], ['2', '0'])
     """
 
-    def __init__(self, mdp: MDP, policy: object) -> None:
+    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
         self.mdp, chain = mdp, PolicyChain.of(mdp, policy)
         self.whole = mdp.discount_exact == 1
         if self.whole:
@@ -76,15 +77,17 @@ class ExactChain:
         """Return (S,) x = c + γ P_π x for amounts c of (L,) pairs; 0 in terminal states."""
         found = [rational(0)] * self.mdp.n_states
         if not self._acyclic:
-            side = [sum(w * amount[pair] for pair, w in self.weight[s]) for s in self._live]
+            zero = rational(0)
+            side = [sum((w * amount[pair] for pair, w in self.weight[s]), zero) for s in self._live]
             for state, value in zip(self._live, self._solve(side), strict=True):
                 found[state] = value
             return found
         for state in self._live:
-            found[state] = sum(
+            gains = (
                 w * (amount[pair] + self.rate * self.ahead(pair, found))
                 for pair, w in self.weight[state]
             )
+            found[state] = sum(gains, rational(0))
         return found
 
     def visits(self) -> list[fmpq]:
@@ -139,7 +142,8 @@ class ExactChain:
 
 def rational(number: Fraction | int) -> fmpq:
     """Return a number as FLINT's rational."""
-    return flint.fmpq(number.numerator, number.denominator)
+    found: fmpq = flint.fmpq(number.numerator, number.denominator)
+    return found
 
 
 def fraction(number: fmpq) -> Fraction:

@@ -184,14 +184,14 @@ class Gaps:
 
 def _through(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:
     """Return the polynomial through the points (Newton)."""
-    poly = flint.fmpq_poly
+    poly: type[fmpq_poly] = flint.fmpq_poly
     if not any(values):
         return poly()
     divided = list(values)
     for level in range(1, len(x)):
         for k in range(len(x) - 1, level - 1, -1):
             divided[k] = (divided[k] - divided[k - 1]) / (x[k] - x[k - level])
-    total = poly([divided[-1]])
+    total: fmpq_poly = poly([divided[-1]])
     for k in range(len(x) - 2, -1, -1):
         total = total * poly([-x[k], 1]) + poly([divided[k]])
     return total

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
@@ -121,7 +122,7 @@ class Gradient(Result):
 
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
-        rows = [
+        rows: list[dict[str, Any]] = [
             {
                 "parameter": name,
                 "value": float(each.parameter.value),
@@ -160,7 +161,7 @@ def _float(number: Slope | None) -> float:
 def gradient(
     model: Scenario | MDP | Parametric,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     names: Iterable[str] | None = None,
     exact: bool | None = None,
 ) -> Gradient:

@@ -121,7 +121,8 @@ def _step(
     apart = sum((abs(today[name]) for name in weights), zero)
     value = certificate.value
     span, size = max(value) - min(value), max(abs(v) for v in value)
-    return reward + law * (apart + span) / 2 + widths.get(DISCOUNT, zero) * size
+    step: Fraction = reward + law * (apart + span) / 2 + widths.get(DISCOUNT, zero) * size
+    return step
 
 
 def _gaps(mdp: MDP, certificate: Certificate) -> list[tuple[int, Fraction, int]]:

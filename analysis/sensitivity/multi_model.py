@@ -301,7 +301,7 @@ def _shares(number: int, weights: Sequence[float] | None) -> Floats:
         )
     if not np.isfinite(given.sum()):
         raise ModelError("weights too large", where="multi-model", fix="scale them down")
-    shares = given / given.sum()
+    shares: Floats = given / given.sum()
     shares.setflags(write=False)
     return shares
 
@@ -423,7 +423,8 @@ def _parting(
     problem: _Problem, solutions: Sequence[Solution], allowed: Integers
 ) -> tuple[int | None, Integers]:
     """Return the group on which the optima disagree most, and a policy by their votes."""
-    votes = problem.votes(*np.zeros((2, 0), dtype=np.int64), np.zeros(0))
+    nobody = np.zeros(0, dtype=np.int64)
+    votes = problem.votes(nobody, nobody, np.zeros(0))
     for w, mdp, found in zip(problem.weights, problem.models, solutions, strict=True):
         if w > 0:
             own = allowed[found.pairs]

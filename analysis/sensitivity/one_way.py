@@ -25,6 +25,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import evaluate, solve
@@ -161,7 +162,7 @@ def one_way(
     name: str,
     ranges: Mapping[str, object] | Range | tuple[object, object] | None = None,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     relative: object | None = None,
     points: int = 21,
 ) -> Curve:
@@ -207,7 +208,7 @@ def one_way(
 def tornado(
     model: Scenario | MDP | Parametric,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     names: Iterable[str] | None = None,
     ranges: Mapping[str, object] | None = None,
     relative: object | None = None,

@@ -33,7 +33,7 @@ def unit_of(parameter: Parameter) -> str:
     """
     if parameter.name == DISCOUNT:
         return "per step"
-    return "probability" if (parameter.low, parameter.high) == (0, 1) else "reward"
+    return "probability" if parameter.low == 0 and parameter.high == 1 else "reward"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,21 +69,6 @@ class Ranges(dict[str, Range]):
 def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     """Return a parameter's value ± a share of it, within what it may be.
 
-    Parameters
-    ----------
-    parameter : Parameter
-    relative : number or "p/q"
-        The share, above 0.
-
-    Returns
-    -------
-    Range
-
-    Raises
-    ------
-    ModelError
-        Where the share is not above 0.
-
     Examples
     --------
     >>> around(Parameter(name="p", value=Fraction(9, 10), low=Fraction(0), high=Fraction(1)))
@@ -102,13 +87,7 @@ def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
 
 
 def whole(parameter: Parameter) -> Range:
-    """Return everything that a parameter may be; where that is open, its value ± itself.
-
-    Examples
-    --------
-    >>> whole(Parameter(name="p", value=Fraction(9, 10), low=Fraction(0)))
-    Range(low=Fraction(0, 1), high=Fraction(9, 5))
-    """
+    """Return everything that a parameter may be; where that is open, its value ± itself."""
     near = around(parameter, 1)
     return Range(
         low=near.low if parameter.low is None else parameter.low,
@@ -164,10 +143,8 @@ def _has_values(model: Parametric, name: str, value: Fraction) -> bool:
 def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
     """Return stated ranges: {name: (low, high)}, each within what the parameter may be.
 
-    Raises
-    ------
-    ModelError
-        For unknown names (the nearest one is suggested), empty ranges, and ends out of range.
+    Raises ModelError for unknown names (the nearest one is suggested), empty ranges, and ends out
+    of range.
     """
     if isinstance(ranges, Ranges):
         return ranges
@@ -202,18 +179,8 @@ def ranges_of(
 ) -> Ranges:
     """Return the range of each parameter: the stated one, or today's value ± a share of it.
 
-    Parameters
-    ----------
-    names : iterable of str, optional
-        The parameters; those of `ranges` where these are given, otherwise all.
-    ranges : {name: (low, high)}, optional
-    relative : number or "whole", optional
-        The share, 1/5 unless given; or everything that a parameter may be.
-
-    Raises
-    ------
-    ModelError
-        For unknown names, empty stated ranges, and a share that is not above 0.
+    `names` are those of `ranges` where these are given, otherwise all; `relative` is the share, 1/5
+    unless given, or "whole": everything that a parameter may be.
     """
     stated = checked(model, ranges)
     if names is None:
@@ -300,12 +267,7 @@ def spans_of(
     """Return the parameters that have a range, with it, to vary them together; see `ranges_of`.
 
     Parameters that are 0 today, and so have no range around it, are left out unless one is stated;
-    so is the discount, see `usual`.
-
-    Raises
-    ------
-    ModelError
-        For unknown names, empty stated ranges, and where no parameter has a range.
+    so is the discount, see `usual`. Raises ModelError where no parameter has a range.
     """
     stated = checked(model, ranges)
     found = ranges_of(model, names or list(stated) or usual(model), stated, relative)

@@ -41,7 +41,7 @@ from exact_mdp.mdp.errors import ModelError, ScenarioWarning
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, exact
 from exact_mdp.solvers import evaluate, solve
@@ -275,7 +275,7 @@ def structural(
     model: Scenario,
     readings: Mapping[str, Mapping[str, object]] | None = None,
     *,
-    policies: Mapping[str, object] | None = None,
+    policies: Mapping[str, PolicyLike] | None = None,
     perception: ArrayLike | None = None,
     elasticities: bool = True,
     stability: bool = True,
@@ -420,7 +420,7 @@ def _reading(
 
 def _outputs(
     today: Today,
-    held: Mapping[str, object],
+    held: Mapping[str, PolicyLike],
     perception: Floats | None,
     elasticities: bool,
     stability: bool,
@@ -502,7 +502,9 @@ def _slopes(scenario: Scenario) -> dict[str, float]:
     return dict(zip(names, ((value[1::2] - value[::2]) / steps).tolist(), strict=True))
 
 
-def _weights(mdp: MDP, label: str, name: str, form: object, perception: Floats | None) -> Floats:
+def _weights(
+    mdp: MDP, label: str, name: str, form: PolicyLike, perception: Floats | None
+) -> Floats:
     """Return (L,) probabilities of pairs of a policy; an error names policy and reading."""
     try:
         policy = Policy.of(mdp, form)

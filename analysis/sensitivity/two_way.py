@@ -24,6 +24,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import evaluate, solve
@@ -92,7 +93,7 @@ def two_way(
     x: str,
     y: str,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     ranges: Mapping[str, object] | None = None,
     relative: object | None = None,
     points: int = 11,
