@@ -71,7 +71,7 @@ def test_the_care_model_in_rationals(objective, nature, share) -> None:
     found = solve_robust(mdp, Intervals.relative(mdp, share), nature=nature, objective=objective)
     off = np.array([float(abs(F(v) - r)) for v, r in zip(found.value.tolist(), right, strict=True)])
     assert (off <= found.state_error).all()
-    assert found.error < 1e-9
+    assert found.error_bound < 1e-9
     held = PolicyChain.of(mdp, "random").weights
     right = exact_values(mdp, share, objective, nature, held)
     found = solve_robust(
@@ -142,7 +142,7 @@ def test_bellman_equations_by_linear_programs(rows: Rows, game: tuple[str, str])
             done = linprog(sign * cost, A_eq=np.ones((1, len(cost))), b_eq=[1.0], bounds=bounds)
             worths.append(sign * done.fun * size)
         best = max(worths) if objective == "max" else min(worths)
-        assert found.value[state] == pytest.approx(best, abs=1e-6 * size + 2 * found.error)
+        assert found.value[state] == pytest.approx(best, abs=1e-6 * size + 2 * found.error_bound)
 
 
 def test_discount_near_1_ends_with_honest_bounds() -> None:
@@ -157,7 +157,7 @@ def test_discount_near_1_ends_with_honest_bounds() -> None:
         found = solve_robust(mdp, kind)
         system = np.eye(60) - mdp.discount * found.transition.toarray()
         earned = np.linalg.solve(system, found.reward)
-        assert np.abs(earned - found.value).max() <= 3 * found.error + 1e-6
+        assert np.abs(earned - found.value).max() <= 3 * found.error_bound + 1e-6
         assert found.iterations < 30
 
 
@@ -178,7 +178,7 @@ def test_solve_takes_a_robust_model() -> None:
     same = solve_robust(mdp, sets, objective="min", tol=1e-6)
     assert found.value.tolist() == same.value.tolist()
     assert found.frame()["action"].tolist() == ["0", "0"]
-    assert found.error <= 1e-6
+    assert found.error_bound <= 1e-6
     with pytest.raises(ModelError, match="one algorithm"):
         solve(RobustModel(model=mdp, ambiguity=sets), "value-iteration")
 

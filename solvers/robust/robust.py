@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.gains import SLACK
@@ -128,13 +128,21 @@ class RobustSolution(Result):
                 array.setflags(write=False)
 
     @property
-    def policy(self) -> Integers | None:
-        """(S,) action numbers; None where a policy was given."""
-        return None if self.pairs is None else self.mdp.pair_action[self.pairs]
+    def policy(self) -> Policy | None:
+        """The policy, which also is the array (S,) of action numbers; None where one was given."""
+        mdp, pairs = self.mdp, self.pairs
+        if pairs is None:
+            return None
+        return Policy(space=mdp.space, actions=mdp.actions, rule=mdp.pair_action[pairs])
 
     @property
-    def error(self) -> float:
-        """The greatest `state_error`."""
+    def error(self) -> Floats:
+        """(S,) the value is off by at most this."""
+        return self.state_error
+
+    @property
+    def error_bound(self) -> float:
+        """The greatest error of a state."""
         return float(self.state_error.max())
 
     @property
@@ -152,14 +160,13 @@ class RobustSolution(Result):
         return self.start.value
 
     def frame(self) -> DataFrame:
-        """Return value, error bound and action of each state."""
+        """Return the value, its error bound and the action of each state."""
         mdp, policy = self.mdp, self.policy
         states = [mdp.space.label(state) for state in range(mdp.n_states)]
-        columns = {"value (reward)": self.value, "error bound (reward)": self.state_error}
-        found = pandas.DataFrame(columns, index=pandas.Index(states, name="state"))
+        found = {"state": states, "value": self.value, "error": self.state_error}
         if policy is not None:
-            found["action"] = [mdp.actions[action] for action in policy]
-        return found
+            found["action"] = [mdp.actions[action] for action in policy.tolist()]
+        return pandas.DataFrame(found)
 
     def __repr__(self) -> str:
         return (
@@ -254,7 +261,7 @@ def solve_robust(
         seconds=perf_counter() - started,
     )
     if status is Status.PRECISION:
-        message = f"the error bound is {solution.error:.2g}: {status}"
+        message = f"the error bound is {solution.error_bound:.2g}: {status}"
         warnings.warn(message, PrecisionWarning, stacklevel=2)
     return solution
 
