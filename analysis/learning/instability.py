@@ -131,30 +131,12 @@ def predict(
     n: int = 128,
     episodes: int = 8000,
 ) -> Prediction:
-    """Return the shares that theory predicts for a row's greedy action under `settings`.
+    """Return the shares that theory predicts for the greedy action of a row under `settings`.
 
-    Parameters
-    ----------
-    model : MDP
-    settings : QLearning
-    row : int
-        Row of the Q-table.
-    policy : (K,) ints, optional
-        Where the search for the fixed point starts; each row's first action unless given.
-    rng : int or numpy.random.Generator
-    n, episodes : int
-        Paths of the simulated equation of `switching`, and their lengths; the first half of each is
-        thrown away.
-
-    Returns
-    -------
-    Prediction
-
-    Raises
-    ------
-    ModelError
-        For another method than Q-learning, or a learning rate that depends on visits; where greedy
-        steps find no fixed point.
+    The search for the fixed point starts at `policy` (K,), each row's first action unless given.
+    The equation of `switching` is simulated on n paths of so many episodes, the first half of
+    which is thrown away. ModelError names settings without a theory (see `require_theory`), and
+    greedy steps that find no fixed point.
 
     Examples
     --------
@@ -232,14 +214,7 @@ def require_theory(settings: QLearning) -> None:
 
 
 def compare(predicted: Floats, counts: Integers) -> Comparison:
-    """Return predicted shares (A,) beside the counts (A,) of runs.
-
-    Examples
-    --------
-    >>> found = compare(np.array([0.5, 0.5]), np.array([60, 40]))
-    >>> round(found.distance, 3), round(found.noise, 3)
-    (0.1, 0.04)
-    """
+    """Return predicted shares (A,) beside the counts (A,) of runs."""
     total = int(counts.sum())
     observed = counts / total
     drawn = np.random.default_rng(0).multinomial(total, predicted / predicted.sum(), 4000)

@@ -222,27 +222,8 @@ def value_under_counts(
 ) -> UncertainValue:
     """Return the value of a policy under a confusion of which only counts are known.
 
-    Parameters
-    ----------
-    model : MDP
-    policy : PolicyLike
-        It reads the perceived status.
-    counts : Counted
-        With a prior.
-    rng : int or numpy.random.Generator
-    n : int
-        Matrices drawn from the posterior.
-    level : float
-        Of the credible interval.
-
-    Returns
-    -------
-    UncertainValue
-
-    Raises
-    ------
-    ModelError
-        For less than one draw, or a level outside (0, 1).
+    The policy reads the perceived status; n matrices are drawn from the posterior of the counts,
+    which have a prior.
 
     Examples
     --------

@@ -118,18 +118,8 @@ class ErrorCosts(Pictured):
 def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCosts:
     """Return which errors of perception cost a policy most, at the margin and in all.
 
-    Parameters
-    ----------
-    model : MDP
-        With a column `status`.
-    policy : PolicyLike
-        It reads the perceived status.
-    confusion : (Z, Z)
-        Probabilities of the perceived status (column) given the true one (row).
-
-    Returns
-    -------
-    ErrorCosts
+    The policy reads the perceived status; the confusion (Z, Z) has its probabilities (columns)
+    given the true one (row).
 
     Examples
     --------

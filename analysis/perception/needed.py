@@ -44,15 +44,7 @@ WIDTH = Fraction(1, 10**12)
 
 
 def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
-    """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> matrix = confusion_at(Scenario.load("yuan2025").compile(), 0.9, "anger")
-    >>> matrix[0b0000, [0b0000, 0b0010, 0b0100]].round(3).tolist()
-    [0.9, 0.1, 0.0]
-    """
+    """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all."""
     if not 0 <= accuracy <= 1:
         raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
     found = np.ones((1, 1))

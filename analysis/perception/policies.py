@@ -46,27 +46,9 @@ def best_perceived_policy(
 ) -> BestPolicy:
     """Return the best deterministic memoryless policy on perceptions, and bounds on all others.
 
-    Parameters
-    ----------
-    model : MDP
-        With a column `status`, the one that moves fastest.
-    confusion : (Z, Z), or Process
-        Probabilities of the perceived status (column) given the true one.
-    columns : sequence of str
-        Names of columns that the policy reads, `status` among them: the perceived one.
-    start : Policy, optional
-        One that reads these columns, to begin from as well.
-    node_limit : int
-        Relaxations to solve at most; `upper_bound` is sound wherever the search ends.
-
-    Returns
-    -------
-    BestPolicy
-
-    Raises
-    ------
-    ModelError
-        For unknown columns, or where the status is not among them.
+    The policy reads `columns`, the perceived status among them; the search begins from `start`,
+    too, and solves so many relaxations at most: `upper_bound` is sound wherever it ends. The
+    confusion (Z, Z) has the perceived status (column) given the true one (row).
 
     Examples
     --------

@@ -56,16 +56,10 @@ class MeanField(Result):
 
     Attributes
     ----------
-    mdp : MDP
-    rows : Rows
-    epsilon, discount : float
-        Exploration, and the learner's discount.
     policy : (K,) ints
         The greedy policy that is assumed.
     chain : PolicyChain
-        The ε-greedy policy's.
-    visited : (S,)
-        Its expected visits in an episode; 0 for terminal states.
+        The ε-greedy policy's; its states are visited `visited` (S,) times an episode.
     entry, following : (N,) ints
         Entry of the flat table that each outcome of the chain updates, and the one that it looks
         at; -1 for none.
@@ -203,25 +197,9 @@ def mean_field(
 ) -> MeanField:
     """Return where Q-learning stands still on average while `policy` is greedy.
 
-    Parameters
-    ----------
-    model : MDP
-    policy : (K,) ints
-        Action number of each row.
-    epsilon : float
-    discount : number or "p/q"
-        The learner's.
-    columns, bootstrap_end
-        As in `QLearning`.
-
-    Returns
-    -------
-    MeanField
-
-    Raises
-    ------
-    ModelError
-        Where an episode of the ε-greedy policy may never end, or the table is too large.
+    The policy (K,) has the action number of each row; the discount is the learner's, and columns
+    and `bootstrap_end` are as in `QLearning`. ModelError says where an episode of the ε-greedy
+    policy may never end, or the table is too large.
 
     Examples
     --------
@@ -304,21 +282,8 @@ def settle(
 ) -> MeanField:
     """Return the fixed point that greedy steps from `policy` lead to.
 
-    Parameters
-    ----------
-    model : MDP
-    policy : (K,) ints
-    held : sequence of int
-        Rows that keep their actions, however poor.
-    rounds : int
-        Steps at most.
-    **options
-        As for `mean_field`.
-
-    Returns
-    -------
-    MeanField
-        Not `consistent` where the steps run in a circle: no fixed point was found.
+    The options are those of `mean_field`. Where the steps run in a circle the result is not
+    `consistent`: no fixed point was found. The rows `held` keep their actions, however poor.
     """
     check_counts("mean field", rounds=rounds)
     current = np.array(policy, dtype=np.int64)

@@ -123,19 +123,7 @@ class QLearning:
     def train(self, model: MDP, rng: Seed) -> TrainingRun:
         """Return one run; the same seed gives the same bytes.
 
-        Parameters
-        ----------
-        model : MDP
-        rng : int, numpy.random.Generator or SeedSequence
-
-        Returns
-        -------
-        TrainingRun
-
-        Raises
-        ------
-        ModelError
-            For columns that do not tell apart states which offer different actions.
+        ModelError names columns that do not tell apart states which offer different actions.
         """
         return Trainer(self, model).run(rng)
 

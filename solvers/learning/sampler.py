@@ -52,22 +52,11 @@ class Rows:
 
 
 def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
-    """Return the rows of a Q-table that reads some columns of the state.
+    """Return the rows of a Q-table that reads `columns` of the state.
 
-    Parameters
-    ----------
-    model : MDP
-    columns : sequence of str, optional
-        The status alone where the model has one and all columns otherwise, unless given.
-
-    Returns
-    -------
-    Rows
-
-    Raises
-    ------
-    ModelError
-        For an unknown column; where states with a choice share a row and offer different actions.
+    Unless given, these are the status alone where the model has one and all columns otherwise.
+    ModelError names an unknown column, and states with a choice that share a row and offer
+    different actions.
 
     Examples
     --------
