@@ -2,7 +2,7 @@
 
 Each probability of the tables enters the chance of one status alone, which makes every row of a
 trial affine in it; a row that skips is a product of two laws, and where both have the number in
-them (reading `skip_onset = base`) it is quadratic. Expected rewards are affine in each weight and
+them (reading `skip_onset = base`) it is quadratic. Expected rewards are affine in each weight.
 their squares quadratic. A chance is cut off at 1, and where that happens the polynomial changes:
 
     base_i + Σ_{j in J} influence_ij = 1     (and persistence_i, where influence adds to it)
@@ -155,10 +155,6 @@ class ScenarioFamily:
         twice &= self.scenario.readings["skip_timestep"] == "same"
         moves = parameter_of(self, name).name.startswith(("base.", "influence."))
         return 2 if twice and moves else 1
-
-    def moment_degree(self, name: str) -> int:
-        """See `Parametric.moment_degree`: probabilities and rewards do not move together."""
-        return 2 if name.startswith("reward.") else self.degree(name)
 
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """See `Parametric.breakpoints`."""

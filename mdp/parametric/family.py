@@ -51,9 +51,6 @@ class Parametric(Protocol):
     def degree(self, name: str) -> int:
         """Degree of rows and expected rewards in one parameter between its breakpoints."""
 
-    def moment_degree(self, name: str) -> int:
-        """Degree of E[r²] and of E[r; next state] in one parameter between its breakpoints."""
-
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """Values at which a row may pass from one polynomial to another."""
 
@@ -126,10 +123,6 @@ class Family:
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""
         return self.degrees.get(parameter_of(self, name).name, 1)
-
-    def moment_degree(self, name: str) -> int:
-        """See `Parametric.moment_degree`: a probability times the square of a reward."""
-        return 3 * self.degree(name)
 
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """See `Parametric.breakpoints`."""

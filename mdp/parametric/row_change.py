@@ -22,7 +22,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Parametric, parameter_of, room_of
 from exact_mdp.mdp.parametric.symbolic import Degrees, degrees_of
-from exact_mdp.mdp.table import Integers, Numbers, distinct, merged, shown
+from exact_mdp.mdp.table import Integers, Numbers, merged, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -120,15 +120,16 @@ class Samples:
             self._refuse(self.models[0], entries, found.key[np.asarray(power != 0, dtype=bool)])
         return Change(key=found.key, coefficients=found.coefficients[: self.degree])
 
-    def checked(self, proven: float | None) -> int | None:
-        """Return how many points were checked; None where `proven`, a degree, is proof enough."""
-        known = self.by_rule or (proven is not None and proven <= self.degree)
+    @property
+    def checked(self) -> int | None:
+        """How many points were checked; None where a rule or a proof is enough."""
+        known = self.by_rule or (self.proof is not None and self.proof.rows <= self.degree)
         return None if known else len(self.models)
 
     def _refuse(self, mdp: MDP, entries: Callable[[MDP], Entries], keys: Integers) -> None:
         if not len(keys):
             return
-        by_state = entries in (transition_entries, joint_entries)
+        by_state = entries is transition_entries
         pair = int(keys[0]) // mdp.n_states if by_state else int(keys[0])
         raise ModelError(
             f"rows are no polynomials of degree {self.degree} in {self.name}",
@@ -187,7 +188,7 @@ def row_change(
         transition=found.fitted(transition_entries),
         reward=found.fitted(reward_entries),
         rate=_rate(found),
-        checked=found.checked(None if found.proof is None else found.proof.rows),
+        checked=found.checked,
     )
 
 
@@ -327,36 +328,6 @@ def reward_entries(mdp: MDP) -> Entries:
     """Return the expected rewards: keys are pairs."""
     top, bottom = mdp.table.expected_gain_exact()
     return np.arange(mdp.n_pairs), top, bottom
-
-
-def square_entries(mdp: MDP) -> Entries:
-    """Return the expected squares of rewards: keys are pairs."""
-    weight, bottom, gain, below = _outcomes(mdp)
-    total = np.add.reduceat(weight * gain * gain, mdp.table.offsets[:-1])
-    return np.arange(mdp.n_pairs), total, bottom * below * below
-
-
-def joint_entries(mdp: MDP) -> Entries:
-    """Return E[r; next state is s'] of every pair: keys are pair · S + next state."""
-    weight, bottom, gain, below = _outcomes(mdp)
-    first, offsets = distinct(mdp.table)
-    pair = np.repeat(np.arange(mdp.n_pairs), np.diff(offsets))
-    total = np.asarray(np.add.reduceat(weight * gain, first))
-    return pair * mdp.n_states + mdp.table.next[first], total, (bottom * below)[pair]
-
-
-def _outcomes(mdp: MDP) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-    """Return weights and gains of all outcomes as Python integers, with their denominators."""
-    weight, bottom = mdp.table.integer_weights()
-    gain, below = mdp.table.integer_gains()
-    if len(gain) == mdp.n_pairs:
-        gain = np.repeat(gain, np.diff(mdp.table.offsets))
-    return (
-        weight.astype(object),
-        bottom.astype(object),
-        gain.astype(object),
-        below.astype(object),
-    )
 
 
 def _fractions(top: Numbers, bottom: Numbers) -> Numbers:

@@ -51,26 +51,18 @@ class Degrees:
 
     Attributes
     ----------
-    transition, reward, joint, square : int or inf
-        Of P(s' | s, a), E[r], E[r; next state is s'] and E[r²].
-    discount : int or inf
+    transition, reward, discount : int or inf
+        Of P(s' | s, a), E[r] and γ.
     """
 
     transition: float
     reward: float
-    joint: float
-    square: float
     discount: float
 
     @property
     def rows(self) -> float:
         """Degree of transition rows, expected rewards and the discount together."""
         return max(self.transition, self.reward, self.discount)
-
-    @property
-    def moments(self) -> float:
-        """Degree of E[r²] and of E[r; next state]."""
-        return max(self.square, self.joint)
 
 
 def degrees_of(
@@ -380,12 +372,9 @@ def outcomes_degrees(made: object, rows: Any, discount: object = 1, **names: obj
     for state, action, outcomes in rows:
         _constant(state, action, [following for _, following, _ in outcomes])
         found += [(_degree(chance), _degree(gain)) for chance, _, gain in outcomes]
-    once = max(chance + gain for chance, gain in found)
     return Degrees(
         transition=max(chance for chance, _ in found),
-        reward=once,
-        joint=once,
-        square=max(chance + 2 * gain for chance, gain in found),
+        reward=max(chance + gain for chance, gain in found),
         discount=_degree(discount),
     )
 
@@ -396,7 +385,7 @@ def changed_degrees(mdp: object, *, discount: object = None, **parts: object) ->
     run = _RUN.get()
     if run is not None and run.made:
         raise Unknown
-    return Degrees(transition=0, reward=0, joint=0, square=0, discount=_degree(discount))
+    return Degrees(transition=0, reward=0, discount=_degree(discount))
 
 
 def _array_degrees(
@@ -407,8 +396,6 @@ def _array_degrees(
     return Degrees(
         transition=chance,
         reward=chance + gain if of_outcomes else gain,
-        joint=chance + gain,
-        square=chance + 2 * gain if of_outcomes else 2 * gain,
         discount=_degree(discount),
     )
 
