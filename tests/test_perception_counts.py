@@ -12,8 +12,7 @@ from scipy.stats import beta, dirichlet
 
 from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.care.counts import Counted, counted, read_counts
-from exact_mdp.mdp.care.perception import perceived, read
+from exact_mdp.mdp.care.perception import Counted, counted, perceived, read, read_counts
 from exact_mdp.solvers import evaluate
 
 NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
@@ -133,10 +132,10 @@ def test_the_uncertain_value_is_that_of_the_draws(care: MDP) -> None:
         ("a.csv", "true,perceived\n0000,0002\n", "unknown status"),
         ("a.csv", "true,perceived\n0000,0000\n", "no example was labelled 0001"),
         ("a.jsonl", "{\n", "broken JSON"),
-        ("a.jsonl", "3\n", "no object"),
+        ("a.jsonl", "3\n", "not an object"),
         ("a.jsonl", '{"statuses": ["joy"]}\n', "the statuses"),
-        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "16 is no status"),
-        ("a.jsonl", '{"status": true, "perceived": 0}\n', "True is no status"),
+        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "16 is not a status"),
+        ("a.jsonl", '{"status": true, "perceived": 0}\n', "True is not a status"),
     ],
 )
 def test_broken_examples_are_refused(tmp_path: Path, name: str, text: str, what: str) -> None:

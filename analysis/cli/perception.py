@@ -23,8 +23,13 @@ from exact_mdp.analysis.perception.needed import (
     confusion_at,
 )
 from exact_mdp.analysis.perception.policies import status_names
-from exact_mdp.mdp.care.counts import Counted, read_counts
-from exact_mdp.mdp.care.perception import holds_examples, read, status_size
+from exact_mdp.mdp.care.perception import (
+    Counted,
+    holds_examples,
+    read,
+    read_counts,
+    status_size,
+)
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy

@@ -7,8 +7,8 @@ errors cost most is in `analysis.perception.errors`, and how the value depends o
 `analysis.perception.accuracy` and `analysis.perception.needed`.
 
 Where the confusion of statuses is known from counts only, its rows are drawn from their posterior
-(`mdp.care.counts`), and the policy is evaluated under each draw: mean and quantiles are estimates,
-of what the labels leave open.
+(`mdp.care.perception`), and the policy is evaluated under each draw: mean and quantiles are
+estimates, of what the labels leave open.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, is_proven
 from exact_mdp.analysis.perception.policies import NODES, best_perceived_policy, place_by_place
-from exact_mdp.mdp.care.counts import LEVEL, Counted
+from exact_mdp.mdp.care.perception import LEVEL, Counted
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later

@@ -1,4 +1,4 @@
-"""Acting on a perceived status: the confusion of statuses, and the policy that it induces.
+"""Acting on a perceived status: the confusion of statuses, stated or counted, and what it makes.
 
 Whoever acts sees the status z with probability C(s, z) where it is s, draws seen anew at every
 timestep. A policy π that acts on what it sees is, in the true state, the mixed policy
@@ -9,35 +9,58 @@ which everything that evaluates policies takes as it is. The other columns are s
 Files may state rationals; what is used is each number rounded to the nearest float, and so are the
 probabilities π_C. What is exact elsewhere is exact for these: 0.9 is then the dyadic number
 nearest to it.
+
+From pairs of a true and a perceived status, N(s, z) of each, the confusion of a row is
+
+    C(s, z) = (N(s, z) + α) / (N(s) + α Z)
+
+with a pseudo-count α for each of the Z cells: the frequencies at α = 0, and the posterior mean
+under a Dirichlet prior otherwise. α = 1/Z, the prior of Perks (1947), weighs as much as one
+example for each row. Rows are drawn from Dirichlet(N(s, ·) + α). The interval of one status's
+sensitivity or specificity is that of Clopper and Pearson (Biometrika 26, 1934).
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, beside, exact, float_array
+from exact_mdp.mdp.space import Column
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact, float_array
+
+stats = later("scipy.stats")
+
+LEVEL = 0.95
+PAIRS = ["true", "perceived"]
 
 
-def perceived(mdp: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
+def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     """Return the policy that acts on perceived statuses, as a mixed policy of the true state.
 
     Parameters
     ----------
-    mdp : MDP with a column `status`, the one that moves fastest
+    model : MDP with a column `status`, the one that moves fastest
     policy : anything that `Policy.of` takes
     confusion : (Z, Z) probabilities of the perceived status (column) given the true one (row)
+
+    Returns
+    -------
+    Policy
 
     Raises
     ------
@@ -52,13 +75,13 @@ def perceived(mdp: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     >>> perceived(mdp, {f"{s:04b}": "none" for s in range(16)}, blind).weights(mdp)[:4]
     array([1., 0., 0., 0.])
     """
-    matrix = checked(confusion, size=status_size(mdp), where="confusion matrix")
-    by_action = np.zeros((mdp.n_states, mdp.n_actions))
-    by_action[mdp.pair_state, mdp.pair_action] = Policy.of(mdp, policy).weights(mdp)
-    regular = mdp.space.regular
-    places = by_action[:regular].reshape(-1, len(matrix), mdp.n_actions)
-    by_action[:regular] = (matrix @ places).reshape(regular, mdp.n_actions)
-    return Policy(space=mdp.space, actions=mdp.actions, rule=by_action)
+    matrix = checked(confusion, size=status_size(model), where="confusion matrix")
+    by_action = np.zeros((model.n_states, model.n_actions))
+    by_action[model.pair_state, model.pair_action] = Policy.of(model, policy).weights(model)
+    regular = model.space.regular
+    places = by_action[:regular].reshape(-1, len(matrix), model.n_actions)
+    by_action[:regular] = (matrix @ places).reshape(regular, model.n_actions)
+    return Policy(space=model.space, actions=model.actions, rule=by_action)
 
 
 def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> Floats:
@@ -115,33 +138,233 @@ def _check_sum(row: Floats, label: str, where: str) -> None:
         )
 
 
-def read(path: str | Path, mdp: MDP) -> Floats:
+def status_size(model: MDP) -> int:
+    """Return the number of status vectors; raises ModelError where there are none."""
+    if "status" not in model.space.names or model.space.names[-1] != "status":
+        raise ModelError(
+            "the model has no statuses to perceive", where="perception", fix="use a scenario"
+        )
+    return model.space.column("status").size
+
+
+# ---- counts --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rate:
+    """How often a status was recognised: `right` of `total` examples, with an interval."""
+
+    right: int
+    total: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float | None:
+        """The frequency; None without an example."""
+        return self.right / self.total if self.total else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Counted:
+    """How often each true status (row) was perceived as each other (column).
+
+    Attributes
+    ----------
+    counts : (Z, Z) int64
+    prior : float
+        Pseudo-count of every cell.
+
+    Examples
+    --------
+    >>> found = counted([("0", "0"), ("0", "1"), ("1", "1")], size=2, prior=0.5)
+    >>> found.counts.tolist(), found.mean.tolist()
+    ([[1, 1], [0, 1]], [[0.5, 0.5], [0.25, 0.75]])
+    """
+
+    counts: Integers
+    prior: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.prior < np.inf:
+            raise ModelError(f"the prior is {self.prior}", where="counts", fix="give 0 or more")
+        table = np.asarray(self.counts)
+        square = table.ndim == 2 and table.shape[0] == table.shape[1] and table.dtype.kind in "iuf"
+        if not square or not ((table >= 0) & (table == np.floor(table))).all():
+            raise ModelError(
+                f"counts of shape {table.shape} that are not a square of whole numbers from 0",
+                where="counts",
+                fix="give a number for each true (row) and perceived status (column)",
+            )
+        table = table.astype(np.int64)
+        table.setflags(write=False)
+        object.__setattr__(self, "counts", table)
+
+    @property
+    def mean(self) -> Floats:
+        """(Z, Z) the confusion matrix: frequencies, or posterior means with a prior.
+
+        Raises
+        ------
+        ModelError
+            Where a status was never seen and there is no prior to go by.
+        """
+        return self.confusion("confusion matrix")
+
+    def confusion(self, where: str) -> Floats:
+        """Return `mean`; `where` names the counts in an error."""
+        if self.prior == 0 and self.missing:
+            more = " and others" if len(self.missing) > 4 else ""
+            raise ModelError(
+                f"no example was labelled {', '.join(self.missing[:4])}{more}",
+                where=where,
+                fix="label more, or give a prior, which counts as that many of each; "
+                "`exact-mdp perception` takes a --prior",
+            )
+        weight = self.counts + self.prior
+        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Statuses without any example."""
+        bits = len(self.counts).bit_length() - 1
+        rows = np.flatnonzero(self.counts.sum(axis=1) == 0).tolist()
+        return tuple(format(row, f"0{bits}b") for row in rows)
+
+    def samples(self, rng: np.random.Generator, n: int) -> Floats:
+        """Return (n, Z, Z) matrices drawn from the posterior.
+
+        Raises
+        ------
+        ModelError
+            Without a prior, under which what was not seen would be impossible.
+        """
+        if self.prior == 0:
+            raise ModelError(
+                "no prior to draw from",
+                where="counts",
+                fix=f"give one, such as prior=1/{len(self.counts)}",
+            )
+        # A Dirichlet row is a row of gamma variates divided by its sum.
+        drawn = rng.gamma(self.counts + self.prior, size=(n, *self.counts.shape))
+        total = drawn.sum(axis=2, keepdims=True)
+        if not (total > 0).all():
+            raise ModelError(
+                f"the prior {self.prior} is too small to draw from", where="counts", fix="raise it"
+            )
+        return np.asarray(drawn / total)
+
+    def rates(self, statuses: Sequence[str], level: float = LEVEL) -> dict[str, dict[str, Rate]]:
+        """Return `sensitivity` and `specificity` of each status by name.
+
+        Parameters
+        ----------
+        statuses : names, the first one the most significant bit
+
+        Examples
+        --------
+        >>> found = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["anger"])
+        >>> rate = found["anger"]["sensitivity"]
+        >>> rate.right, round(rate.low, 4), rate.high
+        (10, 0.6915, 1.0)
+        """
+        numbers = np.arange(len(self.counts))
+        found: dict[str, dict[str, Rate]] = {}
+        for place, name in enumerate(statuses):
+            bit = numbers >> (len(statuses) - 1 - place) & 1
+            found[name] = {}
+            for what, present in (("sensitivity", 1), ("specificity", 0)):
+                rows = self.counts[bit == present]
+                right, total = int(rows[:, bit == present].sum()), int(rows.sum())
+                low, high = interval(right, total, level)
+                found[name][what] = Rate(right=right, total=total, low=low, high=high)
+        return found
+
+
+def interval(right: int, total: int, level: float = LEVEL) -> tuple[float, float]:
+    """Return the Clopper-Pearson interval of a proportion.
+
+    Examples
+    --------
+    >>> low, high = interval(10, 10)
+    >>> round(low, 4), high
+    (0.6915, 1.0)
+    """
+    tail, beta = (1 - level) / 2, stats.beta
+    low = 0.0 if right == 0 else float(beta.ppf(tail, right, total - right + 1))
+    high = 1.0 if right == total else float(beta.ppf(1 - tail, right + 1, total - right))
+    return low, high
+
+
+def counted(
+    source: NDArray[Any] | Iterable[Sequence[object]], *, size: int, prior: float = 0.0
+) -> Counted:
+    """Return the counts of a perception.
+
+    Parameters
+    ----------
+    source : (Z, Z) array of whole numbers, or pairs of the true and the perceived status
+        Statuses as numbers, or as strings of bits.
+    size : number of status vectors, Z
+    prior : pseudo-count of every cell
+
+    Raises
+    ------
+    ModelError
+        For unknown statuses, and for counts that are not whole numbers of at least 0.
+    """
+    if isinstance(source, np.ndarray) and source.shape == (size, size):
+        return Counted(counts=source, prior=prior)
+    pairs = ((f"pair {k}", *pair) for k, pair in enumerate(source, start=1))
+    return _counted(pairs, Column(name="status", size=size, bits=size.bit_length() - 1), prior)
+
+
+def _counted(pairs: Iterable[tuple[str, object, object]], column: Column, prior: float) -> Counted:
+    """Return the counts of places, true and perceived statuses."""
+    table = np.zeros((column.size, column.size), dtype=np.int64)
+    for place, true, seen in pairs:
+        table[_status(true, column, place), _status(seen, column, place)] += 1
+    return Counted(counts=table, prior=prior)
+
+
+def _status(value: object, column: Column, where: str) -> int:
+    if isinstance(value, str):
+        try:
+            return column.parse(value)
+        except ModelError as error:
+            raise ModelError(error.what, where=where, fix=error.fix) from error
+    number = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if number and 0 <= int(value) < column.size:
+        return int(value)
+    raise ModelError(
+        f"{value!r} is not a status",
+        where=where,
+        fix=f"give a number from 0 to {column.size - 1}, or such as {column.label(0)}",
+    )
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def read(path: str | Path, model: MDP) -> Floats:
     """Return the confusion matrix that a file states.
 
     A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has the
     tables `[sensitivity]` and `[specificity]` with a number for each status by name. Examples that
-    are labelled count as their frequencies: a `.csv` with the header `true,perceived`, or the
-    `.jsonl` recording of a conversation (`mdp.care.counts`). Numbers are read exactly, then
-    rounded to floats.
+    are labelled count as their frequencies (`read_counts`). Numbers are read exactly, then rounded
+    to floats.
     """
-    size, where = status_size(mdp), str(path)
+    size, where = status_size(model), str(path)
     suffix = Path(path).suffix.lower()
     if holds_examples(path):
-        from exact_mdp.mdp.care.counts import read_counts
-
-        counts = read_counts(path, mdp)
-        if counts.missing:
-            raise ModelError(
-                counts.unlabelled,
-                where=where,
-                fix="label more; `exact-mdp perception` takes a --prior",
-            )
-        return checked(counts.mean, size=size, where=where)
-    if suffix == ".csv":
-        return checked(_from_csv(read_text(path), mdp, where), size=size, where=where)
-    if suffix == ".toml":
-        return checked(_from_toml(read_text(path, most=SMALL), mdp, where), size=size, where=where)
-    raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
+        matrix = read_counts(path, model).confusion(where)
+    elif suffix == ".csv":
+        matrix = _matrix_of_rows(read_text(path), model.space.column("status"), where)
+    elif suffix == ".toml":
+        matrix = _matrix_of_rates(read_text(path, most=SMALL), model, where)
+    else:
+        raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
+    return checked(matrix, size=size, where=where)
 
 
 def holds_examples(path: str | Path) -> bool:
@@ -150,55 +373,99 @@ def holds_examples(path: str | Path) -> bool:
     if suffix != ".csv":
         return suffix == ".jsonl"
     header = read_text(path).partition("\n")[0]
-    return [word.strip() for word in header.split(",")] == ["true", "perceived"]
+    return [word.strip() for word in header.split(",")] == PAIRS
 
 
-def status_size(mdp: MDP) -> int:
-    """Return the number of status vectors; raises ModelError where there are none."""
-    if "status" not in mdp.space.names or mdp.space.names[-1] != "status":
-        raise ModelError(
-            "the model has no statuses to perceive", where="perception", fix="use a scenario"
-        )
-    return mdp.space.column("status").size
+def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
+    """Return the counts of a file of labelled examples.
+
+    A `.csv` has the header `true,perceived` and a row for each example. A `.jsonl` is a recording
+    of a conversation or a measurement: lines with `status` and `perceived` are examples, others
+    are passed over, and so is a last line that breaks off before its end; a header that names
+    `statuses` must name the model's.
+    """
+    text, where = read_text(path), str(path)
+    suffix = Path(path).suffix.lower()
+    if suffix == ".csv":
+        rows = _csv_rows(text, where, PAIRS, "write true,perceived first")
+        pairs = [(place, row[0], row[1]) for place, row in rows]
+    elif suffix == ".jsonl":
+        pairs = list(_pairs_of_lines(text, where, _status_names(model)))
+    else:
+        raise ModelError(f"unknown kind of examples {where!r}", fix="give a .csv or .jsonl file")
+    return _counted(pairs, model.space.column("status"), prior)
 
 
-def _from_csv(text: str, mdp: MDP, where: str) -> Floats:
-    column = mdp.space.column("status")
-    labels = [column.label(value) for value in range(column.size)]
+def _status_names(model: MDP) -> list[str]:
+    names = (parameter.name for parameter in model.parameters)
+    return [name.removeprefix("base.") for name in names if name.startswith("base.")]
+
+
+def _csv_rows(text: str, where: str, header: list[str], fix: str) -> list[tuple[str, list[str]]]:
+    """Return the place and the words of each row below a header, all of the header's length."""
     try:
         lines = [line for line in csv.reader(io.StringIO(text), strict=True) if line]
     except csv.Error as error:
-        raise ModelError(f"broken CSV: {error}", where=where, fix="mend that line") from error
-    header = [word.strip() for word in lines[0]] if lines else []
-    if header != ["status", *labels]:
-        raise ModelError(
-            "the header does not name the statuses in order",
-            where=where,
-            fix=f"write status,{labels[0]},…,{labels[-1]}",
-        )
-    matrix = np.full((len(labels), len(labels)), np.nan)
-    for number, line in enumerate(lines[1:], start=2):
+        raise ModelError(f"broken CSV: {error}", where=where, fix="correct that line") from error
+    rows = [[word.strip() for word in line] for line in lines]
+    if not rows or rows[0] != header:
+        raise ModelError(f"the header is not {','.join(header)}", where=where, fix=fix)
+    found = [(f"{where}, line {number}", row) for number, row in enumerate(rows[1:], start=2)]
+    for place, row in found:
+        if len(row) != len(header):
+            raise ModelError(f"{len(row)} values in a row", where=place, fix="correct the line")
+    return found
+
+
+def _pairs_of_lines(
+    text: str, where: str, names: list[str]
+) -> Iterator[tuple[str, object, object]]:
+    lines = text.split("\n")
+    for number, line in enumerate(lines, start=1):
         place = f"{where}, line {number}"
-        if len(line) != len(header):
-            raise ModelError(f"{len(line)} values in a row", where=place, fix="mend the line")
-        row = labels.index(line[0].strip()) if line[0].strip() in labels else -1
+        if not line.strip():
+            continue
+        try:
+            entry = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            if number == len(lines):
+                continue  # torn: the writer was stopped before the newline that ends a line
+            raise ModelError(f"broken JSON: {error}", where=place, fix="correct it") from error
+        if not isinstance(entry, Mapping):
+            raise ModelError("a line that is not an object", where=place, fix="correct the line")
+        told = entry.get("statuses")
+        if told is not None and names and told != names:
+            raise ModelError(
+                f"a recording with the statuses {told}",
+                where=place,
+                fix="choose the scenario that it was made with",
+            )
+        if "status" in entry and "perceived" in entry:
+            yield place, entry["status"], entry["perceived"]
+
+
+def _matrix_of_rows(text: str, column: Column, where: str) -> Floats:
+    labels = [column.label(value) for value in range(column.size)]
+    fix = f"name the statuses in order: status,{labels[0]},…,{labels[-1]}"
+    matrix = np.full((len(labels), len(labels)), np.nan)
+    for place, (label, *words) in _csv_rows(text, where, ["status", *labels], fix):
+        row = labels.index(label) if label in labels else -1
         if row < 0 or not np.isnan(matrix[row, 0]):
             raise ModelError(
-                f"status {line[0].strip()!r} is unknown or appears twice",
+                f"status {label!r} is unknown or appears twice",
                 where=place,
                 fix="give one row for each status",
             )
-        matrix[row] = [_number(word.strip(), place) for word in line[1:]]
-        _check_sum(matrix[row], labels[row], place)
+        matrix[row] = [_probability(word, place) for word in words]
+        _check_sum(matrix[row], label, place)
     if np.isnan(matrix).any():
         missing = labels[int(np.flatnonzero(np.isnan(matrix[:, 0]))[0])]
         raise ModelError(f"the row of status {missing} is missing", where=where, fix="add it")
     return matrix
 
 
-def _from_toml(text: str, mdp: MDP, where: str) -> Floats:
-    names = [p.name.removeprefix("base.") for p in mdp.parameters if p.name.startswith("base.")]
-    content = toml_of(text, where)
+def _matrix_of_rates(text: str, model: MDP, where: str) -> Floats:
+    names, content = _status_names(model), toml_of(text, where)
     rates = []
     for table in ("sensitivity", "specificity"):
         given = content.pop(table, None)
@@ -210,7 +477,7 @@ def _from_toml(text: str, mdp: MDP, where: str) -> Floats:
         for name in names:
             if name not in given:
                 raise ModelError(f"{table}.{name} is missing", where=where, fix="state it")
-        rates.append([_number(given[name], f"{where}, {table}.{name}") for name in names])
+        rates.append([_probability(given[name], f"{where}, {table}.{name}") for name in names])
     if content:
         raise ModelError(
             f"unknown key {next(iter(content))!r}",
@@ -220,7 +487,7 @@ def _from_toml(text: str, mdp: MDP, where: str) -> Floats:
     return independent(*rates)
 
 
-def _number(value: object, where: str) -> float:
+def _probability(value: object, where: str) -> float:
     try:
         number = exact(value)
     except ModelError as error:

@@ -36,9 +36,8 @@ from numpy.typing import NDArray
 from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp import MDP, Policy
-from exact_mdp.mdp.care.counts import LEVEL, Counted, interval
-from exact_mdp.mdp.care.counts import counted as counted_perception
-from exact_mdp.mdp.care.perception import perceived
+from exact_mdp.mdp.care.perception import LEVEL, Counted, interval, perceived
+from exact_mdp.mdp.care.perception import counted as counted_perception
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes, write_atomically
 from exact_mdp.paper_repro.agents import DISCLAIMER, recording

@@ -37,7 +37,7 @@ from exact_mdp.analysis.plots.perception import (
 )
 from exact_mdp.analysis.plots.style import titled
 from exact_mdp.mdp import MDP, Policy, Scenario
-from exact_mdp.mdp.care.counts import Counted, counted
+from exact_mdp.mdp.care.perception import Counted, counted
 from exact_mdp.paper_repro.agents.claims import EXACT, statements
 from exact_mdp.paper_repro.agents.conversation import modules_of
 from exact_mdp.paper_repro.agents.measure import labelled

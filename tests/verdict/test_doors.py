@@ -20,8 +20,8 @@ from umb_files import archive_of
 from exact_mdp.analysis.sensitivity.psa.distributions import load_uncertainty
 from exact_mdp.analysis.sensitivity.ranges import load_ranges
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.care.counts import read_counts
 from exact_mdp.mdp.care.perception import read as read_perception
+from exact_mdp.mdp.care.perception import read_counts
 from exact_mdp.mdp.io import npz, umb
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
