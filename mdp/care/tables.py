@@ -14,7 +14,7 @@ their text can be read in more than one way, a *reading* chooses.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
@@ -90,14 +90,14 @@ class Tables:
 
     def __repr__(self) -> str:
         other = [
-            f"{name}={option}"
+            f", {name}={option}"
             for name, option in self.readings.items()
             if option != READINGS[name][0]
         ]
         return (
             f"Scenario({self.name}: {len(self.statuses)} statuses, {len(self.actions)} actions, "
             f"tasks {list(self.tasks)}, max_trial {self.max_trial}, discount {self.discount}"
-            f"{''.join(f', {text}' for text in other)})"
+            f"{''.join(other)})"
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -139,12 +139,8 @@ class Tables:
 
     def _position(self, name: str) -> int:
         if name not in self._places:
-            known = [*self.names, *SETTINGS, *(f"readings.{reading}" for reading in READINGS)]
-            raise ModelError(
-                f"unknown parameter {name!r}",
-                where=f"scenario {self.name}",
-                fix=suggest(name, known),
-            )
+            readings = (f"readings.{reading}" for reading in READINGS)
+            known(name, [*self.names, *SETTINGS, *readings], "parameter", f"scenario {self.name}")
         return self._places[name]
 
     def with_(
@@ -164,18 +160,18 @@ class Tables:
             `tasks`, `max_trial`, `discount`, or any parameter or `readings.NAME` by its dotted
             name (`**{"base.anger": "1/10"}`).
 
+        Returns
+        -------
+        Scenario
+
         Raises
         ------
         ModelError
             For an unknown name (the nearest one is suggested) or a number out of range.
         """
-        chosen = dict(self.readings)
-        numbers = list(self.parameters)
-        parts: dict[str, Any] = {}
-        assignments: list[tuple[str, object]] = []
-        assignments += [(f"readings.{key}", value) for key, value in (readings or {}).items()]
-        assignments += [*(parameters or {}).items(), *changes.items()]
-        for name, value in assignments:
+        chosen, numbers, parts = dict(self.readings), list(self.parameters), dict[str, Any]()
+        given = {f"readings.{name}": option for name, option in (readings or {}).items()}
+        for name, value in [*given.items(), *(parameters or {}).items(), *changes.items()]:
             reading = name.removeprefix("readings.")
             if reading in SETTINGS:
                 key, convert = SETTINGS[reading]
@@ -184,7 +180,8 @@ class Tables:
                 chosen[reading] = check_reading(reading, value)
             else:
                 position = self._position(name)
-                numbers[position] = replace(numbers[position], value=_exact(name, value))
+                number = exact_at(f"parameter {name}", value)
+                numbers[position] = replace(numbers[position], value=number)
         return replace(self, readings=chosen, parameters=tuple(numbers), **parts)
 
     def set(self, assignment: str) -> Self:
@@ -209,6 +206,14 @@ def bits_of(count: int) -> Integers:
     return (np.arange(2**count)[:, None] >> np.arange(count - 1, -1, -1)) & 1
 
 
+def known(name: object, options: Iterable[str], what: str, where: str) -> str:
+    """Return a name that is one of the options, or raise ModelError."""
+    listed = list(options)
+    if name not in listed:
+        raise ModelError(f"unknown {what} {name!r}", where=where, fix=suggest(str(name), listed))
+    return str(name)
+
+
 def as_tasks(value: object) -> tuple[int, ...]:
     """Return tasks from a list of positive integers, or its text "[3,1]"."""
     if isinstance(value, str):
@@ -229,19 +234,23 @@ def as_max_trial(value: object) -> int:
     """Return max_trial from a positive integer or its text."""
     if isinstance(value, str) and value.isascii() and value.isdigit():
         value = int(value[:MOST_DIGITS])  # cut, it is too large as well
-    if isinstance(value, int) and _positive(value):
-        if value <= MOST_STATES:
-            return value
+    if not (isinstance(value, int) and _positive(value)):
+        raise ModelError(
+            f"max_trial is {value!r}, not a positive whole number",
+            where="max_trial",
+            fix="give the number of trials allowed in a subtask, at least 1",
+        )
+    if value > MOST_STATES:
         raise ModelError(
             f"max_trial is over {MOST_STATES:,}, more than the states of any model",
             where="max_trial",
             fix="allow fewer trials in a subtask",
         )
-    raise ModelError(
-        f"max_trial is {value!r}, not a positive whole number",
-        where="max_trial",
-        fix="give the number of trials allowed in a subtask, at least 1",
-    )
+    return value
+
+
+def _positive(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value > 0
 
 
 SETTINGS = {
@@ -255,15 +264,8 @@ SETTINGS = {
 
 def check_reading(name: str, option: object) -> str:
     """Return the option, or raise ModelError where the reading or the option is unknown."""
-    if name not in READINGS:
-        raise ModelError(f"unknown reading {name!r}", where="readings", fix=suggest(name, READINGS))
-    if option not in READINGS[name]:
-        raise ModelError(
-            f"unknown option {option!r}",
-            where=f"reading {name}",
-            fix=suggest(str(option), READINGS[name]),
-        )
-    return str(option)
+    known(name, READINGS, "reading", "readings")
+    return known(option, READINGS[name], "option", f"reading {name}")
 
 
 def check_scenario(scenario: Tables) -> None:
@@ -274,32 +276,29 @@ def check_scenario(scenario: Tables) -> None:
     check_names(scenario.weights.values(), "weight", where="status_weight")
     for key in ("title", "source"):
         check_text(getattr(scenario, key), key)
-    as_tasks(scenario.tasks)
-    as_max_trial(scenario.max_trial)
-    as_discount(scenario.discount)
+    for key, convert in SETTINGS.values():
+        convert(getattr(scenario, key))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
+    where = f"scenario {scenario.name}"
     states = sum(scenario.tasks) * scenario.trials * 2 ** len(scenario.statuses)
     if states > MOST_STATES:
         raise ModelError(
             f"the model would have {states:,} states, more than {MOST_STATES:,}",
-            where=f"scenario {scenario.name}",
+            where=where,
             fix="use fewer subtasks, trials or statuses",
         )
     if len(scenario.statuses) > MOST_STATUSES:
         raise ModelError(
             f"{len(scenario.statuses)} statuses, more than {MOST_STATUSES}",
-            where=f"scenario {scenario.name}",
+            where=where,
             fix="merge statuses",
         )
 
 
-def _positive(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0
-
-
-def _exact(name: str, value: object) -> Fraction:
+def exact_at(where: str, value: object) -> Fraction:
+    """Return the rational that a number or text stands for; errors say where it is."""
     try:
         return exact(value)
     except ModelError as error:
-        raise ModelError(error.what, where=f"parameter {name}", fix=error.fix) from error
+        raise ModelError(error.what, where=where, fix=error.fix) from error

@@ -21,12 +21,13 @@ from exact_mdp.mdp.care.tables import (
     as_max_trial,
     as_tasks,
     check_reading,
+    exact_at,
+    known,
 )
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parametric.parameter import Parameter
-from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import as_discount
 
 TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
@@ -74,10 +75,8 @@ def parse(text: str, kind: type[T], *, where: str = "scenario") -> T:
 
 def _scenario(content: dict[str, Any], kind: type[T], *, default_name: str) -> T:
     for key in content:
-        if key not in KEYS:
-            raise ModelError(f"unknown key {key!r}", where="top level", fix=suggest(key, KEYS))
-    statuses = _words(content, "statuses")
-    actions = _words(content, "actions")
+        known(key, KEYS, "key", "top level")
+    statuses, actions = _words(content, "statuses"), _words(content, "actions")
     if SKIP in actions:
         raise ModelError(
             f"an action is called {SKIP!r}", where="actions", fix="choose another name for it"
@@ -92,23 +91,16 @@ def _scenario(content: dict[str, Any], kind: type[T], *, default_name: str) -> T
             raise ModelError(
                 f"the other status is {other!r}",
                 where=f"skip.{status}.other",
-                fix=suggest(str(other), [name for name in statuses if name != status]),
+                fix=suggest(other, [name for name in statuses if name != status]),
             )
     wanted = _names(content, statuses, actions, others, weights)
     for name in flat:
-        if name not in wanted:
-            raise ModelError(
-                f"unknown number {name!r}", where=name.partition(".")[0], fix=suggest(name, wanted)
-            )
-    numbers = []
-    for name, bounds in wanted.items():
+        known(name, wanted, "number", name.partition(".")[0])
+    for name in wanted:
         if name not in flat and not name.startswith("influence."):
             raise ModelError(
                 f"the number {name} is missing", where=name.partition(".")[0], fix="state it"
             )
-        low, high = bounds
-        value = flat.get(name, Fraction(0))
-        numbers.append(Parameter(name=name, value=value, low=low, high=high))
     return kind(
         name=_text(content, "name", default_name),
         title=_text(content, "title", ""),
@@ -117,9 +109,12 @@ def _scenario(content: dict[str, Any], kind: type[T], *, default_name: str) -> T
         actions=actions,
         tasks=as_tasks(content.get("tasks", ())),
         max_trial=as_max_trial(content.get("max_trial", "missing")),
-        discount=_discount(content.get("discount", 1)),
+        discount=as_discount(content.get("discount", 1)),
         readings=readings,
-        parameters=tuple(numbers),
+        parameters=tuple(
+            Parameter(name=name, value=flat.get(name, Fraction(0)), low=low, high=high)
+            for name, (low, high) in wanted.items()
+        ),
         others=others,
         weights=weights,
     )
@@ -133,22 +128,13 @@ def _names(
     weights: Mapping[str, str],
 ) -> dict[str, tuple[Fraction | None, Fraction | None]]:
     """Return every parameter that the scenario has, with its range, in the paper's order."""
-    names = [f"base.{status}" for status in statuses]
-    names += [f"persistence.{status}" for status in statuses]
-    names += [f"influence.{r}.{c}" for r in statuses for c in statuses if r != c]
     assistance = _table(content, "assistance")
     for action in assistance:
-        if action not in actions:
-            raise ModelError(
-                f"unknown action {action!r}", where="assistance", fix=suggest(action, actions)
-            )
+        known(action, actions, "action", "assistance")
         for status in _table(assistance, action):
-            if status not in statuses:
-                raise ModelError(
-                    f"unknown status {status!r}",
-                    where=f"assistance.{action}",
-                    fix=suggest(status, statuses),
-                )
+            known(status, statuses, "status", f"assistance.{action}")
+    names = [f"{table}.{status}" for table in ("base", "persistence") for status in statuses]
+    names += [f"influence.{r}.{c}" for r in statuses for c in statuses if r != c]
     for action in actions:
         for status in statuses:
             if status in assistance.get(action, {}):
@@ -157,12 +143,12 @@ def _names(
     for status in statuses:
         rules = ("alone", "with-other") if status in others else ("persistence",)
         names += [f"skip.{status}.{rule}" for rule in rules]
-    unit = (Fraction(0), Fraction(1))
-    ranges: dict[str, tuple[Fraction | None, Fraction | None]] = dict.fromkeys(names, unit)
     rewards = [*(weights[status] for status in statuses), *SHARED_WEIGHTS]
     rewards += [f"assist.{action}" for action in actions]
-    ranges |= {f"reward.{weight}": (None, None) for weight in rewards}
-    return ranges
+    return {
+        **dict.fromkeys(names, (Fraction(0), Fraction(1))),
+        **{f"reward.{weight}": (None, None) for weight in rewards},
+    }
 
 
 def _flatten(content: dict[str, Any]) -> tuple[dict[str, str], dict[str, Fraction]]:
@@ -178,10 +164,7 @@ def _flatten(content: dict[str, Any]) -> tuple[dict[str, str], dict[str, Fractio
         elif parts[0] == "skip" and parts[-1] == "other" and len(parts) == 3:
             others[parts[1]] = str(value)
         else:
-            try:
-                flat[prefix] = exact(value)
-            except ModelError as error:
-                raise ModelError(error.what, where=prefix, fix=error.fix) from error
+            flat[prefix] = exact_at(prefix, value)
 
     for table in TABLES:
         visit(table, _table(content, table))
@@ -191,10 +174,7 @@ def _flatten(content: dict[str, Any]) -> tuple[dict[str, str], dict[str, Fractio
 def _weights(content: dict[str, Any], statuses: tuple[str, ...]) -> dict[str, str]:
     given = _table(content, "status_weight")
     for status in given:
-        if status not in statuses:
-            raise ModelError(
-                f"unknown status {status!r}", where="status_weight", fix=suggest(status, statuses)
-            )
+        known(status, statuses, "status", "status_weight")
     weights = {status: str(given.get(status, status)) for status in statuses}
     taken = [*weights.values(), *SHARED_WEIGHTS, "assist"]
     if len(set(taken)) != len(taken) or any("." in weight for weight in taken):
@@ -208,12 +188,8 @@ def _weights(content: dict[str, Any], statuses: tuple[str, ...]) -> dict[str, st
 
 def _words(content: dict[str, Any], key: str) -> tuple[str, ...]:
     words = content.get(key)
-    if (
-        not isinstance(words, list)
-        or not words
-        or not all(isinstance(word, str) and word and "." not in word for word in words)
-        or len(set(words)) != len(words)
-    ):
+    listed = isinstance(words, list) and all(isinstance(word, str) and word for word in words)
+    if not listed or not words or "." in "".join(words) or len(set(words)) != len(words):
         raise ModelError(
             f"{key} is not a list of different names",
             where=key,
@@ -227,10 +203,6 @@ def _table(content: Mapping[str, Any], key: str) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise ModelError(f"{key} is not a table", where=key, fix=f"write it as [{key}]")
     return table
-
-
-def _discount(value: object) -> Fraction:
-    return as_discount(value)
 
 
 def _text(content: dict[str, Any], key: str, default: str) -> str:
