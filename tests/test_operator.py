@@ -153,7 +153,7 @@ def test_means_of_policies(policy: str) -> None:
     "policy", [np.zeros(5, int), np.full(16, 4), np.full((16, 4), 0.5), np.full(16, 0.5)]
 )
 def test_what_is_no_policy_is_refused(policy: np.ndarray) -> None:
-    with pytest.raises(ModelError, match="no policy"):
+    with pytest.raises(ModelError, match="not a policy"):
         solving.operator_mean(Scenario.load("yuan2025").operator(), policy)
 
 

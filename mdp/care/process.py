@@ -17,8 +17,9 @@ finite and everything is computed from the last place to the first.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,8 +72,6 @@ class Process:
     start_place : int
     start : (Z,) float
         The belief at the start, before perceiving.
-    mask : int
-        The event bits that the actor notices.
     """
 
     mdp: MDP
@@ -83,7 +82,6 @@ class Process:
     offered: NDArray[np.bool_]
     start_place: int
     start: Floats
-    mask: int
 
     @property
     def statuses(self) -> int:
@@ -117,8 +115,6 @@ class Process:
 
     def with_confusion(self, confusion: ArrayLike) -> Process:
         """Return the same model under another perception."""
-        from dataclasses import replace
-
         return replace(self, confusion=_normalised(confusion, self.statuses))
 
     def table(self, policy: PolicyLike) -> Floats:
@@ -128,10 +124,7 @@ class Process:
         ----------
         policy : anything that `Policy.of` takes
         """
-        mdp = self.mdp
-        by_action = np.zeros((mdp.n_states, mdp.n_actions))
-        by_action[mdp.pair_state, mdp.pair_action] = Policy.of(mdp, policy).weights(mdp)
-        return by_action[: mdp.space.regular].reshape(-1, self.statuses, mdp.n_actions)
+        return _spread(self.mdp, Policy.of(self.mdp, policy).weights(self.mdp)).copy()
 
     @classmethod
     def of(cls, mdp: MDP, confusion: ArrayLike, *, events: Sequence[str] | None = None) -> Process:
@@ -158,8 +151,7 @@ class Process:
         """
         size = status_size(mdp)
         matrix = _normalised(confusion, size)
-        mask = _mask(mdp, events)
-        moves = _moves(mdp, size, mask)
+        moves = _moves(mdp, size, _mask(mdp, events))
         places = {state // size for state, weight in mdp.start if weight}
         if len(places) != 1 or max(places) * size >= mdp.space.regular:
             raise ModelError(
@@ -174,11 +166,10 @@ class Process:
             confusion=matrix,
             order=_order(mdp, moves, start_place),
             moves=moves,
-            reward=_rewards(mdp, size),
-            offered=_offered(mdp, size),
+            reward=_spread(mdp, np.where(mdp.terminal[mdp.pair_state], 0.0, mdp.reward)),
+            offered=_offered(mdp),
             start_place=start_place,
             start=mdp.start_distribution[first : first + size],
-            mask=mask,
         )
 
 
@@ -209,7 +200,7 @@ def _moves(mdp: MDP, size: int, mask: int) -> tuple[tuple[Move, ...], ...]:
     state, action, following = mdp.pair_state[pair], mdp.pair_action[pair], table.next
     if not mdp.terminal[regular:].all():
         raise ModelError(
-            "a state without status that is no end", where="perception", fix="use a scenario"
+            "a state without a status is not an end", where="perception", fix="use a scenario"
         )
     signal = np.zeros(len(pair), dtype=np.int64)
     if table.event is not None:
@@ -235,25 +226,23 @@ def _moves(mdp: MDP, size: int, mask: int) -> tuple[tuple[Move, ...], ...]:
     return tuple(tuple(each) for each in moves)
 
 
-def _rewards(mdp: MDP, size: int) -> Floats:
-    reward = np.zeros((mdp.n_states, mdp.n_actions))
-    reward[mdp.pair_state, mdp.pair_action] = mdp.reward
-    reward[mdp.terminal] = 0.0
-    found = reward[: mdp.space.regular].reshape(-1, size, mdp.n_actions)
+def _spread(mdp: MDP, values: Floats | NDArray[np.bool_]) -> Floats:
+    """Return (P, Z, A) by place, status and action what `values` (L,) are by pair, else 0."""
+    found = np.zeros((mdp.n_states, mdp.n_actions))
+    found[mdp.pair_state, mdp.pair_action] = values
+    found = found[: mdp.space.regular].reshape(-1, status_size(mdp), mdp.n_actions)
     found.setflags(write=False)
     return found
 
 
-def _offered(mdp: MDP, size: int) -> NDArray[np.bool_]:
-    offered = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
-    offered[mdp.pair_state, mdp.pair_action] = True
-    by_place = offered[: mdp.space.regular].reshape(-1, size, mdp.n_actions)
+def _offered(mdp: MDP) -> NDArray[np.bool_]:
+    by_place = _spread(mdp, np.ones(mdp.n_pairs)) > 0
     differ = (by_place != by_place[:, :1]).any(axis=(1, 2))
     if differ.any():
         place = int(np.flatnonzero(differ)[0])
         raise ModelError(
             "the actions on offer give the status away",
-            where=f"state ({mdp.space.label(place * size)}) and its other statuses",
+            where=f"state ({mdp.space.label(place * by_place.shape[1])}) and its other statuses",
             fix="offer the same actions in every status of a place",
         )
     return by_place[:, 0]
@@ -261,28 +250,21 @@ def _offered(mdp: MDP, size: int) -> NDArray[np.bool_]:
 
 def _order(mdp: MDP, moves: Sequence[Sequence[Move]], start: int) -> tuple[int, ...]:
     """Return the places reached from the start, each before those that follow it."""
-    waiting: dict[int, int] = {start: 0}
+    before: dict[int, set[int]] = {start: set()}
     stack = [start]
     while stack:
-        for target in {move.place for move in moves[stack.pop()]}:
-            if target not in waiting:
-                waiting[target] = 0
-                stack.append(target)
-            waiting[target] += 1
-    order, ready = list[int](), [start] if waiting[start] == 0 else []
-    while ready:
-        place = ready.pop()
-        order.append(place)
-        for target in sorted({move.place for move in moves[place]}):
-            waiting[target] -= 1
-            if waiting[target] == 0:
-                ready.append(target)
-    if len(order) < len(waiting):
-        stuck = min(place for place, left in waiting.items() if left)
-        size = mdp.space.columns[-1].size
+        here = stack.pop()
+        for move in moves[here]:
+            if move.place not in before:
+                before[move.place] = set()
+                stack.append(move.place)
+            before[move.place].add(here)
+    try:
+        return tuple(TopologicalSorter(before).static_order())
+    except CycleError as error:
+        stuck = min(error.args[1])
         raise ModelError(
             "a place comes back, and beliefs are tracked over a finite horizon only",
-            where=f"state ({mdp.space.label(stuck * size)})",
+            where=f"state ({mdp.space.label(stuck * mdp.space.columns[-1].size)})",
             fix="use a scenario: its trials and subtasks are counted",
-        )
-    return tuple(order)
+        ) from error

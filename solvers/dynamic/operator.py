@@ -113,30 +113,28 @@ def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
         given = np.asarray(policy)
     except ValueError as fault:
         raise ModelError("rows of a policy differ in length", where=where, fix=POLICY) from fault
-    by_status = given.shape == (rules.vectors,)
-    whole = given.dtype.kind in "iu" and (by_status or given.shape == (model.n_states,))
-    if whole:
+    by_state = given.shape == (model.n_states,)
+    if given.dtype.kind in "iu" and (by_state or given.shape == (rules.vectors,)):
         state = model.space.values("trial")
-        trying = given if by_status else given[(state >= 0) & (state < rules.trials)]
+        trying = given[(state >= 0) & (state < rules.trials)] if by_state else given
         valid = bool(((trying >= 0) & (trying < rules.assistive)).all())
+        share = (given[:, None] == np.arange(rules.assistive)).astype(np.float64)
     else:
         valid = given.shape == (rules.vectors, rules.assistive) and bool(
             (given >= 0).all() and (np.abs(given.sum(axis=1) - 1) <= 1e-9).all()
         )
+        share = given / given.sum(axis=1, keepdims=True) if valid else given
     if not valid:
         raise ModelError(
-            f"an array of shape {given.shape} that is no policy", where=where, fix=POLICY
+            f"an array of shape {given.shape} that is not a policy", where=where, fix=POLICY
         )
 
-    def choose(first: int, q: Floats) -> tuple[Floats, Integers]:
-        if whole:
-            taken = given if by_status else given[first : first + rules.vectors]
-            return q[taken, np.arange(rules.vectors)], taken
-        share = (given / given.sum(axis=1, keepdims=True)).T
-        value = share[0] * q[0]
+    def choose(first: int, q: Floats) -> Floats:
+        here = share[first : first + rules.vectors] if by_state else share
+        value = here[:, 0] * q[0]
         for action in range(1, rules.assistive):
-            value = value + share[action] * q[action]
-        return value, np.zeros(rules.vectors, dtype=np.int64)
+            value = value + here[:, action] * q[action]
+        return value
 
     # A mixture adds A products, and shares that are off by a few units each.
     value, _, error, _ = induce(model, choose=choose, mixing=3.0 * rules.assistive)
@@ -149,7 +147,7 @@ def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
 def induce(
     operator: CareOperator,
     expect: Expect | None = None,
-    choose: Callable[[int, Floats], tuple[Floats, Integers]] | None = None,
+    choose: Callable[[int, Floats], Floats] | None = None,
     *,
     mixing: float = 0.0,
 ) -> tuple[Floats, Integers, Floats, Floats]:
@@ -160,8 +158,8 @@ def induce(
     expect : function, optional
         Applies a law to a vector; by compiled loops where that is worth while, unless given.
     choose : function, optional
-        From the number of a layer's first state and (A, 2^n) action values to values and actions;
-        the best ones unless given.
+        From the number of a layer's first state and (A, 2^n) action values to the values of a
+        policy; those of the best actions unless given.
     mixing : float
         Units of roundoff that `choose` may add, in parts of the largest value.
     """
@@ -203,12 +201,12 @@ def induce(
                     slack = 2 * doubt + 16 * unit * np.abs(best)
                     taken = np.argmax(q + slack >= best - slack, axis=0)
                     short = float((doubt + (best - q[taken, np.arange(vectors)])).max())
+                    actions[first : first + vectors] = taken
                 else:
-                    best, taken = choose(first, q)
+                    best = choose(first, q)
                     doubt += unit * mixing * float(np.abs(q).max())
                     short = doubt
                 value[first : first + vectors] = best
-                actions[first : first + vectors] = taken
                 above[number, trial] = max(above[number, trial], doubt)
                 below[number, trial] = max(below[number, trial], short)
     return value, actions, above, below
