@@ -71,15 +71,17 @@ class Block:
 
     def rows(self, place: int) -> Rows:
         """Return all rows of a subtask, by trial, flag, status and action."""
-        rules = self.rules
-        last = rules.trials - 1 if not rules.own else -1
-        parts = []
-        for trial in range(rules.trials):
-            for flag in range(rules.flags):
-                make = self._last_trial if trial == last else self._trial
-                parts += make(trial, flag, place)
+        rules, parts = self.rules, []
+        layer = rules.flags * rules.vectors
+        trying = [self._trial(flag, place) for flag in range(rules.flags)]
+        for trial in range(rules.trials - (not rules.own)):
+            for rows in trying:  # the same rows, further on
+                shift = np.where(rows["next"] < rules.size, trial * layer, 0)
+                parts.append(rows | {"next": rows["next"] + shift})
         if rules.own:
             parts += [self._skip(place)] * rules.flags
+        else:
+            parts += [rows for flag in range(rules.flags) for rows in self._last(flag, place)]
         return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
     def _done(self, flag: int, place: int) -> tuple[Integers, Numbers]:
@@ -88,27 +90,24 @@ class Block:
         gain = rules.gain("complete", place, flag) + rules.assist[:, None]
         return rules.after(flag, place)[:1], gain
 
-    def _trial(self, trial: int, flag: int, place: int) -> list[Rows]:
-        """Return the rows of a trial after which there is another one, or a skip of its own."""
+    def _trial(self, flag: int, place: int) -> Rows:
+        """Return the rows of the first trial, which another one follows, or a skip of its own."""
         rules, laws = self.rules, self.laws
         home, done = self._done(flag, place)
-        later = ((trial + 1) * rules.flags + flag) * rules.vectors
         failed = rules.gain("fail") + rules.following[None, 1:]
         gain = np.concatenate([done, np.repeat(failed, len(done), axis=0)], axis=1)
         success = laws.step[:, :, 0]
         shares = {"complete": success, "fail": laws.step_denominator - success}
-        return [
-            _rows(
-                np.append(home, later + np.arange(1, rules.vectors)),
-                laws.step,
-                laws.step_denominator,
-                gain + rules.present[:, None, None],
-                np.zeros(rules.vectors, dtype=np.uint8),
-                self._components(laws.step, laws.step_denominator, shares, flag, place),
-            )
-        ]
+        return _rows(
+            np.append(home, (rules.flags + flag) * rules.vectors + np.arange(1, rules.vectors)),
+            laws.step,
+            laws.step_denominator,
+            gain + rules.present[:, None, None],
+            np.zeros(rules.vectors, dtype=np.uint8),
+            self._components(laws.step, laws.step_denominator, shares, flag, place),
+        )
 
-    def _last_trial(self, trial: int, flag: int, place: int) -> list[Rows]:
+    def _last(self, flag: int, place: int) -> list[Rows]:
         """Return the rows of a trial that ends in a skip where it fails.
 
         A row may have as many outcomes as status vectors times costs: a few present vectors at a
@@ -172,21 +171,19 @@ class Block:
     ) -> Floats:
         """Return (2^n, A, C) expected reward components, from the `shares` (2^n, A) of events."""
         rules = self.rules
-        amounts = dict.fromkeys(rules.names, 0 * bottom)
+        counts = np.zeros((*bottom.shape, len(rules.names)), dtype=bottom.dtype)
         for event, share in shares.items():
             for name in rules.charged(event, place, 1 if event == "skip" else flag):
-                amounts[name] = amounts[name] + share
-        for i, name in enumerate(rules.names[: rules.bits.shape[1]]):
-            on = rules.bits[:, i]
-            amounts[name] = rules.now * on[:, None] * bottom
-            amounts[name] = amounts[name] + rules.next * law[:, :, on == 1].sum(axis=2)
+                counts[:, :, rules.names.index(name)] += share
+        for i, on in enumerate(rules.bits.T):
+            counts[:, :, i] = rules.now * on[:, None] * bottom
+            counts[:, :, i] += rules.next * law[:, :, on == 1].sum(axis=2)
         if "complete" in shares:
             own = np.eye(rules.assistive, dtype=np.int64)
-            for number, name in enumerate(rules.names[-rules.assistive :]):
-                amounts[name] = shares["complete"] * own[number]
+            counts[:, :, -rules.assistive :] = shares["complete"][:, :, None] * own
+        amounts = multiply(counts, integers([rules.worth[name] for name in rules.names]))
         full = multiply(np.asarray(bottom), integers([rules.scale]))
-        found = [multiply(amounts[n], integers([rules.worth[n]])) for n in rules.names]
-        return np.stack([divide(each, full) for each in found], axis=2)
+        return divide(amounts, np.broadcast_to(full[:, :, None], amounts.shape))
 
 
 def _rows(

@@ -333,9 +333,9 @@ def _status(value: object, column: Column, where: str) -> int:
             return column.parse(value)
         except ModelError as error:
             raise ModelError(error.what, where=where, fix=error.fix) from error
-    number = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if number and 0 <= int(value) < column.size:
-        return int(value)
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        if 0 <= value < column.size:
+            return int(value)
     raise ModelError(
         f"{value!r} is not a status",
         where=where,
@@ -388,9 +388,9 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
     suffix = Path(path).suffix.lower()
     if suffix == ".csv":
         rows = _csv_rows(text, where, PAIRS, "write true,perceived first")
-        pairs = [(place, row[0], row[1]) for place, row in rows]
+        pairs: Iterable[tuple[str, object, object]] = [(place, *row) for place, row in rows]
     elif suffix == ".jsonl":
-        pairs = list(_pairs_of_lines(text, where, _status_names(model)))
+        pairs = _pairs_of_lines(text, where, _status_names(model))
     else:
         raise ModelError(f"unknown kind of examples {where!r}", fix="give a .csv or .jsonl file")
     return _counted(pairs, model.space.column("status"), prior)

@@ -228,9 +228,9 @@ def _moves(mdp: MDP, size: int, mask: int) -> tuple[tuple[Move, ...], ...]:
 
 def _spread(mdp: MDP, values: Floats | NDArray[np.bool_]) -> Floats:
     """Return (P, Z, A) by place, status and action what `values` (L,) are by pair, else 0."""
-    found = np.zeros((mdp.n_states, mdp.n_actions))
-    found[mdp.pair_state, mdp.pair_action] = values
-    found = found[: mdp.space.regular].reshape(-1, status_size(mdp), mdp.n_actions)
+    by_state = np.zeros((mdp.n_states, mdp.n_actions))
+    by_state[mdp.pair_state, mdp.pair_action] = values
+    found = by_state[: mdp.space.regular].reshape(-1, status_size(mdp), mdp.n_actions)
     found.setflags(write=False)
     return found
 

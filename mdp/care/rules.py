@@ -144,7 +144,7 @@ class Rules:
         """Return (2^n,) the states that follow a subtask, counted from its own first state."""
         if place == FINAL:
             return np.full(self.vectors, self.size)
-        return self.size + self.kept[place, flag] * self.vectors + np.arange(self.vectors)
+        return self.size + int(self.kept[place, flag]) * self.vectors + np.arange(self.vectors)
 
     def gains(self, values: list[int]) -> Numbers:
         """Return integers of the type that holds every gain."""

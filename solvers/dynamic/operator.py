@@ -131,7 +131,7 @@ def operator_mean(model: CareOperator, policy: ArrayLike) -> Bounded:
 
     def choose(first: int, q: Floats) -> Floats:
         here = share[first : first + rules.vectors] if by_state else share
-        value = here[:, 0] * q[0]
+        value: Floats = here[:, 0] * q[0]
         for action in range(1, rules.assistive):
             value = value + here[:, action] * q[action]
         return value

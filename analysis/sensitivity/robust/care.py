@@ -35,6 +35,7 @@ from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import chances
 from exact_mdp.mdp.care.rules import Rules
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -66,7 +67,7 @@ class CareBox:
         J parameters other than the discount.
     """
 
-    def __init__(self, scenario: Scenario, policy: object, names: Sequence[str]) -> None:
+    def __init__(self, scenario: Scenario, policy: PolicyLike, names: Sequence[str]) -> None:
         self.scenario, self.names = scenario, tuple(names)
         self.rules, self.chances = Rules(scenario), chances(scenario)
         mdp = compile_scenario(scenario)
