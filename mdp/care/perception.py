@@ -333,9 +333,11 @@ def _status(value: object, column: Column, where: str) -> int:
             return column.parse(value)
         except ModelError as error:
             raise ModelError(error.what, where=where, fix=error.fix) from error
+    number = -1
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
-        if 0 <= value < column.size:
-            return int(value)
+        number = int(value)
+    if 0 <= number < column.size:
+        return number
     raise ModelError(
         f"{value!r} is not a status",
         where=where,
