@@ -27,7 +27,7 @@ from pathlib import Path
 
 from exact_mdp.analysis import value_of_memory
 from exact_mdp.analysis.plots import plot_policy_map, style
-from exact_mdp.analysis.plots.slider import slider
+from exact_mdp.analysis.plots.slider import Slider
 from exact_mdp.analysis.sensitivity import thresholds
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.solvers import certify, evaluate, solve
@@ -133,7 +133,7 @@ def draw(number, ax):
 
 
 with style():
-    shown = slider(
+    shown = Slider(
         draw, [f"{float(v):.2f}" for v in values], name="base.frustration", first=2, size=(4.6, 2.8)
     )
 shown

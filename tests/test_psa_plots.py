@@ -83,8 +83,7 @@ def test_expected_losses_are_drawn_at_their_points() -> None:
         ({"n": 1}, "1 draws"),
         ({"policies": {}}, "0 policies"),
         ({"points": [0]}, "sample size 0"),
-        ({"points": [2], "along": "base.anger"}, "outside"),
-        ({"along": "base.angre"}, "did you mean"),
+        ({"names": ["base.angre"]}, "did you mean"),
     ],
 )
 def test_curves_that_cannot_be_are_refused(words: dict[str, object], message: str) -> None:

@@ -166,5 +166,6 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
 def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
     """Return the middle of each window of epochs, and the mean of the values in it."""
     size = min(window, len(values))
-    means = np.asarray(np.convolve(values, np.full(size, 1 / size), mode="valid"))
-    return np.arange(len(means)) + (size - 1) / 2, means
+    means: Floats = np.convolve(values, np.full(size, 1 / size), mode="valid").astype(float)
+    middles: Floats = np.arange(len(means), dtype=float) + (size - 1) / 2
+    return middles, means

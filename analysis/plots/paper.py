@@ -13,6 +13,7 @@ from exact_mdp.analysis.plots.learning import smoothed
 from exact_mdp.analysis.plots.style import (
     INK,
     LINES,
+    Look,
     action_styles,
     axes_or_new,
     cell,
@@ -52,9 +53,9 @@ def plot_averages(averages: Sequence[Average], *, optimum: float, ax: Axes | Non
     The first average is on top; the optimal value is a dotted line.
     """
     ax = axes_or_new(ax)
-    reported = {"marker": "D", "color": "black", "markerfacecolor": "white", "linestyle": ""}
-    exact = {"marker": "o", "color": "black", "markersize": 5, "linestyle": ""}
-    wide = {"color": "0.8", "linewidth": 9, "solid_capstyle": "butt"}
+    reported: Look = {"marker": "D", "color": "black", "markerfacecolor": "white", "linestyle": ""}
+    exact: Look = {"marker": "o", "color": "black", "markersize": 5, "linestyle": ""}
+    wide: Look = {"color": "0.8", "linewidth": 9, "solid_capstyle": "butt"}
     for row, each in enumerate(averages):
         if each.span is not None:
             ax.plot(each.span, [row, row], **wide)
@@ -153,7 +154,7 @@ def _box(
 
 
 def _arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    drawn = {"color": "0.35", "linewidth": 1, "shrinkA": 0, "shrinkB": 0}
+    drawn: Look = {"color": "0.35", "linewidth": 1, "shrinkA": 0, "shrinkB": 0}
     ax.add_patch(FancyArrowPatch(start, end, arrowstyle="-|>", mutation_scale=9, **drawn))
 
 

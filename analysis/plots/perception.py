@@ -13,6 +13,7 @@ from exact_mdp.analysis.plots.style import (
     BLUE,
     MARKS,
     WHITE,
+    Look,
     action_legend,
     action_styles,
     axes_or_new,
@@ -71,7 +72,7 @@ def plot_accuracy_curves(
         )
         if needed.crossings:
             ax.plot([at], [target], "o", color="black", markersize=5, zorder=5)
-            offset = {"textcoords": "offset points", "xytext": (5, -12), "fontsize": 8}
+            offset: Look = {"textcoords": "offset points", "xytext": (5, -12), "fontsize": 8}
             ax.annotate(f"{at:.3f}", (at, target), **offset)
     ax.set(xlabel=f"{ACCURACY} (sensitivity = specificity)", ylabel=VALUE)
     ax.legend(loc="lower right", title="read with this accuracy")
@@ -98,13 +99,13 @@ def plot_prices(
     ax = axes_or_new(ax)
     x, perfect = np.asarray(levels), prices[0].perfect.value
     ax.axhline(perfect, color="0.6", linewidth=0.8)
-    place = {"xycoords": ("axes fraction", "data"), "va": "bottom"}
+    place: Look = {"xycoords": ("axes fraction", "data"), "va": "bottom"}
     ax.annotate("perfect perception", (0.01, perfect), fontsize=8, color="0.3", **place)
     low = np.array([price.filtering.lower for price in prices])
     high = np.array([price.filtering.upper for price in prices])
     value = np.array([price.memoryless.value.value for price in prices])
     upper = np.array([price.memoryless.upper_bound for price in prices])
-    black = {"color": "black", "markersize": 4}
+    black: Look = {"color": "black", "markersize": 4}
     ax.fill_between(x, low, high, color="0.8", linewidth=0)
     ax.plot(x, low, "-", marker="o", label="the best that remembers", **black)
     black["markerfacecolor"] = "white"
@@ -152,10 +153,10 @@ def plot_hedging(found: Hedging, *, ax: Axes | None = None) -> Axes:
     Where it is not proven to be the best, its cells are pale and its accuracy has a star.
     """
     ax, styles = axes_or_new(ax), action_styles(found.mdp.actions)
-    pale = {"edgecolor": "0.7", "hatch": "", "ink": "0.35"}
+    pale: Look = {"edgecolor": "0.7", "hatch": "", "ink": "0.35"}
     for (number, status), action in np.ndenumerate(found.actions):
         drawn = styles[int(action)]
-        how = {} if found.best[number].proven else {"fill": _paler(drawn.fill)} | pale
+        how: Look = {} if found.best[number].proven else {"fill": _paler(drawn.fill)} | pale
         cell(ax, number, status, drawn, linewidth=0.5, font=7, pad=0.8, **how)
     count, size = found.actions.shape
     stars = ["" if best.proven else "*" for best in found.best]
@@ -193,7 +194,8 @@ def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
     ax, size = axes_or_new(ax), len(confusion)
     ax.imshow(np.sqrt(confusion), cmap="Greys", vmin=0, vmax=1)
     for row, column in np.argwhere(confusion >= 0.05):
-        share, centre = confusion[row, column], {"ha": "center", "va": "center", "fontsize": 6}
+        share = confusion[row, column]
+        centre: Look = {"ha": "center", "va": "center", "fontsize": 6}
         ink = "white" if share > 0.35 else "black"
         ax.text(column, row, f"{100 * share:.0f}", color=ink, **centre)
     labels = [format(number, f"0{size.bit_length() - 1}b") for number in range(size)]

@@ -13,6 +13,7 @@ from exact_mdp.analysis.plots.style import (
     LINES,
     MARKS,
     PALETTE,
+    Look,
     axes_or_new,
     legend_beside,
     plain_numbers,
@@ -80,8 +81,8 @@ def plot_expected_loss(found: LossCurve, *, ax: Axes | None = None) -> Axes:
     # A logarithmic axis has no 0: bars that would end below its floor end there.
     losses = np.maximum(found.loss, floor)
     lows, highs = np.clip(found.low, floor, losses), np.maximum(found.high, losses)
-    best, grey = losses.min(axis=1), {"color": "0.8", "linewidth": 7}
-    ax.plot(found.points, best, solid_capstyle="round", label="best of these", **grey)
+    grey: Look = {"color": "0.8", "linewidth": 7, "solid_capstyle": "round"}
+    ax.plot(found.points, losses.min(axis=1), label="best of these", **grey)
     for n, name in enumerate(found.policies):
         ax.errorbar(
             found.points,
@@ -109,7 +110,7 @@ def plot_optimal_actions(found: PSA, *, ax: Axes | None = None) -> Axes:
     share, labels = found.probability_optimal()[0][:MOST_ROWS], found.labels[:MOST_ROWS]
     ax.imshow(share, cmap="Greys", vmin=0, vmax=1, aspect="auto")
     for row, column in np.ndindex(*share.shape):
-        value = share[row, column]
+        value = float(share[row, column])
         ink = "white" if value > 0.55 else "black"
         ax.text(column, row, _share(value), ha="center", va="center", color=ink, fontsize=7)
     ax.set_xticks(range(len(found.actions)), found.actions)

@@ -27,6 +27,7 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.table import Numbers
 
 Arguments = ParamSpec("Arguments")
+Look = dict[str, Any]  # settings of a function of matplotlib
 
 # Okabe and Ito's colours, ordered from light to dark so that greyscale keeps them apart.
 PALETTE = ("#FFFFFF", "#F0E442", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#0072B2", "#4D4D4D")

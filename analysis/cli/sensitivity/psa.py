@@ -178,8 +178,8 @@ def _losses(curve: LossCurve) -> dict[str, Any]:
         "probability_optimal": "optimal",
     }
     return {
-        "along": curve.along,
-        "unit": curve.unit,
+        "along": "effective_sample_size",
+        "unit": "observations",
         "draws": curve.draws,
         "points": curve.points,
         "policies": {

@@ -27,11 +27,9 @@ Source Software 2, 2017); the interval of σ is a bootstrap over trajectories.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, Unpack
 
@@ -47,6 +45,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
@@ -141,13 +140,14 @@ class Global(Pictured, Generic[Part]):
     confidence: float
     seed: int
 
-    COLUMNS: ClassVar[Mapping[str, str]]
+    COLUMNS: ClassVar[Mapping[str, str]]  # headings of a table, and measures
     LARGEST: ClassVar[str]  # the measure by which a table is sorted
+    POINTS: ClassVar[int]  # of a sequence's point or a trajectory, beside one for each parameter
 
     @property
-    @abstractmethod
     def draws(self) -> int:
         """Number of models that were solved."""
+        return self.n * (len(self.parameters) + self.POINTS)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -204,13 +204,8 @@ class Sobol(Global[Indices]):
         "total (share of variance)": "total",
         "total ±": "total_half",
     }
-    LARGEST = "total"
+    LARGEST, POINTS = "total", 2
     picture = "exact_mdp.analysis.plots.sensitivity:plot_sobol"
-
-    @property
-    def draws(self) -> int:
-        """Number of models that were solved."""
-        return self.n * (len(self.parameters) + 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -226,28 +221,15 @@ class Morris(Global[Effects]):
         "sigma (reward per range)": "sigma",
         "sigma ±": "sigma_half",
     }
-    LARGEST = "mu_star"
+    LARGEST, POINTS = "mu_star", 1
     picture = "exact_mdp.analysis.plots.sensitivity:plot_morris"
 
-    @property
-    def draws(self) -> int:
-        """Number of models that were solved."""
-        return self.n * (len(self.parameters) + 1)
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Design:
-    """A model, its parameters with ranges that are not empty, and the seed of what is drawn."""
+    """A model, the parameters that vary over ranges, and where SALib's draws start from."""
 
-    model: Parametric
-    spans: Mapping[Parameter, Range]
-    n: int
-    confidence: float
-    seed: int
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         model: Scenario | MDP | Parametric,
         names: Iterable[str] | None,
         ranges: Mapping[str, object] | None,
@@ -255,19 +237,14 @@ class _Design:
         n: int,
         confidence: float,
         rng: RNG,
-    ) -> _Design:
-        family = parametric(model)
-        spans = spans_of(family, None if names is None else list(names), ranges, relative)
+    ) -> None:
         if not 0 < confidence < 1:
             raise ModelError(
                 f"a confidence of {confidence}", where="confidence", fix="choose one from 0 to 1"
             )
-        return cls(model=family, spans=spans, n=n, confidence=confidence, seed=seed_of(rng))
-
-    @cached_property
-    def problem(self) -> dict[str, Any]:
-        """Parameters and ranges as SALib states a problem."""
-        return problem_of(self.spans)
+        self.model, self.n, self.confidence = parametric(model), n, confidence
+        self.spans = spans_of(self.model, None if names is None else list(names), ranges, relative)
+        self.problem, self.seed = problem_of(self.spans), seed_of(rng)
 
     def draws(self, sample: Callable[..., Floats], **settings: Any) -> Floats:
         """Return (D, P) draws by a sampling method of SALib."""
@@ -279,28 +256,23 @@ class _Design:
         # Below 2**31, as np.random.seed takes it.
         return int(child(self.seed, number).generate_state(1)[0] >> 1) + 1
 
-    def outputs(self, draws: Floats, policy: object, how: How) -> tuple[Sampled, dict[str, Floats]]:
-        """Return the values at every draw, and the outputs that are analysed, (D,) each."""
-        found = sampled(self.model, self.problem["names"], draws, [policy], **how)
+    def result(self, found: Sampled, measure: Callable[[Floats], Any]) -> dict[str, Any]:
+        """Return the fields of a result, with the measures of each output (D,)."""
         every = found.optimal, found.fixed[:, 0], found.regret[:, 0]
-        return found, dict(zip(OUTPUTS, every, strict=True))
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """What every result says of its design."""
         return {
             "parameters": tuple(self.spans),
             "ranges": {parameter.name: span for parameter, span in self.spans.items()},
             "n": self.n,
             "confidence": self.confidence,
             "seed": self.seed,
+            **{name: measure(output) for name, output in zip(OUTPUTS, every, strict=True)},
         }
 
 
 def sobol(
     model: Scenario | MDP | Parametric,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     names: Iterable[str] | None = None,
     ranges: Mapping[str, object] | None = None,
     relative: Fraction | None = None,
@@ -350,7 +322,7 @@ def sobol(
     >>> found.names, found.draws, (found.optimal.total > found.optimal.first).tolist()
     (('p', 'q'), 256, [True, True])
     """
-    design = _Design.of(model, names, ranges, relative, n, confidence, rng)
+    design = _Design(model, names, ranges, relative, n, confidence, rng)
     _check_count(n, "samples", "sobol")
     if n & (n - 1):
         near = 1 << (n.bit_length() - 1)
@@ -360,7 +332,7 @@ def sobol(
             fix=f"ask for {near} or {2 * near}",
         )
     draws = design.draws(sobol_sample.sample, calc_second_order=False)
-    found, outputs = design.outputs(draws, policy, how)
+    found = sampled(design.model, design.problem["names"], draws, [policy], **how)
 
     def indices(output: Floats) -> Indices:
         points = output.reshape(n, -1)[:, [0, -1]]  # the two independent samples
@@ -385,13 +357,13 @@ def sobol(
             total_half=result["ST_conf"],
         )
 
-    return Sobol(**design.told, **{name: indices(output) for name, output in outputs.items()})
+    return Sobol(**design.result(found, indices))
 
 
 def morris(
     model: Scenario | MDP | Parametric,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     names: Iterable[str] | None = None,
     ranges: Mapping[str, object] | None = None,
     relative: Fraction | None = None,
@@ -432,13 +404,13 @@ def morris(
     >>> found.optimal.mu_star.round(9).tolist(), found.optimal.sigma.round(9).tolist()
     ([4.0], [0.0])
     """
-    design = _Design.of(model, names, ranges, relative, n, confidence, rng)
+    design = _Design(model, names, ranges, relative, n, confidence, rng)
     _check_count(n, "trajectories", "morris")
     _check_count(levels, "levels", "morris")
     if levels % 2:
         raise ModelError(f"{levels} levels", where="morris", fix="choose an even number")
     draws = design.draws(morris_sample.sample, num_levels=levels)
-    _, outputs = design.outputs(draws, policy, how)
+    found = sampled(design.model, design.problem["names"], draws, [policy], **how)
     low, high = np.array(design.problem["bounds"]).T
     unit = ((draws - low) / (high - low)).reshape(n, -1, len(design.spans))
 
@@ -463,8 +435,7 @@ def morris(
             sigma_half=NormalDist().inv_cdf(0.5 + confidence / 2) * spread.std(axis=0, ddof=1),
         )
 
-    parts = {name: effects(output) for name, output in outputs.items()}
-    return Morris(**design.told, **parts, levels=levels)
+    return Morris(**design.result(found, effects), levels=levels)
 
 
 def _check_count(count: object, what: str, where: str) -> None:

@@ -28,6 +28,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import Parametric, parameter_of
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.care import cut_off
@@ -83,7 +84,7 @@ def sampled(
     model: Parametric,
     names: Sequence[str],
     draws: Floats,
-    policies: Sequence[object] = (),
+    policies: Sequence[PolicyLike] = (),
     **how: Unpack[How],
 ) -> Sampled:
     """Return the optimum's value and the policies' at every draw.
@@ -152,7 +153,7 @@ def _block(
     piece: tuple[int, Floats],
 ) -> Arrays:
     first, draws = piece
-    return solver.both(names, draws, weights, first)
+    return solver.values(names, draws, weights, optimum=True, first=first)
 
 
 def _checked(model: Parametric, names: Sequence[str], draws: Floats) -> Floats:

@@ -128,27 +128,25 @@ class ModelSolver:
             "cut": np.zeros(count, dtype=bool),
         }
 
-    def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
-        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
-        value = np.empty((len(draws), len(policies)))
-        error = np.empty_like(value)
-        for d, drawn in models(self.model, names, draws):
-            found = [evaluate(drawn, weights) for weights in policies]
-            value[d] = [each.mean for each in found]
-            error[d] = [each.start.error for each in found]
-        return {"value": value, "error": error}
-
-    def both(
-        self, names: Sequence[str], draws: Floats, policies: Sequence[Floats], first: int
+    def values(
+        self,
+        names: Sequence[str],
+        draws: Floats,
+        policies: Sequence[Floats],
+        *,
+        optimum: bool = False,
+        first: int | None = None,
     ) -> Arrays:
-        """Return value and error (D, 1 + N) of the optimum and of N policies."""
-        value = np.empty((len(draws), 1 + len(policies)))
+        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs.
+
+        With `optimum` its column comes before those of the policies, (D, 1 + N).
+        """
+        value = np.empty((len(draws), optimum + len(policies)))
         error = np.empty_like(value)
         for d, drawn in models(self.model, names, draws, first):
-            best = solve(drawn).start
-            found = [evaluate(drawn, weights) for weights in policies]
-            value[d] = [best.value, *(each.mean for each in found)]
-            error[d] = [best.error, *(each.start.error for each in found)]
+            found = [solve(drawn).start] if optimum else []
+            found += [evaluate(drawn, weights).start for weights in policies]
+            value[d], error[d] = [x.value for x in found], [x.error for x in found]
         return {"value": value, "error": error}
 
     def weights(self, row: Integers) -> Floats:
@@ -202,11 +200,22 @@ class CareSolver:
             "cut": cut_off(self.scenario, names, draws),
         }
 
-    def values(self, names: Sequence[str], draws: Floats, policies: Sequence[Floats]) -> Arrays:
+    def values(
+        self,
+        names: Sequence[str],
+        draws: Floats,
+        policies: Sequence[Floats],
+        *,
+        optimum: bool = False,
+        first: int | None = None,
+    ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies; see `ModelSolver.values`."""
         tables = [self.by_state(weights) for weights in policies]
-        value = np.empty((len(draws), len(tables)))
-        error = np.zeros((len(draws), len(tables)))
+        value = np.empty((len(draws), optimum + len(tables)))
+        error = np.empty_like(value)
+        if optimum:
+            best = optimal(self.scenario, names, draws, threads=1, warn=False)
+            value[:, 0], error[:, 0] = best.start, best.error
         # Policies of one kind are evaluated together: pure or mixed, by status or by state.
         kinds: dict[tuple[bool, bool], list[int]] = {}
         for number, table in enumerate(tables):
@@ -218,19 +227,9 @@ class CareSolver:
             chosen = chosen[:, 0, 0, 0] if same else chosen
             chosen = chosen.argmax(axis=-1) if pure else chosen
             found = policy_values(self.scenario, names, draws, chosen, threads=1, warn=False)
-            value[:, numbers], error[:, numbers] = found.mean, found.error[:, None]
+            columns = np.array(numbers) + optimum
+            value[:, columns], error[:, columns] = found.mean, found.error[:, None]
         return {"value": value, "error": error}
-
-    def both(
-        self, names: Sequence[str], draws: Floats, policies: Sequence[Floats], first: int
-    ) -> Arrays:
-        """Return value and error (D, 1 + N) of the optimum and of N policies."""
-        best = optimal(self.scenario, names, draws, threads=1, warn=False)
-        fixed = self.values(names, draws, policies)
-        return {
-            "value": np.column_stack([best.start, fixed["value"]]),
-            "error": np.column_stack([best.error, fixed["error"]]),
-        }
 
     def weights(self, row: Integers) -> Floats:
         """Return (L,) probabilities of pairs from a row of `solved`."""

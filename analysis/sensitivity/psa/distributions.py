@@ -361,10 +361,11 @@ def _chosen(
 
 
 def _begins(name: str, start: str) -> bool:
-    return name == start or name.startswith(f"{start}.")
+    return f"{name}.".startswith(f"{start}.")
 
 
 def _settings(stated: Mapping[str, Settings], name: str) -> Settings:
+    """Return what is stated of the longest beginning of a name."""
     found = [start for start in stated if _begins(name, start)]
     return stated[max(found, key=len)] if found else {}
 

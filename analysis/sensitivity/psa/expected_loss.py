@@ -1,10 +1,10 @@
-"""Expected loss curves: what each policy loses on average, by how much is known or what is wanted.
+"""Expected loss curves: what each policy loses on average, by how much is known.
 
 The loss of a policy in a draw is V* - V^π; its mean, drawn against something that varies, tells
 which policy to take and how bad a mistake would be, which an acceptability curve does not
 (Alarid-Escudero, Enns, Kuntz, Michaud and Jalal, Value in Health 22, 2019). Along the curve varies
-either the effective sample size of every probability, or the value of one parameter, such as a
-reward weight. All points use the same random numbers. The lowest curve bounds EVPI from above.
+the effective sample size of every probability of which nothing else is stated. All points use the
+same random numbers. The lowest curve bounds EVPI from above.
 """
 
 from __future__ import annotations
@@ -21,19 +21,18 @@ from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import How, run, whole_number
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, solver_of
 from exact_mdp.analysis.sensitivity.psa.distributions import (
-    EFFECTIVE_SAMPLE_SIZE,
     Settings,
     Uncertainty,
     uncertainty,
 )
 from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss
-from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric, placed
+from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
 
 pandas = later("pandas")
 
-SAMPLE_SIZE = "effective_sample_size"
 SPREAD = ("standard_error", "low", "high", "carried")
 SIZES = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 
@@ -55,8 +53,8 @@ class LossCurve(Pictured):
 
     Attributes
     ----------
-    along, unit : str
     points : (X,)
+        Effective sample sizes, in observations.
     policies : tuple of N str
     draws : int
         At each point.
@@ -70,8 +68,6 @@ class LossCurve(Pictured):
 
     picture = "exact_mdp.analysis.plots.psa:plot_expected_loss"
 
-    along: str
-    unit: str
     points: Floats
     policies: tuple[str, ...]
     draws: int
@@ -87,7 +83,7 @@ class LossCurve(Pictured):
         count, many = self.loss.shape
         return pandas.DataFrame(
             {
-                f"{self.along} ({self.unit})": np.repeat(self.points, many),
+                "effective sample size (observations)": np.repeat(self.points, many),
                 "policy": list(self.policies) * count,
                 "expected loss (reward)": self.loss.reshape(-1),
                 "standard error": self.standard_error.reshape(-1),
@@ -101,13 +97,11 @@ class LossCurve(Pictured):
 
 def expected_loss(
     model: Scenario | MDP | Parametric,
-    policies: Mapping[str, object],
+    policies: Mapping[str, PolicyLike],
     points: Sequence[float] = SIZES,
     *,
     rng: RNG,
-    along: str = SAMPLE_SIZE,
     n: int = 2000,
-    effective_sample_size: float = EFFECTIVE_SAMPLE_SIZE,
     stated: Mapping[str, Settings] | None = None,
     names: Sequence[str] | None = None,
     **how: Unpack[How],
@@ -120,14 +114,10 @@ def expected_loss(
     policies : {name: PolicyLike}
         "optimal" is the optimum at today's values; all are held fixed.
     points : sequence of X float
-        Effective sample sizes, or values of the parameter `along`.
+        Effective sample sizes.
     rng : int or numpy.random.Generator
-    along : str
-        "effective_sample_size", or a parameter's name, which is then not drawn.
     n : int
         Draws at each point.
-    effective_sample_size : float
-        Of every probability of which nothing is stated, where that is not what varies.
     stated, names
         As in `uncertainty`.
     **how
@@ -140,7 +130,7 @@ def expected_loss(
     Raises
     ------
     ModelError
-        For no points or draws, and points outside the parameter's range.
+        For no points or draws, and sizes that are not above 0.
 
     Examples
     --------
@@ -160,32 +150,22 @@ def expected_loss(
         )
     solver = solver_of(family)
     weights = [solver.base.held(policy) for policy in policies.values()]
-    pieces: list[_Piece] = []
-    for point in map(float, points):
-        size, held = effective_sample_size, {along: point}
-        asked = names
-        if along == SAMPLE_SIZE:
-            size, held = point, {}
-        else:
-            placed(family, held)
-            asked = [p.name for p in family.parameters] if names is None else names
-            asked = [name for name in asked if name != along]
-        chosen = uncertainty(family, stated, default=size, names=asked).checked(family)
-        pieces.append((chosen, held, seed, n))
-    drawn = [[[*p.names, p.kind, p.size, *p.mean] for p in piece[0].parts] for piece in pieces]
+    chosen = [
+        uncertainty(family, stated, default=float(size), names=names).checked(family)
+        for size in points
+    ]
+    drawn = [[[*p.names, p.kind, p.size, *p.mean] for p in each.parts] for each in chosen]
     key = {
         "model": fingerprint(solver.base.mdp),
-        "along": along,
+        "along": "effective_sample_size",
         "seed": seed,
         "samples": n,
         "policies": [digest(each) for each in weights],
         "points": [[float(point), *parts] for point, parts in zip(points, drawn, strict=True)],
     }
-    blocks = run(solver, "points", partial(_point, solver, weights), pieces, key, **how)
-    unit = "observations" if along == SAMPLE_SIZE else unit_of(parameter_of(family, along))
+    work = partial(_point, solver, weights, seed, n)
+    blocks = run(solver, "points", work, chosen, key, **how)
     return LossCurve(
-        along=along,
-        unit=unit,
         points=np.asarray(points, dtype=float),
         policies=tuple(policies),
         draws=n,
@@ -193,15 +173,12 @@ def expected_loss(
     )
 
 
-_Piece = tuple[Uncertainty, Mapping[str, float], int, int]
-
-
-def _point(solver: DrawSolver, weights: Sequence[Floats], piece: _Piece) -> Arrays:
-    chosen, held, seed, n = piece
-    names = (*chosen.names, *held)
-    drawn = chosen.draw(SeedSequence(seed), n)
-    draws = np.hstack([drawn, np.tile(list(held.values()), (n, 1))])
-    found, valued = solver.solved(names, draws), solver.values(names, draws, weights)
+def _point(
+    solver: DrawSolver, weights: Sequence[Floats], seed: int, n: int, chosen: Uncertainty
+) -> Arrays:
+    draws = chosen.draw(SeedSequence(seed), n)
+    found = solver.solved(chosen.names, draws)
+    valued = solver.values(chosen.names, draws, weights)
     gap = found["start"][:, None] - valued["value"]
     real = gap > found["error"][:, None] + valued["error"]
     told = [mean_loss(column) for column in np.where(real, gap, 0.0).T]

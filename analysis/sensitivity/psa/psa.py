@@ -34,7 +34,7 @@ import numpy as np
 from numpy.random import SeedSequence
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.sensitivity.base_case import BaseCase, digest
+from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import How, in_blocks, joined, seeded, whole_number
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, merged, solver_of, tell_cut
 from exact_mdp.analysis.sensitivity.psa.distributions import (
@@ -56,6 +56,7 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
@@ -290,8 +291,7 @@ def psa(
     rng: RNG,
     uncertain: Uncertainty | None = None,
     effective_sample_size: float = EFFECTIVE_SAMPLE_SIZE,
-    policy: object = "optimal",
-    candidates: Sequence[object] = (),
+    policy: PolicyLike = "optimal",
     **how: Unpack[How],
 ) -> PSA:
     """Draw the parameters, solve every draw, and evaluate policies in every draw.
@@ -309,8 +309,6 @@ def psa(
         `effective_sample_size`.
     policy : PolicyLike
         The policy that is held fixed; "optimal" is the optimum at today's values.
-    candidates : sequence of PolicyLike
-        More policies to evaluate, beside those that are found.
     **how
         n_jobs, scheduler, folder and progress; see `solvers.parallel.many.many`. The workers of a
         care scenario are threads, of other models processes. A larger sample with the same seed
@@ -336,7 +334,9 @@ def psa(
     if uncertain is None:
         uncertain = uncertainty(family, default=effective_sample_size)
     chosen, solver = uncertain.checked(family), solver_of(family)
-    given = _given(solver.base, policy, candidates)
+    today, held = solver.base.held("optimal"), solver.base.held(policy)
+    same = np.array_equal(held, today)
+    given = [(TODAY, today)] if same else [(HELD, held), (TODAY, today)]
     key = {
         "model": family.name,
         "fingerprint": fingerprint(solver.base.mdp),
@@ -402,18 +402,6 @@ def _value_block(
     solver: DrawSolver, names: tuple[str, ...], policies: Sequence[Floats], draws: Floats
 ) -> Arrays:
     return solver.values(names, draws, policies)
-
-
-def _given(
-    base: BaseCase, policy: object, candidates: Sequence[object]
-) -> list[tuple[str, Floats]]:
-    """Return the policies that are given, the one held first, today's optimum among them."""
-    today, held = base.held("optimal"), base.held(policy)
-    found = [(TODAY if np.array_equal(held, today) else HELD, held)]
-    found += [(f"given {n}", base.held(each)) for n, each in enumerate(candidates, 1)]
-    if not any(name == TODAY for name, _ in found):
-        found.append((TODAY, today))
-    return found
 
 
 def _selected(

@@ -40,7 +40,6 @@ that noise does not hide.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
@@ -72,8 +71,6 @@ class PartialInformation:
         covers what the fit may miss, too.
     lower : Estimated
         What choosing by the fit is worth in other draws; in expectation at most EVPPI.
-    terms : int
-        Columns of the regression.
     doubts : tuple of str
         Why the regression's estimate is not to be relied on; none where it is.
     """
@@ -81,7 +78,6 @@ class PartialInformation:
     names: tuple[str, ...]
     regression: Estimated
     lower: Estimated
-    terms: int
     doubts: tuple[str, ...] = ()
 
     @property
@@ -140,7 +136,7 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     varies = draws.min(axis=0) < draws.max(axis=0)
     if candidates == 1 or not varies.any():
         zero = Estimated(value=0.0, standard_error=0.0)
-        return PartialInformation(names=names, regression=zero, lower=zero, terms=0)
+        return PartialInformation(names=names, regression=zero, lower=zero)
     basis = _basis(draws[:, varies])
     ends = np.linspace(0, count, FOLDS + 1).astype(int)
     folds = [slice(first, last) for first, last in pairwise(ends.tolist())]
@@ -158,67 +154,37 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
         some = ahead[fold]
         earned[fold] = some[np.arange(len(some)), rule.argmax(axis=1)]
     taken = np.unique(chosen)
-    run = _longest(draws[:, varies], (ahead - fitted)[:, taken[taken != best]])
-    own, lower = mean_of(ahead[rows, chosen]), mean_of(earned)
-    value, missed = min(promised, most), run.total / count
+    total, surprising = _longest(draws[:, varies], (ahead - fitted)[:, taken[taken != best]])
+    own, lower, carried = mean_of(ahead[rows, chosen]), mean_of(earned), mean_loss(gain)
+    value, missed = min(promised, most), total / count
     apart, astray = value - lower.value, promised - own.value
-    doubts = _doubts(
-        value,
-        apart=abs(apart) / own.standard_error if own.standard_error else 0.0,
-        astray=abs(astray) / own.standard_error if own.standard_error else 0.0,
-        lost=lower.value < value / 2,
-        gain=mean_loss(gain),
-        patterned=run.surprising and missed > max(LEAST_MISS * own.standard_error, ROUNDED * value),
-        cut=promised > most * (1 + ROUNDED),
-    )
-    error = float(np.sqrt(own.standard_error**2 + apart**2 + missed**2 + (2 * astray) ** 2))
+    sure = own.standard_error
+    reasons = {
+        "the fit's choices earn less or more in draws that it has not seen": (
+            sure > 0 and abs(apart) > MOST_APART * sure
+        )
+        or lower.value < value / 2,
+        "the fit promises less or more than its choices earn": sure > 0
+        and abs(astray) > MOST_ASTRAY * sure,
+        "the fit misses a pattern along a parameter": surprising
+        and missed > max(LEAST_MISS * sure, ROUNDED * value),
+        f"{carried.carried:.0f} draws carry it": carried.few,
+        "cut at EVPI of the candidates": promised > most * (1 + ROUNDED),
+    }
+    doubts = tuple(reason for reason, holds in reasons.items() if holds)
+    error = float(np.sqrt(sure**2 + apart**2 + missed**2 + (2 * astray) ** 2))
     return PartialInformation(
         names=names,
         regression=Estimated(value=value, standard_error=error),
         lower=lower,
-        terms=basis.shape[1],
-        doubts=tuple(doubts),
+        doubts=doubts if value else ("the fit changes the choice in no draw",),
     )
 
 
-def _doubts(
-    value: float,
-    *,
-    apart: float,
-    astray: float,
-    lost: bool,
-    gain: MeanLoss,
-    patterned: bool,
-    cut: bool,
-) -> Iterator[str]:
-    if value == 0:
-        yield "the fit changes the choice in no draw"
-        return
-    if apart > MOST_APART or lost:
-        yield "the fit's choices earn less or more in draws that it has not seen"
-    if astray > MOST_ASTRAY:
-        yield "the fit promises less or more than its choices earn"
-    if patterned:
-        yield "the fit misses a pattern along a parameter"
-    if gain.few:
-        yield f"{gain.carried:.0f} draws carry it"
-    if cut:
-        yield "cut at EVPI of the candidates"
+def _longest(draws: Floats, residuals: Floats) -> tuple[float, bool]:
+    """Return the greatest sum of neighbouring residuals, and whether chance would hardly reach it.
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Stretch:
-    """Neighbouring draws whose residuals add up to more than those of any others, for their number.
-
-    `total` is that sum's size, `surprising` whether normal residuals would hardly reach it.
-    """
-
-    total: float
-    surprising: bool
-
-
-def _longest(draws: Floats, residuals: Floats) -> _Stretch:
-    """Return the stretch along one of the parameters (D, q) where residuals (D, N) add up most.
+    Residuals are (D, N); draws are neighbours along one of the parameters (D, q).
 
     Of n standard normal sums the greatest is hardly above √(2 ln n); there are about D of each
     length, and lengths double.
@@ -237,7 +203,7 @@ def _longest(draws: Floats, residuals: Floats) -> _Stretch:
             if scaled.size and scaled.max() > size:
                 size, total = float(scaled.max()), float(added[scaled.argmax()])
     windows = max(count * len(lengths) * draws.shape[1] * int(varying.sum()), 2)
-    return _Stretch(total=total, surprising=size > float(np.sqrt(2 * np.log(windows))))
+    return total, size > float(np.sqrt(2 * np.log(windows)))
 
 
 def _basis(draws: Floats) -> Floats:

@@ -239,8 +239,8 @@ def expected(payoff: Forms, slopes: Span, chance: Forms, use: Span) -> tuple[For
     low, high = low[..., 0, :], high[..., 0, :]
     for bit in range(count):
         on = (np.arange(2**count) >> (count - 1 - bit)) & 1 == 1
-        apart = payoff[..., np.flatnonzero(on)] - payoff[..., np.flatnonzero(~on)]
-        ahead = _averaged(apart, [chance[..., n : n + 1] for n in range(count) if n != bit])
+        flipped = payoff[..., np.flatnonzero(on)] - payoff[..., np.flatnonzero(~on)]
+        ahead = _averaged(flipped, [chance[..., n : n + 1] for n in range(count) if n != bit])
         down, up = ahead.low[..., None], ahead.high[..., None]
         sure, moving = (part[..., bit, :] for part in use)
         low = low + np.where(down < 0, moving * down, sure * down)

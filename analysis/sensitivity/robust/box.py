@@ -37,6 +37,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers import certify, solve
@@ -53,6 +54,7 @@ Point = dict[str, Fraction]
 
 PARTS = 40
 GAP = 1e-6
+ROUNDS = 5  # worst points whose optima are tried
 NEARER = 0.99  # of their distance, to which bounds must come within a quarter of the parts
 
 
@@ -220,7 +222,7 @@ def _opened(
 
 def box_extreme(
     model: Scenario | Parametric,
-    policy: object,
+    policy: PolicyLike,
     ranges: Mapping[str, object] | None = None,
     *,
     side: Side = "worst",
@@ -271,8 +273,7 @@ def box_optimum(
     model: Scenario | Parametric,
     ranges: Mapping[str, object] | None = None,
     *,
-    candidates: Mapping[str, object] | None = None,
-    rounds: int = 5,
+    candidates: Mapping[str, PolicyLike] | None = None,
     gap: float = GAP,
     parts: int = PARTS,
     progress: bool = False,
@@ -285,8 +286,6 @@ def box_optimum(
         See `box_extreme`.
     candidates : {name: PolicyLike}, optional
         Policies to try beside today's optimum and the optima at worst points.
-    rounds : int
-        Worst points to follow.
 
     Returns
     -------
@@ -306,7 +305,10 @@ def box_optimum(
     """
     family, spans = _opened(model, ranges)
     mdp = family.at({})
-    waiting: list[tuple[str, object]] = [("optimal today", "optimal"), *(candidates or {}).items()]
+    waiting: list[tuple[str, PolicyLike]] = [
+        ("optimal today", "optimal"),
+        *(candidates or {}).items(),
+    ]
     worst: dict[str, BoxExtreme] = {}
     weights: dict[str, Floats] = {}
     ceiling, seen = np.inf, set()
@@ -325,7 +327,7 @@ def box_optimum(
         best = solve(there)
         if best.start.interval[1] < ceiling:
             ceiling, lowest = best.start.interval[1], there
-        if len(seen) <= rounds:
+        if len(seen) <= ROUNDS:
             waiting.append((f"optimal at worst point {len(seen)}", best.policy))
     first = max(worst, key=lambda name: worst[name].low)
     assert lowest is not None
@@ -335,17 +337,11 @@ def box_optimum(
         policy=weights[first],
         worst=worst[first],
         candidates=worst,
-        saddle=worst[first].proven and _exact_optimum(lowest) == worst[first].reached,
+        saddle=worst[first].proven and certify(lowest).start_value == worst[first].reached,
     )
 
 
-def _exact_optimum(mdp: MDP) -> Fraction:
-    """Return the exact optimal value at the start."""
-    value = certify(mdp).value
-    return sum((weight * Fraction(value[state]) for state, weight in mdp.start), Fraction(0))
-
-
-def exact_value(mdp: MDP, policy: object) -> Fraction:
+def exact_value(mdp: MDP, policy: PolicyLike) -> Fraction:
     """Return a policy's exact value at the start."""
     chain = ExactChain(mdp, policy)
     value = chain.values(chain.reward)

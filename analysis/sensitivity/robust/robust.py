@@ -27,6 +27,7 @@ from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers import evaluate
@@ -71,11 +72,6 @@ class Robust(Result):
     optimistic: RobustSolution
     robust_value: Bounded
     robust_best: Bounded
-
-    @property
-    def error(self) -> float:
-        """The error bound of `value`."""
-        return self.value.error
 
     @property
     def price(self) -> Bounded:
@@ -199,7 +195,7 @@ def robust(
     model: MDP,
     ambiguity: Ambiguity | None = None,
     *,
-    policy: object = "optimal",
+    policy: PolicyLike = "optimal",
     objective: Objective = "max",
 ) -> Robust:
     """Return what nature can do to a policy, and to the best policy against it.
@@ -232,7 +228,7 @@ def robust(
     sets = Intervals.relative(model, "1/5") if ambiguity is None else ambiguity
     if isinstance(policy, str) and policy == "optimal" and objective == "min":
         # The least of all policies: nature has nothing to choose where every radius is 0.
-        policy = solve_robust(model, L1Ball(radius=0.0), objective="min").policy
+        policy = _weights(solve_robust(model, L1Ball(radius=0.0), objective="min"))
     chain = PolicyChain.of(model, policy)
 
     def held(weights: Floats, nature: Nature) -> Bounded:
@@ -243,18 +239,18 @@ def robust(
     return Robust(
         mdp=model,
         policy=chain.weights,
-        value=evaluate(model, chain).numbers["mean"],
+        value=evaluate(model, chain).start,
         worst=held(chain.weights, "worst"),
         best=held(chain.weights, "best"),
         robust=best,
         optimistic=solve_robust(model, sets, nature="best", objective=objective),
-        robust_value=evaluate(model, own).numbers["mean"],
+        robust_value=evaluate(model, own).start,
         robust_best=held(own, "best"),
     )
 
 
 def robust_curve(
-    model: MDP, kind: str, radii: Iterable[object], *, policy: object = "optimal"
+    model: MDP, kind: str, radii: Iterable[object], *, policy: PolicyLike = "optimal"
 ) -> RobustCurve:
     """Return `robust` at each radius of one kind of set.
 
