@@ -16,7 +16,7 @@ from strategies import models
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.solvers import PolicyIteration, evaluate, solve
 from exact_mdp.solvers.learning.q_learning import METHODS, TIES, QLearning, Trainer, distinct
-from exact_mdp.solvers.learning.sampler import as_policy, child, rows_of, scores, stream, tables
+from exact_mdp.solvers.learning.sampler import as_policy, child, rows_of, stream, tables
 from exact_mdp.solvers.learning.schedules import (
     PAPER_CONSTANT,
     PAPER_DECAYING,
@@ -161,11 +161,6 @@ def test_rows_that_hide_which_actions_there_are_are_refused() -> None:
         [False, True, True],
         [True, False, False],
     ]
-
-
-def test_scores_make_each_policy_greedy(care: MDP) -> None:
-    policies = np.random.default_rng(0).integers(0, 4, (5, 16))
-    assert (scores(policies, 4).reshape(5, 16, 4).argmax(axis=2) == policies).all()
 
 
 def test_distinct_rows_come_back() -> None:

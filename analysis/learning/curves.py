@@ -21,7 +21,7 @@ from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.learning.q_learning import TrainingRun
-from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, scores, stream, tables
+from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
 from exact_mdp.solvers.values.policy_values import policy_values
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 kernels, pandas = later("exact_mdp.solvers.kernels"), later("pandas")
 
 EXPERIMENTS = 40
+MAX_STEPS = 10_000  # an experiment is cut short after so many timesteps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -77,7 +78,6 @@ def learning_curve(
     *,
     rng: Seed,
     n: int = EXPERIMENTS,
-    max_steps: int = 10_000,
 ) -> LearningCurve:
     """Return the curve of one run: each epoch's greedy policy, tried and evaluated exactly.
 
@@ -88,8 +88,6 @@ def learning_curve(
     rng : int, numpy.random.Generator or SeedSequence
     n : int
         Experiments with each policy.
-    max_steps : int
-        Experiments are cut short after so many timesteps.
 
     Returns
     -------
@@ -111,8 +109,8 @@ def learning_curve(
     """
     values = policy_values(model, common_rows(model, [run]), run.policies)
     exact = values.value[run.snapshots], values.error[run.snapshots]
-    table = scores(run.policies, model.n_actions)
-    return _curve(model, run.space.names, table, run.snapshots, exact, 0.0, (n, max_steps), rng)
+    table = np.eye(model.n_actions)[run.policies].reshape(len(run.policies), -1)
+    return _curve(model, run.space.names, table, run.snapshots, exact, 0.0, n, rng)
 
 
 def random_curve(
@@ -121,14 +119,13 @@ def random_curve(
     *,
     rng: Seed,
     n: int = EXPERIMENTS,
-    max_steps: int = 10_000,
 ) -> LearningCurve:
     """Return the same curve for actions drawn uniformly, the authors' baseline."""
     found = evaluate(model, "random")
     exact = np.full(epochs, found.mean), np.full(epochs, found.start.error)
     table = np.zeros((1, rows_of(model).offered.size))
     which = np.zeros(epochs, dtype=np.int64)
-    return _curve(model, None, table, which, exact, 1.0, (n, max_steps), rng)
+    return _curve(model, None, table, which, exact, 1.0, n, rng)
 
 
 def exact_curves(model: MDP, runs: Sequence[TrainingRun]) -> Floats:
@@ -145,11 +142,10 @@ def _curve(
     which: Numbers,
     exact: tuple[Floats, Floats],
     chance: float,
-    sizes: tuple[int, int],
+    n: int,
     rng: Seed,
 ) -> LearningCurve:
     """Return a curve with the policies `which` of `table`, acting at random by `chance`."""
-    n, max_steps = sizes
     if n < 2:
         raise ModelError(f"n is {n} experiments", where="learning curve", fix="make two or more")
     returns = np.zeros((len(which), n))
@@ -160,7 +156,7 @@ def _curve(
         np.ascontiguousarray(which, dtype=np.int64),
         chance,
         model.discount,
-        max_steps,
+        MAX_STEPS,
         returns,
     )
     return LearningCurve(

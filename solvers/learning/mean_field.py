@@ -37,7 +37,6 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
 pandas, linalg = later("pandas"), later("scipy.linalg")
 
 MOST_ENTRIES = 3000
+ROUNDS = 200  # greedy steps towards a fixed point
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -277,7 +277,6 @@ def settle(
     policy: Sequence[int] | Numbers,
     *,
     held: Sequence[int] = (),
-    rounds: int = 200,
     **options: Any,
 ) -> MeanField:
     """Return the fixed point that greedy steps from `policy` lead to.
@@ -285,10 +284,9 @@ def settle(
     The options are those of `mean_field`. Where the steps run in a circle the result is not
     `consistent`: no fixed point was found. The rows `held` keep their actions, however poor.
     """
-    check_counts("mean field", rounds=rounds)
     current = np.array(policy, dtype=np.int64)
     kept = list(held)
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         found = mean_field(model, current, **options)
         following = found.greedy.copy()
         following[kept] = current[kept]

@@ -21,7 +21,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.kernels import Tables
@@ -158,8 +158,3 @@ def child(rng: Seed, number: int) -> SeedSequence:
     """
     parent = as_sequence(rng)
     return SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number))
-
-
-def scores(policies: Numbers, n_actions: int) -> Floats:
-    """Return (U, K·A) flat tables in which each policy (K,) of (U, K) is greedy."""
-    return np.eye(n_actions)[policies].reshape(len(policies), -1)

@@ -116,7 +116,7 @@ class Search:
         self.process = process
         size, places = process.statuses, len(process.moves)
         self.slack = 2 * rounding(process)
-        fast = fast_informed(process)[..., 0]
+        fast = fast_informed(process)
         self.available = [np.flatnonzero(row) for row in process.offered]
         self.up = [_Upper(fast[x][self.available[x]]) for x in range(places)]
         self.low = [_Growing(size) for _ in range(places)]

@@ -15,15 +15,12 @@ The fast informed bound has one vector for each place x and action a, linear in 
 It lets whoever acts know the status of the step before. It is at least the value of every
 controller that sees perceptions alone, with whatever memory, mixed or not (Hauskrecht,
 Value-function approximations for partially observable Markov decision processes, Journal of
-Artificial Intelligence Research 13, 2000, section 4.3). Where only some actions are allowed at each
-place and perceived status, it bounds all policies that keep to them, and with one action allowed it
-is that policy's value.
+Artificial Intelligence Research 13, 2000, section 4.3).
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.table import Floats
@@ -88,25 +85,17 @@ def rounding(process: Process) -> float:
     return float(gamma(process.depth * process.terms)) * largest(process) * SLACK
 
 
-def fast_informed(process: Process, allowed: NDArray[np.bool_] | None = None) -> Floats:
-    """Return (P, A, Z, N) vectors of the fast informed bound.
-
-    The actions `allowed` (P, Z, A, N) at each place and perceived status are all of those on offer
-    unless given, with N = 1.
-    """
+def fast_informed(process: Process) -> Floats:
+    """Return (P, A, Z) vectors of the fast informed bound."""
     places, actions = process.offered.shape
-    if allowed is None:
-        allowed = np.repeat(process.offered[:, None, :, None], process.statuses, axis=1)
-    count = allowed.shape[3]
-    vectors = np.zeros((places, actions, process.statuses, count))
+    vectors = np.zeros((places, actions, process.statuses))
     for place in reversed(process.order):
-        vectors[place] = process.reward[place].T[:, :, None]
+        vectors[place] = process.reward[place].T
         for move in process.moves[place]:
-            # (A, Z, Z', A', N) the value of a' after (a, s) where z' is perceived
+            # (A, Z, Z', A') the value of a' after (a, s) where z' is perceived
             weights = move.chance[:, :, None, :] * process.confusion[move.reach].T
-            ahead = vectors[move.place][:, move.reach].transpose(1, 0, 2)
-            q = weights.reshape(-1, len(move.reach)) @ ahead.reshape(len(move.reach), -1)
-            q = q.reshape(*weights.shape[:3], actions, count)
-            q = np.where(allowed[move.place], q, -np.inf)
+            ahead = np.ascontiguousarray(vectors[move.place][:, move.reach].T)
+            q = (weights.reshape(-1, len(ahead)) @ ahead).reshape(*weights.shape[:3], actions)
+            q = np.where(process.offered[move.place], q, -np.inf)
             vectors[place] += process.discount * q.max(axis=3).sum(axis=2)
     return vectors

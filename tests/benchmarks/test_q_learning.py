@@ -108,6 +108,6 @@ def test_steps_a_second(care: MDP, benchmark, capsys: pytest.CaptureFixture[str]
 def test_seeds_a_second(care: MDP, benchmark, jobs: int) -> None:
     QLearning(epochs=1).train(care, child(0, 0))
     runs = benchmark.pedantic(
-        train_many, args=(care, QLearning(), 64), kwargs={"seed": 0, "n_jobs": jobs}, rounds=2
+        train_many, args=(care, QLearning(), 64), kwargs={"rng": 0, "n_jobs": jobs}, rounds=2
     )
     benchmark.extra_info["seeds/s"] = len(runs) / benchmark.stats.stats.min
