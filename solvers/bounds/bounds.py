@@ -61,18 +61,11 @@ _WEIGHTS: WeakKeyDictionary[MDP, Weights] = WeakKeyDictionary()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bounds:
-    """value + low · weight ≤ V^π ≤ V* ≤ value + high · weight, for the policy π of `pairs`.
+    """value + low · weight ≤ V^π ≤ V* ≤ value + high · weight, for the policy π of `pairs`."""
 
-    Attributes
-    ----------
-    value, weight : (S,)
-    pairs : (S,) int64
-    low, high : float
-    """
-
-    value: Floats
-    weight: Floats
-    pairs: Integers
+    value: Floats  # (S,)
+    weight: Floats  # (S,)
+    pairs: Integers  # (S,)
     low: float
     high: float
 

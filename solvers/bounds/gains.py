@@ -74,21 +74,11 @@ class Gain:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Weights:
-    """Weights with their verified margins.
+    """Weights with their verified margins."""
 
-    Attributes
-    ----------
-    value : (S,)
-        The weights w.
-    margin : (L,)
-        The margins m, rounded; 1 for pairs of terminal states.
-    error : float
-        The greatest error of any of them.
-    """
-
-    value: Floats
-    margin: Floats
-    error: float
+    value: Floats  # (S,) The weights w
+    margin: Floats  # (L,) The margins m, rounded; 1 for pairs of terminal states
+    error: float  # The greatest error of any of them
 
     @property
     def least(self) -> Floats:

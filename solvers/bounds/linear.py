@@ -57,17 +57,10 @@ DIRECTIONS, GMRES_STEPS = 20, 400
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FixedPoint:
-    """A solution and how far it may be from the exact one.
+    """A solution and how far it may be from the exact one."""
 
-    Attributes
-    ----------
-    value : (S,)
-    error : (S,)
-        |value - exact| is at most this, state by state.
-    """
-
-    value: Floats
-    error: Floats
+    value: Floats  # (S,)
+    error: Floats  # (S,) |value - exact| is at most this, state by state
 
 
 @dataclass(frozen=True, eq=False)

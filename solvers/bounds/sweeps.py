@@ -62,22 +62,12 @@ bellman = later("exact_mdp.solvers.kernels.bellman")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """What one pass over all pairs found around V = h + c w.
+    """What one pass over all pairs found around V = h + c w."""
 
-    Attributes
-    ----------
-    step : (S,)
-        T V - V.
-    low, high : float
-        About h + low · w ≤ V^π ≤ V* ≤ h + high · w, for a greedy policy π.
-    floor : float
-        About how far rounding alone may keep low and high apart.
-    """
-
-    step: Floats
-    low: float
+    step: Floats  # (S,) T V - V
+    low: float  # About h + low · w ≤ V^π ≤ V* ≤ h + high · w, for a greedy policy π
     high: float
-    floor: float
+    floor: float  # About how far rounding alone may keep low and high apart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

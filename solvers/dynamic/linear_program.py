@@ -60,7 +60,6 @@ from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 
 cvxpy = later("cvxpy")
 csgraph = later("scipy.sparse.csgraph")
-iterative = later("scipy.sparse.linalg")
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
 IMPROVEMENTS = 1000
@@ -69,9 +68,6 @@ GENERATION = "constraint generation"
 MOST_OPERATIONS = 5e10  # for one factor; an optimiser makes about twenty, at 10^9 a second
 MOST_ENTRIES = 4e8  # 3.2 GB
 FREE_STATES = 2000  # so few are not worth an estimate
-KRYLOV_STEPS = 200
-SPREAD = 10
-PATIENCE = 3
 FARTHEST = 100
 
 
@@ -211,34 +207,12 @@ def visits(mdp: MDP, pairs: Integers) -> tuple[Floats, Floats]:
     chain, _ = policy_chain(mdp, pairs)
     flow, rate, alpha = sp.csr_array(chain.T), mdp.discount, mdp.start_distribution
     level = levels(mdp)
-    if level is not None or rate == 1 or mdp.n_states <= FREE_STATES:
-        order = None if level is None else -level
-        value = LinearSystem(flow, rate, order=order).approximate(alpha)
-    else:
-        value = _swept(flow, rate, alpha)
+    value = LinearSystem(flow, rate, order=None if level is None else -level).approximate(alpha)
     live, terms = ~mdp.terminal, np.diff(flow.indptr) + 6
     residual = np.abs(alpha - value + rate * (flow @ value))
     residual += gamma(terms) * (alpha + rate * (flow @ np.abs(value))) + 4 * UNIT * np.abs(value)
     tiny = TINY * (terms + 1) * (1 + float(np.abs(value).max()))
     return value * live, (residual * SLACK + tiny) * live
-
-
-def _swept(flow: sp.csr_array, rate: float, alpha: Floats) -> Floats:
-    """Return y = α + γ Pᵀ y at γ < 1, up to rounding, without filling any matrix."""
-    matrix = sp.eye_array(len(alpha), format="csr") - rate * flow
-    first = alpha
-    for _ in range(SPREAD):  # a start in one state leaves Krylov's method no direction to go
-        first = alpha + rate * (flow @ first)
-    value, _ = iterative.bicgstab(matrix, alpha, x0=first, rtol=1e-13, maxiter=KRYLOV_STEPS)
-    better = np.abs(alpha - matrix @ value).sum() < np.abs(alpha - matrix @ first).sum()
-    value = value if better else first
-    # What is left falls by γ in each sweep, if by nothing else: |Pᵀ x| ≤ |x|, added up.
-    least, quiet, enough = np.inf, 0, 1e-13 * float(alpha.sum())
-    while least > enough and quiet < PATIENCE:
-        after = alpha + rate * (flow @ value)
-        left, value = float(np.abs(after - value).sum()), after
-        least, quiet = (left, 0) if left < 0.999 * least else (least, quiet + 1)
-    return np.asarray(value)
 
 
 def _sides(mdp: MDP, found: Bounds, met: Floats, residual: Floats) -> tuple[float, float]:

@@ -173,26 +173,13 @@ class Run:
 
 @dataclass(eq=False)
 class Iterate:
-    """Values V = h + c w that are being improved.
-
-    Attributes
-    ----------
-    sweeps : Sweeps
-    value : (S,)
-        h.
-    shift : float
-        c, which is 0 but where a shift of all values is only a shift.
-    slow : bool
-        Whether sweeps were found to be too slow for this model.
-    relaxed : bool
-        Whether states were ever improved one by one, by `relax`.
-    """
+    """Values V = h + c w that are being improved."""
 
     sweeps: Sweeps
-    value: Floats
-    shift: float = 0.0
-    slow: bool = False
-    relaxed: bool = False
+    value: Floats  # (S,) h
+    shift: float = 0.0  # c, which is 0 but where a shift of all values is only a shift
+    slow: bool = False  # Whether sweeps were found to be too slow for this model
+    relaxed: bool = False  # Whether states were ever improved one by one, by `relax`
 
     def improve(self) -> Pass:
         """Return a pass over all pairs, whose policy is the one to `evaluate`."""

@@ -41,18 +41,12 @@ FEW, MANY = 40, 4_000  # equations that p-adic lifting solves faster, or that ar
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """A = diag(pivot) - W, of K rows; the M entries of W are listed row by row.
-
-    Attributes
-    ----------
-    pivot : list of int, of length K
-    row, column, weight : (M,)
-    """
+    """A = diag(pivot) - W, of K rows; the M entries of W are listed row by row."""
 
     pivot: Sequence[int]
-    row: Integers
-    column: Integers
-    weight: Numbers
+    row: Integers  # (M,)
+    column: Integers  # (M,)
+    weight: Numbers  # (M,)
 
     def solve(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
         """Return x as integers over one positive denominator; ZeroDivisionError: A is singular."""
@@ -104,21 +98,12 @@ class Equations:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Inverse:
-    """A's factors in floats, each row divided by its pivot.
-
-    Attributes
-    ----------
-    factors : scipy.sparse.linalg.SuperLU
-    bits : int
-        Length of det A in bits, or a little more.
-    stretch : float
-        Greatest row sum of the inverse.
-    """
+    """A's factors in floats, each row divided by its pivot."""
 
     equations: Equations
     factors: Any
-    bits: int
-    stretch: float
+    bits: int  # Length of det A in bits, or a little more
+    stretch: float  # Greatest row sum of the inverse
 
     @classmethod
     def of(cls, equations: Equations) -> _Inverse | None:
