@@ -3,11 +3,12 @@
 States are taken in the order in which they depend on each other, one stage after the other. Those
 that depend on each other are the strongly connected components of the graph, waiting in place
 aside; a component's level is the greatest number of steps to one without successors. All single
-states of a level make one stage, every larger component, a cycle, makes one of its own. The values
-of a stage are integers over one denominator, a multiple of the denominators that it builds on, so
-that no fraction is ever reduced; backward induction is then one product of integer matrices for
-each stage. Where common denominators would be far larger than those of single states, a stage is
-split.
+states of a level make one stage, every larger component, a cycle, makes one of its own. Where all
+transitions lead to higher numbers, runs of consecutive states that do not lead to each other are
+found faster than levels, and do as well. The values of a stage are integers over one denominator,
+a multiple of the denominators that it builds on, so that no fraction is ever reduced; backward
+induction is then one product of integer matrices for each stage. Where common denominators would be
+far larger than those of single states, a stage is split.
 
 The caller makes sure that the equations have one solution; `solvers.proof.certify` proves it.
 """
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers
+from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.layers import layers
 from exact_mdp.solvers.proof.cycle import LARGEST, Cycle, Product, RightSides, endless
 
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
     from flint import fmpz
 
 flint = later("flint")
+
+
+RUN = 4  # states in a run, on average, for runs to be used
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +49,18 @@ class Stage:
 
 def stages(rows: BellmanRows) -> Iterator[Stage]:
     """Return the stages of a model in the order of solution, terminal states left out."""
-    source = np.repeat(np.arange(len(rows.scale)), np.diff(rows.offsets[rows.pair_offsets]))
-    level, label = layers(source, rows.next, len(rows.scale))
+    states = len(rows.scale)
+    source = np.repeat(np.arange(states), np.diff(rows.offsets[rows.pair_offsets]))
+    moving = rows.next != source
+    if (rows.next[moving] > source[moving]).all():
+        runs = _runs(states, source[moving], rows.next[moving])
+        if RUN * len(runs) < states:
+            for first, last in runs:
+                run = np.arange(first, last)[~rows.terminal[first:last]]
+                if len(run):
+                    yield Stage(states=run, cyclic=False)
+            return
+    level, label = layers(source, rows.next, states)
     cyclic = np.bincount(label)[label] > 1
     group = np.where(cyclic, label + 1, 0)
     order = np.lexsort((group, level))
@@ -56,6 +70,20 @@ def stages(rows: BellmanRows) -> Iterator[Stage]:
     fresh = (np.diff(level[order]) != 0) | (np.diff(group[order]) != 0)
     for part in np.split(order, np.flatnonzero(fresh) + 1):
         yield Stage(states=part, cyclic=bool(cyclic[part[0]]))
+
+
+def _runs(states: int, source: Numbers, target: Numbers) -> list[tuple[int, int]]:
+    """Return runs of states, last ones first, that lead out of their run, to higher numbers."""
+    least = np.full(states, states)
+    first = np.flatnonzero(np.diff(source, prepend=-1))
+    if len(first):
+        least[source[first]] = np.minimum.reduceat(target, first)
+    runs, end = [], states
+    for state, lowest in zip(range(states - 1, -1, -1), reversed(least.tolist()), strict=True):
+        if lowest < end:
+            runs.append((state + 1, end))
+            end = state + 1
+    return [*runs, (0, end)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
