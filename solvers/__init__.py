@@ -8,7 +8,7 @@
 >>> solve(mdp).method
 'modified-policy-iteration'
 
-A solver is whatever `solve` accepts: a name, or an object with a `name` and `solve(mdp)`; the
+A solver is whatever `solve` accepts: a name, or an object with a `name` and `solve(model)`; the
 package `dynamic` says how to add one. A model is whatever `solve` accepts, too: an MDP, a Scenario,
 an operator, or an object that brings its own algorithms as `solve_with(solver, tol)`, as robust
 models and belief problems do.

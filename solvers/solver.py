@@ -1,6 +1,6 @@
 """One verb for every model and every solver: `solve`, and the list of solvers.
 
-A solver is whatever `solve` accepts: an object with a `name` and a method `solve(mdp)`, see
+A solver is whatever `solve` accepts: an object with a `name` and a method `solve(model)`, see
 `solvers.dynamic`. A model is one, too: an MDP, what compiles to one (a Scenario), an operator, or
 an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models and belief
 problems do; its answer is the answer.

@@ -55,21 +55,11 @@ COMPILED = 20_000  # transitions from which on loading compiled loops pays
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gain:
-    """What each pair adds to V: d(l) = r(l) + γ P_l V - V(s).
+    """What each pair adds to V: d(l) = r(l) + γ P_l V - V(s)."""
 
-    Attributes
-    ----------
-    value : (L,)
-        d as computed.
-    error : (L,)
-        How far it may be from the exact one.
-    noise : (L,)
-        What rounding V and q to double precision amounts to; gains closer than this are ties.
-    """
-
-    value: Floats
-    error: Floats
-    noise: Floats
+    value: Floats  # (L,) d as computed
+    error: Floats  # (L,) how far it may be from the exact one
+    noise: Floats  # (L,) what rounding V and q amounts to; gains closer than this are ties
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,22 +140,14 @@ def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
 class RoundingFacts:
     """What is known of a model's rounding errors before any values are.
 
-    Attributes
-    ----------
-    merged : (L,) int32 or (0,)
-        Roundings in a row where floats of the same next state were added up before; else empty.
-    reward_error : (L,) or (0,)
-        How far each reward may be from the exact one; empty where each was rounded once.
-    leak : (L,)
-        1 - γ Σ p.
-    leak_error : float
-        The greatest error of `leak`.
+    `merged` counts the roundings in a row where floats of the same next state were added up before;
+    else it is empty. So is `reward_error` where each reward was rounded once.
     """
 
-    merged: NDArray[np.int32]
-    reward_error: Floats
-    leak: Floats
-    leak_error: float
+    merged: NDArray[np.int32]  # (L,) int32 or (0,)
+    reward_error: Floats  # (L,) or (0,) how far each reward may be from the exact one
+    leak: Floats  # (L,) 1 - γ Σ p
+    leak_error: float  # the greatest error of `leak`
 
     def terms(self, mdp: MDP, first: int, last: int) -> Integers:
         """Return the number of roundings in a row of pairs first … last-1."""

@@ -72,15 +72,9 @@ class Pass:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged(Pass):
-    """A pass whose bounds are proven: every rounding error is counted.
+    """A pass whose bounds are proven: every rounding error is counted."""
 
-    Attributes
-    ----------
-    pairs : (S,) int64
-        The policy π: the first pair of each state that no other beats by more than rounding.
-    """
-
-    pairs: Integers
+    pairs: Integers  # (S,) the first pair of each state that no other beats by more than rounding
 
 
 Found = TypeVar("Found", bound=Pass)
@@ -90,13 +84,8 @@ Found = TypeVar("Found", bound=Pass)
 class Sweeps:
     """The passes over one model with its verified weights.
 
-    Attributes
-    ----------
-    mdp : MDP
-    weights : Weights
-    strict : bool
-        Whether pairs count as tied only where the rounding errors of d let them be; otherwise those
-        of V do too, so that actions that are as good show as such, once V is as good as it gets.
+    Where `strict`, pairs count as tied only where the rounding errors of d let them be; otherwise
+    those of V do too, so that actions that are as good show as such, once V is as good as it gets.
     """
 
     mdp: MDP
@@ -226,23 +215,14 @@ class Remembered:
     """What passes around changing values h have found; see `solvers.kernels.bellman.Known`.
 
     The rows of the policy are copied side by side, each where the longest of its state's has room,
-    as reading them where they are would fetch from memory what lies between them, too.
-
-    Attributes
-    ----------
-    flow, margin : tuple of float
-        Bounds of γ Σ_s' P(l, s') and of the margins over all pairs.
-    policy : Known
-        The policy, its rows and the ceilings, as compiled loops take them. At first q(l) = r(l) is
-        what the ceilings say, of h = 0.
-    before : (S,)
-        h of the last pass.
+    as reading them where they are would fetch from memory what lies between them, too. At first
+    q(l) = r(l) is what the ceilings say, of h = 0.
     """
 
-    flow: tuple[float, float]
-    margin: tuple[float, float]
-    policy: Any
-    before: Floats
+    flow: tuple[float, float]  # bounds of γ Σ_s' P(l, s') over all pairs
+    margin: tuple[float, float]  # bounds of the margins of all pairs
+    policy: Any  # a Known: the policy, its rows and the ceilings
+    before: Floats  # (S,) h of the last pass
 
     @classmethod
     def nothing(cls, mdp: MDP, weights: Weights, facts: RoundingFacts) -> Remembered:

@@ -3,13 +3,13 @@
 To add a solver, write a module here with a frozen dataclass of its settings and
 
     name          its name in `solver.SOLVERS`; add it there and to `solvers.__all__`
-    solve(mdp)    the algorithm; it returns a `Solution`
+    solve(model)  the algorithm; it returns a `Solution`
 
 The protocol is `stopping.Solver`; `gauss_seidel` is a short example. Where the algorithm improves
 values step by step, its settings are `tol` and `max_iterations`, checked by
 `stopping.check_settings`, and `stopping.Run` is the frame around it:
 
-    run = Run(mdp, self)
+    run = Run(model, self)
     for found in run:               # a pass over all pairs: T V - V, and bounds around V
         run.values.take(found)      # V ← T V; then, for example, run.values.relax(backward=False)
     return run.solution

@@ -71,25 +71,26 @@ class BackwardInduction:
     name: ClassVar[str] = "backward-induction"
 
     @np.errstate(over="ignore", invalid="ignore")
-    def solve(self, mdp: MDP | CareOperator) -> Solution:
+    def solve(self, model: MDP | CareOperator) -> Solution:
         """Return the optimum; raises ModelError where states come back to themselves."""
         started = perf_counter()
-        if isinstance(mdp, CareOperator):
-            return solve_operator(mdp)
-        in_order = numbered_in_order(mdp)
-        level = None if in_order else levels(mdp)
+        if isinstance(model, CareOperator):
+            return solve_operator(model)
+        in_order = numbered_in_order(model)
+        level = None if in_order else levels(model)
         if level is None and not in_order:
             raise ModelError(
                 "backward induction needs a model without cycles",
-                where=f"model {mdp.name}".strip(),
+                where=f"model {model.name}".strip(),
                 fix="use ModifiedPolicyIteration or PolicyIteration",
             )
-        done = one_pass(mdp, level)
+        done = one_pass(model, level)
         # Where expected rewards were themselves added up in floats, their error is counted there.
-        summed = mdp.table.joint and np.float64 in (mdp.table.weight.dtype, mdp.table.gain.dtype)
-        found = bounds(mdp, done.value) if summed else done.bounded(mdp)
+        table = model.table
+        summed = table.joint and np.float64 in (table.weight.dtype, table.gain.dtype)
+        found = bounds(model, done.value) if summed else done.bounded(model)
         depth = len(done.above) - 1
-        return conclude(mdp, self, found, status=Status.DIRECT, iterations=depth, started=started)
+        return conclude(model, self, found, status=Status.DIRECT, iterations=depth, started=started)
 
 
 class _Reached(NamedTuple):

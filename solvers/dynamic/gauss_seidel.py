@@ -47,9 +47,9 @@ class GaussSeidel:
         check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def solve(self, mdp: MDP) -> Solution:
+    def solve(self, model: MDP) -> Solution:
         """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
-        run = Run(mdp, self)
+        run = Run(model, self)
         for found in run:
             run.values.take(found)
             run.values.relax(backward=run.iteration % 2 == 0)

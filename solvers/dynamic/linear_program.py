@@ -107,32 +107,32 @@ class LinearProgram:
         return f"LinearProgram(solver={self.solver!r}{start})"
 
     @np.errstate(over="ignore", invalid="ignore")
-    def solve(self, mdp: MDP) -> Solution:
+    def solve(self, model: MDP) -> Solution:
         """Return the optimum up to rounding, with `gaps`, `occupancy` and `program`."""
         started, known = perf_counter(), self.start is not None
-        pairs, objective, steps = self._first(mdp)
-        used = np.zeros(mdp.n_pairs, dtype=bool)
-        found, improvements, stable = improved(mdp, pairs, IMPROVEMENTS, used=used)
+        pairs, objective, steps = self._first(model)
+        used = np.zeros(model.n_pairs, dtype=bool)
+        found, improvements, stable = improved(model, pairs, IMPROVEMENTS, used=used)
         if objective is not None:
-            self._check(objective, mdp, found.value)
+            self._check(objective, model, found.value)
         used[found.pairs] = True
-        met, residual = visits(mdp, found.pairs)
-        lower, upper = _sides(mdp, found, met, residual)
-        occupancy = np.zeros(mdp.n_pairs)
+        met, residual = visits(model, found.pairs)
+        lower, upper = _sides(model, found, met, residual)
+        occupancy = np.zeros(model.n_pairs)
         occupancy[found.pairs] = met
-        open_pairs = ~mdp.terminal[mdp.pair_state]
+        open_pairs = ~model.terminal[model.pair_state]
         return conclude(
-            mdp,
+            model,
             self,
             found,
             status=Status.DIRECT if stable else Status.ITERATION_LIMIT,
             iterations=steps + improvements,
             started=started,
-            gaps=0.0 - gains(mdp, found.value).value,
+            gaps=0.0 - gains(model, found.value).value,
             occupancy=occupancy,
             program=ProgramRun(
                 by=GENERATION if known else self.solver,
-                variables=int((~mdp.terminal).sum()),
+                variables=int((~model.terminal).sum()),
                 constraints=int(open_pairs.sum()),
                 used=int((used & open_pairs).sum() if known else open_pairs.sum()),
                 rounds=improvements if known else steps,

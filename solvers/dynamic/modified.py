@@ -52,9 +52,9 @@ class ModifiedPolicyIteration:
         check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def solve(self, mdp: MDP) -> Solution:
+    def solve(self, model: MDP) -> Solution:
         """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
-        run = Run(mdp, self, polish=self.tol is None)
+        run = Run(model, self, polish=self.tol is None)
         for found in run:
             run.values.take(found)
             if run.iteration > 1:

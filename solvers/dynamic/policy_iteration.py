@@ -51,14 +51,14 @@ class PolicyIteration:
         check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def solve(self, mdp: MDP) -> Solution:
+    def solve(self, model: MDP) -> Solution:
         """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
         started = perf_counter()
-        margin_weights(mdp)
-        pairs = greedy(mdp, gains(mdp, np.zeros(mdp.n_states)))
-        found, iterations, stable = improved(mdp, pairs, self.max_iterations)
+        margin_weights(model)
+        pairs = greedy(model, gains(model, np.zeros(model.n_states)))
+        found, iterations, stable = improved(model, pairs, self.max_iterations)
         status = Status.DIRECT if stable else Status.ITERATION_LIMIT
-        return conclude(mdp, self, found, status=status, iterations=iterations, started=started)
+        return conclude(model, self, found, status=status, iterations=iterations, started=started)
 
 
 def improved(

@@ -46,7 +46,7 @@ class Solver(Protocol):
     def name(self) -> str:
         """Name of the algorithm, as in `SOLVERS`."""
 
-    def solve(self, mdp: MDP) -> Solution:
+    def solve(self, model: MDP) -> Solution:
         """Return values, a policy and their error bounds."""
 
 

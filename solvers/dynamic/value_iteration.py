@@ -46,9 +46,9 @@ class ValueIteration:
         check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def solve(self, mdp: MDP) -> Solution:
+    def solve(self, model: MDP) -> Solution:
         """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
-        run = Run(mdp, self)
+        run = Run(model, self)
         for found in run:
             run.values.take(found)
         return run.solution

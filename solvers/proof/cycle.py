@@ -160,24 +160,14 @@ def _factor(rows: BellmanRows, pivot: Numbers) -> Numbers:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cycle:
-    """The equations of K states on a cycle, N pairs and M transitions inside.
+    """The equations of K states on a cycle, N pairs and M transitions inside, pair by pair."""
 
-    Attributes
-    ----------
-    offsets : (K+1,)
-        Pairs of each state.
-    pivot : (N,) list of int
-    fixed : (N,) list of integers
-    row, column, weight : (M,)
-        Pairs, next states and weights of the transitions inside, in the order of pairs.
-    """
-
-    offsets: Integers
-    pivot: Sequence[int]
-    fixed: Sequence[fmpz]
-    row: Integers
-    column: Integers
-    weight: Numbers
+    offsets: Integers  # (K+1,) pairs of each state
+    pivot: Sequence[int]  # of length N
+    fixed: Sequence[fmpz]  # of length N
+    row: Integers  # (M,) pairs
+    column: Integers  # (M,) next states
+    weight: Numbers  # (M,)
 
     @classmethod
     def of(cls, sides: RightSides, states: Integers, fixed: Sequence[fmpz]) -> Cycle:

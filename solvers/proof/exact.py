@@ -90,24 +90,16 @@ def _runs(states: int, source: Numbers, target: Numbers) -> list[tuple[int, int]
 class ExactValues:
     """Optimal values V(s) = numerator[s] / denominator[group[s]] and what attains them.
 
-    Attributes
-    ----------
-    numerator : list of int, of length S
-    group : (S,) int64
-    denominator : list of int
-        Each positive.
-    optimal : (L,) bool
-        The pairs that attain the maximum.
-    gap, gap_scale : list of int, or None in `gap` where every pair is optimal, of length S
-        V(s) less the next best Q is gap[s] / (gap_scale[s] · denominator[group[s]]).
+    V(s) less the next best Q is gap[s] / (gap_scale[s] · denominator[group[s]]); None in `gap`
+    where every pair is optimal.
     """
 
-    numerator: list[int]
-    group: Integers
-    denominator: list[int]
-    optimal: NDArray[np.bool_]
-    gap: list[int | None]
-    gap_scale: list[int]
+    numerator: list[int]  # of length S
+    group: Integers  # (S,)
+    denominator: list[int]  # each positive
+    optimal: NDArray[np.bool_]  # (L,) the pairs that attain the maximum
+    gap: list[int | None]  # of length S
+    gap_scale: list[int]  # of length S
 
 
 def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:

@@ -44,12 +44,12 @@ Mask = NDArray[np.bool_]
 SHOWN = 4
 
 
-def policy_of(mdp: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
+def policy_of(model: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
     """Return the policy of any form that the toolkit takes; for "optimal" the model is solved.
 
     Parameters
     ----------
-    mdp : MDP
+    model : MDP
     policy : PolicyLike
         "optimal", a Solution, a Certificate, or whatever `Policy.of` takes.
     kind : "auto", "q" or "policy"
@@ -66,13 +66,13 @@ def policy_of(mdp: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
 
     Examples
     --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> policy_of(mdp, "optimal").weights(mdp).tolist()
+    >>> model = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> policy_of(model, "optimal").weights(model).tolist()
     [0.0, 1.0, 1.0, 0.0]
     """
     if isinstance(policy, str) and policy == "optimal":
-        policy = solve(mdp)
-    return Policy.of(mdp, policy, kind=kind)
+        policy = solve(model)
+    return Policy.of(model, policy, kind=kind)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

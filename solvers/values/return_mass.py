@@ -55,26 +55,16 @@ class Carried:
 class Flow:
     """The outcomes that an episode can meet, among states numbered by block.
 
-    Attributes
-    ----------
-    chain : PolicyChain
-    used : (M,) ints
-        Which of the chain's outcomes.
-    source, target, gain : (M,)
-        Outcome by outcome; the number of states stands for the end as a target.
-    block : (n+1,)
-        Block of each state, in increasing order; the end is a block of its own, the last.
-    start : {state: probability}
-        All terminal states together are the end.
+    All terminal states together are the end, a block of its own, the last.
     """
 
     chain: PolicyChain
-    used: Integers
-    source: Integers
-    target: Integers
-    gain: Numbers
-    block: Integers
-    start: dict[int, Fraction]
+    used: Integers  # (M,) which of the chain's outcomes
+    source: Integers  # (M,) outcome by outcome
+    target: Integers  # (M,) the number of states stands for the end
+    gain: Numbers  # (M,)
+    block: Integers  # (n+1,) block of each state, in increasing order
+    start: dict[int, Fraction]  # {state: probability}
 
     @classmethod
     def of(cls, chain: PolicyChain, gain: Numbers) -> Flow:
