@@ -3,6 +3,13 @@
 The rooms are `exact_mdp.mdp` (what a problem is), `.solvers` (how it is solved), `.analysis` (what
 it means) and `.paper_repro`. The public names are here, each loaded when it is first asked for.
 
+Names from before stay, of which each is another name of something:
+
+    mdp, solvers, analysis       in a checkout, exact_mdp.mdp and so on (`_checkout.py`)
+    .start_value of a result     .start.value, the number without its claim
+    .mean of an evaluation       the same
+    .error_bound of a solution   .error, over all states
+
 >>> from exact_mdp import MDP, check, solve
 >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
 >>> solve(mdp).value.tolist(), check(mdp, [1, 0]).passed

@@ -72,9 +72,9 @@ class Family:
 
     Derivatives and thresholds rest on the degrees. They are certified where a run of `build` on
     polynomials proves the degree (see `.symbolic`), which it does where `build` adds, multiplies
-    and compares the fractions that it is given and hands them to one of MDP's constructors. Otherwise
-    the degree is checked at further points: a wrong one is refused, and a right one is called what
-    it is, checked.
+    and compares the fractions that it is given and hands them to one of MDP's constructors.
+    Otherwise the degree is checked at further points: a wrong one is refused, and a right one is
+    called what it is, checked.
 
     Attributes
     ----------
