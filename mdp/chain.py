@@ -57,6 +57,9 @@ class Termination:
 def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None = None) -> Mask:
     """Return (S,) True for states that can be reached, the first ones included.
 
+    These are `states` (K,), by default those of the start; `pairs`, (K,) numbers or (L,) truth
+    values, are the only ones to go along, such as those of a policy.
+
     Examples
     --------
     >>> mdp = MDP.from_arrays([[[0, 1, 0], [0, 1, 0], [0, 0, 1]]], [1, 0, 1])

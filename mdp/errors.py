@@ -142,7 +142,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 
 def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
-    """Raise ModelError for a name, of what `what` says, that is unsafe, too long or no text.
+    r"""Raise ModelError for a name, of what `what` says, that is unsafe, too long or no text.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
     >>> check_names(["stay", "go" + chr(0x202E)], "action")
     Traceback (most recent call last):
     ...
-    exact_mdp.mdp.errors.ModelError: the name of an action holds the character U+202E: go\\u202e
+    exact_mdp.mdp.errors.ModelError: the name of an action holds the character U+202E: go\u202e
       where: names
       fix:   remove it; names are plain text on one line
     """

@@ -56,7 +56,9 @@ HEAVY = (
 
 
 def load(name: str) -> ModuleType:
-    """Return a module that may be missing.
+    """Return a module, of a package in `EXTRAS` or `HEAVY`, that may be missing.
+
+    Raises ModelError where its package is not installed; the error names the extra that brings it.
 
     Examples
     --------
@@ -87,7 +89,7 @@ class _Later(ModuleType):
 
 
 def later(name: str) -> Any:
-    """Return a module that is loaded when one of its attributes is first asked for.
+    """Return a module, in `EXTRAS` or `HEAVY`, that is loaded when an attribute is first asked for.
 
     Examples
     --------
@@ -104,6 +106,9 @@ def names_later(
     package: str, homes: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` of a package whose names load when first asked for.
+
+    `homes` says by module which names come from it. Type checkers read the same imports under
+    `TYPE_CHECKING`.
 
     Examples
     --------

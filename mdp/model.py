@@ -26,11 +26,11 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.horizon import unrolled
 from exact_mdp.mdp.io.gymnasium import outcomes_of
 from exact_mdp.mdp.parametric.symbolic import (
-    arrays_degrees,
-    changed_degrees,
+    arrays_degree,
+    changed_degree,
     followed,
-    outcomes_degrees,
-    pairs_degrees,
+    outcomes_degree,
+    pairs_degree,
 )
 from exact_mdp.mdp.table import Floats, Integers, OutcomeTable
 from exact_mdp.mdp.validate import Parts, as_discount, as_start, check_model, counted
@@ -211,7 +211,7 @@ class MDP(Parts):
 
     # ---- change ------------------------------------------------------------------------------
 
-    @followed(changed_degrees)
+    @followed(changed_degree)
     def with_(
         self, *, discount: object | None = None, start: object | None = None, **parts: Any
     ) -> Self:
@@ -285,7 +285,7 @@ class MDP(Parts):
     # ---- construction ------------------------------------------------------------------------
 
     @classmethod
-    @followed(arrays_degrees)
+    @followed(arrays_degree)
     def from_arrays(
         cls, P: object, R: object, discount: object = 1, *, start: object = 0, **names: Any
     ) -> MDP:
@@ -321,7 +321,7 @@ class MDP(Parts):
         return cls(**build.from_arrays(P, R, discount, start=start, **names))
 
     @classmethod
-    @followed(pairs_degrees)
+    @followed(pairs_degree)
     def from_pairs(
         cls,
         pair_state: ArrayLike,
@@ -363,7 +363,7 @@ class MDP(Parts):
         return cls(**parts)
 
     @classmethod
-    @followed(outcomes_degrees)
+    @followed(outcomes_degree)
     def from_outcomes(
         cls,
         rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],

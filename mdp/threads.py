@@ -30,6 +30,10 @@ def cores() -> int:
 def block_ends(work: Numbers, threads: int | None = None, most: int | None = None) -> list[int]:
     """Return 0, …, N: where to cut N items into blocks of about the same work.
 
+    `work` (N+1,) is that of all items before each, such as the transitions of all states before a
+    state; `threads` are as many as `cores` and as are worth it unless given; `most` is about the
+    most work of a block, so that what it reads stays in a cache.
+
     Examples
     --------
     >>> block_ends(np.arange(0, 3_000_001, 1_000), threads=1)

@@ -43,6 +43,9 @@ class Stream(Protocol):
 def read_array(path: str | Path, *, called: str) -> Numbers:
     """Return the array of a `.npy` file, or the one of that name (or the only one) of an `.npz`.
 
+    Nothing is rounded. Raises ModelError where the file is no regular file, is damaged, claims more
+    than it can hold, or holds something other than real numbers.
+
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
@@ -79,7 +82,10 @@ def read_arrays(
     check: Check,
     ratio: int = RATIO,
 ) -> dict[str, Numbers]:
-    """Return all arrays of an `.npz` file by name.
+    """Return all arrays of an `.npz` file by name, as `read_array` does.
+
+    `names` takes the names of all arrays, `check` the name, type and shape of each; they raise
+    ModelError for what should not be. A compressed archive may claim `ratio` times its own size.
 
     Examples
     --------

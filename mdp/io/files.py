@@ -50,7 +50,7 @@ INSTEAD = {
 
 @contextmanager
 def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
-    """Open a regular file of at most `most` bytes for reading.
+    """Open a regular file of at most `most` bytes for reading; raises ModelError for another.
 
     Examples
     --------
@@ -160,7 +160,9 @@ def _unreadable(path: str | Path, error: OSError) -> ModelError:
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
     """Write a whole file or none: to a temporary file beside it, then one rename.
-    Where the disk is full, or the system fails in another way.
+
+    Raises ModelError where the path cannot be written to, OSError where the disk is full or the
+    system fails in another way.
     """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content

@@ -12,24 +12,25 @@ import tomllib
 from collections.abc import Callable
 from typing import Any
 
-from exact_mdp.mdp.errors import ModelError, short
+from exact_mdp.mdp.errors import ModelError, located, short
 from exact_mdp.mdp.table import MOST_DIGITS, exact
 
 DEEPEST = 100  # tables and lists within each other; the deepest file that is read has five
 
 
 def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> dict[str, Any]:
-    """Return the content of a TOML text.
+    r"""Return the content of a TOML text; `where` is the file, `number` reads decimal numbers.
 
     Examples
     --------
-    >>> toml_of("[base]\\nanger = 0.05", "model.toml")
+    >>> toml_of("[base]\nanger = 0.05", "model.toml")
     {'base': {'anger': Fraction(1, 20)}}
     """
     try:
-        content = tomllib.loads(text, parse_float=number)
-    except ModelError as error:
-        raise ModelError(error.what, where=where, fix=error.fix) from error
+        with located(where, instead=True):
+            content = tomllib.loads(text, parse_float=number)
+    except ModelError:
+        raise
     except RecursionError as error:
         raise _too_deep(where) from error
     except ValueError as error:

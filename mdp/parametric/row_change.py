@@ -21,7 +21,7 @@ from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Parametric, parameter_of, room_of
-from exact_mdp.mdp.parametric.symbolic import Degrees, degrees_of
+from exact_mdp.mdp.parametric.symbolic import degree_of
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
@@ -97,49 +97,6 @@ class RowChange:
         return self.rate[0]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
-    """Models at θ0 and at `steps` from it, which fix polynomials of a degree, and more.
-
-    There are more than `degree` + 1 of them where the degree is to be checked: where neither a
-    scenario's rules state it (`by_rule`) nor a symbolic run proves it (`proof`).
-    """
-
-    name: str
-    degree: int
-    models: list[MDP]
-    steps: list[Fraction]
-    proof: Degrees | None
-    by_rule: bool
-
-    def fitted(self, entries: Callable[[MDP], Entries]) -> Change:
-        """Return the polynomials through entries; raises ModelError where these are none."""
-        found = changes(self.models, self.steps, entries)
-        extra = found.coefficients[self.degree :]
-        for power in extra:
-            self._refuse(self.models[0], entries, found.key[np.asarray(power != 0, dtype=bool)])
-        return Change(key=found.key, coefficients=found.coefficients[: self.degree])
-
-    @property
-    def checked(self) -> int | None:
-        """How many points were checked; None where a rule or a proof is enough."""
-        known = self.by_rule or (self.proof is not None and self.proof.rows <= self.degree)
-        return None if known else len(self.models)
-
-    def _refuse(self, mdp: MDP, entries: Callable[[MDP], Entries], keys: Integers) -> None:
-        if not len(keys):
-            return
-        by_state = entries is transition_entries
-        pair = int(keys[0]) // mdp.n_states if by_state else int(keys[0])
-        raise ModelError(
-            f"rows are no polynomials of degree {self.degree} in {self.name}",
-            where=f"parameter {self.name}, {mdp.where(pair)}",
-            fix=f'state the degree, Family(degrees={{"{self.name}": 2}}), and the values at which '
-            "rows pass to another polynomial, breaks=…; and let build compute with the fractions "
-            "that it is given: floats are rounded, and other functions are no polynomials",
-        )
-
-
 def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None, Piece | None]:
     """Return the pieces to the left and to the right of a value; None beyond the range.
 
@@ -179,16 +136,44 @@ def row_change(
     >>> found.transition.key.tolist(), [str(slope) for slope in found.transition.slope]
     ([0, 1], ['1', '-1'])
     """
+    degree = max(model.degree(name), 1)
     place = parameter_of(model, name).value if origin is None else origin
-    found = sampled(model, name, piece, model.degree(name), origin=place, base=base)
+    points, models, proven = _sampled(model, name, piece, degree, place)
+    models.insert(0, model.at({name: place}) if base is None else base)
+    for point, other in zip(points, models[1:], strict=True):
+        _check_alike(models[0], other, name, point)
+    steps = [point - place for point in points]
+    found = []
+    for entries in (transition_entries, reward_entries):
+        change = _changes(models, steps, entries)
+        for power in change.coefficients[degree:]:
+            wrong = change.key[np.asarray(power != 0, dtype=bool)]
+            if len(wrong):
+                pair = int(wrong[0]) // (models[0].n_states if entries is transition_entries else 1)
+                raise _no_polynomial("rows are no polynomials", name, degree, models[0].where(pair))
+        found.append(Change(key=change.key, coefficients=change.coefficients[:degree]))
+    rates = [np.array([mdp.discount_exact], dtype=object) for mdp in models]
+    rate = [power[0] for power in _newton(rates, [Fraction(0), *steps])]
+    if any(rate[degree:]):
+        raise _no_polynomial("the discount is no polynomial", name, degree)
     return RowChange(
         name=name,
         origin=place,
         piece=piece,
-        transition=found.fitted(transition_entries),
-        reward=found.fitted(reward_entries),
-        rate=_rate(found),
-        checked=found.checked,
+        transition=found[0],
+        reward=found[1],
+        rate=tuple(rate[:degree]),
+        checked=None if proven else len(models),
+    )
+
+
+def _no_polynomial(what: str, name: str, degree: int, where: str = "") -> ModelError:
+    return ModelError(
+        f"{what} of degree {degree} in {name}",
+        where=f"parameter {name}" + (f", {where}" if where else ""),
+        fix=f'state the degree, Family(degrees={{"{name}": 2}}), and the values at which rows pass '
+        "to another polynomial, breaks=…; and let build compute with the fractions that it is "
+        "given: floats are rounded, and other functions are no polynomials",
     )
 
 
@@ -196,44 +181,27 @@ EXTRA = 4  # points at which a degree is checked where there is no proof
 SHRINKS = 64  # how often points are moved closer to θ0 where there is no model
 
 
-def sampled(
-    model: Parametric,
-    name: str,
-    piece: Piece,
-    degree: int,
-    *,
-    origin: Fraction,
-    base: MDP | None = None,
-) -> Samples:
-    """Return as many models on a piece as fix polynomials of a degree, and check or prove it.
+def _sampled(
+    model: Parametric, name: str, piece: Piece, degree: int, origin: Fraction
+) -> tuple[list[Fraction], list[MDP], bool]:
+    """Return as many points and models as fix polynomials of a degree, and whether it is proven.
 
     Points lie inside the piece: at its ends another polynomial may begin. Where a family has no
     model at some of them, as where a probability would pass 1, they are moved closer to `origin`.
+    There are more of them where neither a scenario's rules state the degree nor a symbolic run
+    proves it.
     """
-    degree, by_rule = max(degree, 1), isinstance(model, ScenarioFamily)
-    first = model.at({name: origin}) if base is None else base
-    proof = None
-    if by_rule:
+    if isinstance(model, ScenarioFamily):
         points = piece.points(origin, degree)
-        models = [model.at({name: point}) for point in points]
-    else:
-        points, models = _found(model, name, piece, origin, degree + 1)
-        if isinstance(model, Family):
-            values = {parameter.name: parameter.value for parameter in model.parameters}
-            inside = (piece.low, piece.high)
-            proof = degrees_of(model.build, values, name, inside, points[0])
-        if proof is None:
-            points, models = _found(model, name, piece, origin, degree + EXTRA)
-        for point, other in zip(points, models, strict=True):
-            _check_alike(first, other, name, point)
-    return Samples(
-        name=name,
-        degree=degree,
-        models=[first, *models],
-        steps=[point - origin for point in points],
-        proof=proof,
-        by_rule=by_rule,
-    )
+        return points, [model.at({name: point}) for point in points], True
+    points, models = _found(model, name, piece, origin, degree + 1)
+    proof = None
+    if isinstance(model, Family):
+        values = {parameter.name: parameter.value for parameter in model.parameters}
+        proof = degree_of(model.build, values, name, (piece.low, piece.high), points[0])
+    if proof is None:
+        points, models = _found(model, name, piece, origin, degree + EXTRA)
+    return points, models, proof is not None and proof <= degree
 
 
 def _found(
@@ -273,20 +241,7 @@ def _pairs(mdp: MDP) -> tuple[bytes, bytes]:
     return mdp.pair_state.tobytes(), mdp.pair_action.tobytes()
 
 
-def _rate(found: Samples) -> tuple[Fraction, ...]:
-    """Return the coefficients of the discount's polynomial."""
-    rates = [np.array([mdp.discount_exact], dtype=object) for mdp in found.models]
-    powers = [power[0] for power in _newton(rates, [Fraction(0), *found.steps])]
-    if any(powers[found.degree :]):
-        raise ModelError(
-            f"the discount is no polynomial of degree {found.degree} in {found.name}",
-            where=f"parameter {found.name}",
-            fix=f'state the degree, Family(degrees={{"{found.name}": 2}}), or its breaks',
-        )
-    return tuple(powers[: found.degree])
-
-
-def changes(
+def _changes(
     samples: Sequence[MDP], steps: Sequence[Fraction], entries: Callable[[MDP], Entries]
 ) -> Change:
     """Return the polynomials through entries of models at 0 and at each of `steps`."""

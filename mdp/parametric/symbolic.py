@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import wraps
 from math import inf
@@ -45,50 +44,31 @@ class Unknown(Exception):
             run.broken = True  # even where the builder catches this
 
 
-@dataclass(frozen=True, kw_only=True)
-class Degrees:
-    """Degrees of what a builder makes, at most; infinite where it is no polynomial.
-
-    Attributes
-    ----------
-    transition, reward, discount : int or inf
-        Of P(s' | s, a), E[r] and γ.
-    """
-
-    transition: float
-    reward: float
-    discount: float
-
-    @property
-    def rows(self) -> float:
-        """Degree of transition rows, expected rewards and the discount together."""
-        return max(self.transition, self.reward, self.discount)
-
-
-def degrees_of(
+def degree_of(
     build: Callable[[Mapping[str, Fraction]], object],
     values: Mapping[str, Fraction],
     name: str,
     piece: Piece,
     point: Fraction,
-) -> Degrees | None:
-    """Return the degrees of what a builder makes of one parameter; None where there is no proof.
+) -> float | None:
+    """Return the degree of what a builder makes of one parameter; None where there is no proof.
 
-    The builder makes a model of all `values`, of which that of `name` is replaced by a polynomial.
-    Degrees hold on the piece; `point` is a value on it, at which the model is built for the run.
+    That is the greatest one of transition probabilities, expected rewards and the discount, and
+    infinite where one of them is no polynomial. The builder makes a model of all `values`, of which
+    that of `name` is replaced by a polynomial. The degree holds on the piece; `point` is a value on
+    it, at which the model is built for the run.
 
     Examples
     --------
     >>> from exact_mdp.mdp.model import MDP
-    >>> found = degrees_of(
+    >>> degree_of(
     ...     lambda at: MDP.from_arrays([[[at["p"] ** 2, 1 - at["p"] ** 2], [0, 1]]], [1, 0]),
     ...     {"p": Fraction(1, 2)},
     ...     "p",
     ...     (Fraction(0), Fraction(1)),
     ...     Fraction(1, 3),
     ... )
-    >>> found.transition, found.reward
-    (2, 0)
+    2
     """
     run = _Run(piece=piece, point=point)
     token = _RUN.set(run)
@@ -296,19 +276,19 @@ class _Run:
     def __init__(self, *, piece: Piece, point: Fraction) -> None:
         self.piece, self.point, self.broken = piece, point, False
         self.made: list[object] = []
-        self.found: list[Degrees] = []
+        self.found: list[float] = []
 
     def through(
         self,
         make: Callable[..., Made],
-        read: Callable[..., Degrees],
+        read: Callable[..., float],
         args: Sequence[Any],
         names: Mapping[str, Any],
     ) -> Made:
-        """Note the degrees of a constructor's arguments, and make the model at the run's point."""
+        """Note the degree of a constructor's arguments, and make the model at the run's point."""
         # Iterators become lists, so that they can be read twice.
         args, names = _each(args, lambda part: part), _each(names, lambda part: part)
-        degrees = read(*args, **names)
+        degree = read(*args, **names)
         token = _RUN.set(None)
         try:
             model = make(*_each(args, self._plain), **_each(names, self._plain))
@@ -317,7 +297,7 @@ class _Run:
         if any(model is known for known in self.made):
             raise Unknown
         self.made.append(model)
-        self.found.append(degrees)
+        self.found.append(degree)
         return model
 
     def _plain(self, value: Any) -> Any:
@@ -328,9 +308,9 @@ _RUN: ContextVar[_Run | None] = ContextVar("symbolic run", default=None)
 
 
 def followed(
-    read: Callable[..., Degrees],
+    read: Callable[..., float],
 ) -> Callable[[Callable[Arguments, Made]], Callable[Arguments, Made]]:
-    """Return a decorator for constructors, whose arguments' degrees `read` tells."""
+    """Return a decorator for constructors, whose arguments' degree `read` tells."""
 
     def decorate(make: Callable[Arguments, Made]) -> Callable[Arguments, Made]:
         @wraps(make)
@@ -343,14 +323,16 @@ def followed(
     return decorate
 
 
-def arrays_degrees(
+def arrays_degree(
     made: object, P: object, R: object, discount: object = 1, **names: object
-) -> Degrees:
-    """Return the degrees of what `MDP.from_arrays` takes."""
-    return _array_degrees(P, R, discount, names, of_outcomes=np.ndim(_objects(R)) == 3)
+) -> float:
+    """Return the degree of what `MDP.from_arrays` takes."""
+    _constant(names)
+    reward = _degree(R) + (_degree(P) if np.ndim(_objects(R)) == 3 else 0)
+    return max(_degree(P), reward, _degree(discount))
 
 
-def pairs_degrees(
+def pairs_degree(
     made: object,
     pair_state: object,
     pair_action: object,
@@ -358,46 +340,31 @@ def pairs_degrees(
     reward: object,
     discount: object = 1,
     **names: object,
-) -> Degrees:
-    """Return the degrees of what `MDP.from_pairs` takes."""
-    _constant(pair_state, pair_action)
-    each = np.ndim(_objects(reward)) == 2
-    return _array_degrees(transition, reward, discount, names, of_outcomes=each)
+) -> float:
+    """Return the degree of what `MDP.from_pairs` takes."""
+    _constant(pair_state, pair_action, names)
+    chance = _degree(transition)
+    earned = _degree(reward) + (chance if np.ndim(_objects(reward)) == 2 else 0)
+    return max(chance, earned, _degree(discount))
 
 
-def outcomes_degrees(made: object, rows: Any, discount: object = 1, **names: object) -> Degrees:
-    """Return the degrees of what `MDP.from_outcomes` takes."""
+def outcomes_degree(made: object, rows: Any, discount: object = 1, **names: object) -> float:
+    """Return the degree of what `MDP.from_outcomes` takes."""
     _constant(names)
-    found = [(0.0, 0.0)]
+    found = [_degree(discount)]
     for state, action, outcomes in rows:
         _constant(state, action, [following for _, following, _ in outcomes])
-        found += [(_degree(chance), _degree(gain)) for chance, _, gain in outcomes]
-    return Degrees(
-        transition=max(chance for chance, _ in found),
-        reward=max(chance + gain for chance, gain in found),
-        discount=_degree(discount),
-    )
+        found += [_degree(chance) + _degree(gain) for chance, _, gain in outcomes]
+    return max(found)
 
 
-def changed_degrees(mdp: object, *, discount: object = None, **parts: object) -> Degrees:
-    """Return the degrees of what `MDP.with_` changes of a model that the run has not made."""
+def changed_degree(mdp: object, *, discount: object = None, **parts: object) -> float:
+    """Return the degree of what `MDP.with_` changes of a model that the run has not made."""
     _constant(parts)
     run = _RUN.get()
     if run is not None and run.made:
         raise Unknown
-    return Degrees(transition=0, reward=0, discount=_degree(discount))
-
-
-def _array_degrees(
-    chances: object, gains: object, discount: object, names: object, *, of_outcomes: bool
-) -> Degrees:
-    _constant(names)
-    chance, gain = _degree(chances), _degree(gains)
-    return Degrees(
-        transition=chance,
-        reward=chance + gain if of_outcomes else gain,
-        discount=_degree(discount),
-    )
+    return _degree(discount)
 
 
 def _objects(values: object) -> Any:

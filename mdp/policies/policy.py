@@ -244,7 +244,15 @@ class Policy:
         return "q" if self.source == Q_TABLE else "policy"
 
     def weights(self, model: MDP) -> Floats:
-        """Return (L,) the probability of each pair given its state.
+        """Return the probability of each pair given its state.
+
+        Parameters
+        ----------
+        model : MDP
+
+        Returns
+        -------
+        (L,) float
 
         Raises
         ------
@@ -280,9 +288,16 @@ class Policy:
         return weights
 
     def weights_exact(self, model: MDP) -> Numbers | None:
-        """Return (L,) whole numbers in proportion to the exact probability of each pair.
+        """Return whole numbers in proportion to the exact probability of each pair.
 
-        None where the floats of `weights`, divided by their exact sum, are the exact probabilities.
+        Parameters
+        ----------
+        model : MDP
+
+        Returns
+        -------
+        (L,) integers, or None
+            None where the floats of `weights`, divided by their exact sum, are exact.
 
         Raises
         ------
@@ -402,7 +417,13 @@ class Policy:
 
     @classmethod
     def uniform(cls, model: MDP) -> Policy:
-        """Return the policy that draws one of each state's actions uniformly."""
+        """Return the policy that draws one of each state's actions uniformly.
+
+        Examples
+        --------
+        >>> Policy.uniform(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]))
+        Policy(mixed (2, 2), over state)
+        """
         table = np.zeros((model.n_states, model.n_actions))
         counts = np.diff(model.pair_offsets)[model.pair_state]
         table[model.pair_state, model.pair_action] = 1 / counts
@@ -411,7 +432,18 @@ class Policy:
 
     @classmethod
     def always(cls, model: MDP, action: str) -> Policy:
-        """Return the policy that takes one action wherever there is a choice."""
+        """Return the policy that takes one action wherever there is a choice.
+
+        Raises
+        ------
+        ModelError
+            For the name of no action.
+
+        Examples
+        --------
+        >>> Policy.always(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), "1").tolist()
+        [1]
+        """
         number = np.array([model.action(action)])
         return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
 
@@ -420,6 +452,16 @@ class Policy:
         """Return the policy of (S,) action numbers; a forced end may be left out.
 
         Where the model stops after N steps, (S,) without the time and (N, S) are taken as well.
+
+        Raises
+        ------
+        ModelError
+            For numbers of no action, or of another shape.
+
+        Examples
+        --------
+        >>> Policy.from_choices(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), [1, 0])[0]
+        np.int64(1)
         """
         return cls(**action_numbers(model, numbers_of(choices)))
 
@@ -433,6 +475,21 @@ class Policy:
         table : (S, A) over all states, or (2^n, A) over the status vectors
             Action values, compared as they are; only the actions that a state offers count. Extra
             states (the end) may be left out where they offer no choice. See `mdp.policies.arrays`.
+
+        Returns
+        -------
+        Policy
+
+        Raises
+        ------
+        ModelError
+            For another shape, and for rows from which no action can be chosen.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
+        >>> Policy.from_q(mdp, [[1.5, 2.5], [0, 0]]).tolist()
+        [1, 0]
         """
         return cls(**policy_of_array(model, numbers_of(table), "q"))
 
@@ -446,6 +503,21 @@ class Policy:
         columns : names of columns of the model's states
         table : (K,) action numbers or (K, A) probabilities, row-major over the columns
             Exact probabilities (Fractions) stay exact.
+
+        Returns
+        -------
+        Policy
+
+        Raises
+        ------
+        ModelError
+            For unknown columns, and for rows that are no distribution.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
+        >>> Policy.by(mdp, ["state"], [[0.5, 0.5], [1, 0]]).weights(mdp).tolist()
+        [0.5, 0.5, 1.0, 0.0]
         """
         space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
         array: Numbers = np.asarray(table)
@@ -460,11 +532,34 @@ class Policy:
 
     @classmethod
     def read(cls, path: str | Path, model: MDP, *, kind: str = "auto") -> Policy:
-        """Read a policy or Q-table from `.json`, `.csv`, `.npy` or `.npz`; see the README."""
+        """Read a policy or Q-table from `.json`, `.csv`, `.npy` or `.npz`; see the README.
+
+        Parameters
+        ----------
+        path : str or path
+        model : MDP
+        kind : "auto", "q" or "policy"
+            As for `of`.
+
+        Returns
+        -------
+        Policy
+
+        Raises
+        ------
+        ModelError
+            Where the file cannot be read, or does not fit the model.
+        """
         return cls.of(model, Path(path), kind=kind)
 
     def write(self, path: str | Path) -> None:
-        """Write the policy as `.csv` or (where it reads the status alone) `.json`, atomically."""
+        """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically.
+
+        Raises
+        ------
+        ModelError
+            For another ending, and where the path cannot be written to.
+        """
         taken = {key: self._taken(key) for key in range(self.space.regular)}
         rows = {key: row for key, row in taken.items() if row}
         files.write(path, self.space, rows, mixed=not self.deterministic)

@@ -21,7 +21,7 @@ from exact_mdp.analysis.sensitivity.derivatives import Checked
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family, moving, parametric, room_of
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
-from exact_mdp.mdp.parametric.symbolic import degrees_of
+from exact_mdp.mdp.parametric.symbolic import degree_of
 from exact_mdp.solvers import certify
 from exact_mdp.solvers.solution import Claim
 
@@ -130,7 +130,7 @@ def test_a_proof_needs_the_model_that_was_followed() -> None:
         first = MDP.from_outcomes([(0, 0, [(1, 1, at["p"])]), (1, 0, [(1, 1, 0)])])
         return MDP.from_outcomes([(0, 0, [(1, 1, F(first.reward[0]) ** 2)]), (1, 0, [(1, 1, 0)])])
 
-    assert degrees_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
+    assert degree_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
 
 
 def test_a_builder_that_catches_everything_proves_nothing() -> None:
@@ -141,7 +141,7 @@ def test_a_builder_that_catches_everything_proves_nothing() -> None:
             gain = F(1)
         return MDP.from_outcomes([(0, 0, [(1, 1, gain)]), (1, 0, [(1, 1, 0)])])
 
-    assert degrees_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
+    assert degree_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
 
 
 @pytest.mark.parametrize("what", ["start", "pairs", "discount"])
