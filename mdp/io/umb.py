@@ -104,10 +104,10 @@ def load(
     """Read a Markov chain or decision process from a UMB file.
 
     `discount` stands instead of the model's own. The format has none: where another program wrote
-    the file, it is 1 unless it is given, and a warning says so. `reward` names a reward model, whose
-    rewards of states, choices and branches add up; it may be left out where there is one alone, or
-    one called "reward". `start`, a state or {state: probability}, is needed where the file has
-    several initial states, or none, and no distribution over them.
+    the file, it is 1 unless it is given, and a warning says so. `reward` names a reward model,
+    whose rewards of states, choices and branches add up; it may be left out where there is one
+    alone, or one called "reward". `start`, a state or {state: probability}, is needed where the
+    file has several initial states, or none, and no distribution over them.
 
     Raises ModelError where the file cannot be read, is damaged, or holds a model of another kind:
     in continuous time, of several players, partially observable, with intervals for probabilities.
