@@ -101,7 +101,7 @@ def test_every_picture_is_drawn_by_a_function_that_is_there() -> None:
     while waiting:
         waiting += (kinds := waiting.pop().__subclasses__())
         seen += [kind for kind in kinds if hasattr(kind, "picture")]
-    assert len(seen) >= 10
+    assert len(seen) >= 15
     for kind in seen:
         module, _, function = kind.picture.partition(":")
         assert callable(getattr(importlib.import_module(module), function)), kind

@@ -17,7 +17,7 @@ from exact_mdp.analysis.learning.outcomes import common_rows
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.learning.q_learning import TrainingRun
@@ -34,7 +34,7 @@ MAX_STEPS = 10_000  # an experiment is cut short after so many timesteps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class LearningCurve(Result):
+class LearningCurve(Pictured):
     """Mean returns of the greedy policies of E epochs, by experiment and exact.
 
     Attributes
@@ -47,6 +47,8 @@ class LearningCurve(Result):
     cut_short : int
         Experiments that did not end; they are counted as far as they went.
     """
+
+    picture = "exact_mdp.analysis.plots.learning:plot_learning_curves"
 
     sampled: Floats
     standard_error: Floats

@@ -22,7 +22,7 @@ from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers import Bounded, solve
 from exact_mdp.solvers.learning.q_learning import TrainingRun
@@ -40,7 +40,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Outcomes(Result):
+class Outcomes(Pictured):
     """Final policies of R runs, U of them distinct, with their exact values.
 
     Attributes
@@ -63,6 +63,8 @@ class Outcomes(Result):
     best : BestPolicy or None
         The best policy that reads what the learner reads; None where that is everything.
     """
+
+    picture = "exact_mdp.analysis.plots.learning:plot_regrets"
 
     mdp: MDP
     rows: Rows

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @plain_text
 def plot_learning_curves(
-    curves: Mapping[str, LearningCurve],
+    curves: LearningCurve | Mapping[str, LearningCurve],
     *,
     optimum: float | None = None,
     window: int = 100,
@@ -32,7 +32,7 @@ def plot_learning_curves(
 
     Parameters
     ----------
-    curves : {label: LearningCurve}
+    curves : LearningCurve or {label: LearningCurve}
     optimum : float, optional
         The optimal value, as a dotted line.
     window : int
@@ -44,7 +44,8 @@ def plot_learning_curves(
     Axes
     """
     ax = axes_or_new(ax)
-    for number, (label, curve) in enumerate(curves.items()):
+    every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
+    for number, (label, curve) in enumerate(every.items()):
         colour, line = INK[number % len(INK)], LINES[number % len(LINES)]
         ax.plot(curve.sampled, color=colour, alpha=0.25, linewidth=0.4)
         if np.ptp(curve.exact) > 0:
@@ -95,12 +96,12 @@ def _by_epoch(ax: Axes, what: str, optimum: float | None) -> Axes:
 
 
 @plain_text
-def plot_regrets(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
+def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw the share of runs whose final regret is at most x, one step line for each training.
 
     Parameters
     ----------
-    found : {label: Outcomes}
+    found : Outcomes or {label: Outcomes}
     ax : Axes, optional
 
     Returns
@@ -108,7 +109,8 @@ def plot_regrets(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Ax
     Axes
     """
     ax = axes_or_new(ax)
-    for number, (label, each) in enumerate(found.items()):
+    every = found if isinstance(found, Mapping) else {"all runs": found}
+    for number, (label, each) in enumerate(every.items()):
         regret = np.append(0.0, np.sort(each.regret))
         ax.step(
             regret,

@@ -28,7 +28,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.dynamic.stopping import check_counts
@@ -47,7 +47,7 @@ NEGLIGIBLE = 1e-280
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ReturnDistribution(Result):
+class ReturnDistribution(Pictured):
     """Every possible return with its probability, in increasing order; K of them.
 
     Attributes
@@ -71,6 +71,8 @@ class ReturnDistribution(Result):
     >>> found.mean, found.cdf(1), found.quantile(0.5)
     (1.25, 0.5, Fraction(1, 2))
     """
+
+    picture = "exact_mdp.analysis.plots.policy:plot_return_distribution"
 
     multiples: Numbers
     unit: Fraction

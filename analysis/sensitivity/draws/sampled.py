@@ -68,7 +68,7 @@ class Sampled(Result):
 
     @property
     def noise(self) -> float:
-        """Least difference of two values that is told from rounding."""
+        """Least difference of two values that is more than rounding."""
         size = float(np.abs(self.optimal).max())
         return max(NOISE * size, 2 * float(self.error.max()))
 

@@ -26,7 +26,7 @@ from exact_mdp.solvers.parallel.pieces import Arrays
 def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
     """Return the (U, G) different rows of (D, G) small integers, and (D,) which of them each is.
 
-    They come in order of appearance. Rows are told apart by two 64-bit sums of random odd
+    They come in order of appearance. Rows are distinguished by two 64-bit sums of random odd
     multiples; that two rows which differ have both sums in common is about as likely as guessing a
     number of 128 bits.
     """

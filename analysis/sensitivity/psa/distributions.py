@@ -258,31 +258,32 @@ def uncertainty(
         if name not in chosen:
             fixed[name] = "not among the names asked for"
         elif name not in fixed and label not in parts:
-            if name in label_of:
-                part = _row([parameters[each] for each in members], label, stated, default)
-            else:
-                part = _alone(parameter, _settings(stated, name), default)
-            if isinstance(part, str):
-                fixed |= dict.fromkeys(members, part)
-            else:
-                parts[label] = part
+            try:
+                if name in label_of:
+                    parts[label] = _row([parameters[m] for m in members], label, stated, default)
+                else:
+                    parts[label] = _alone(parameter, _settings(stated, name), default)
+            except _Held as reason:
+                fixed |= dict.fromkeys(members, str(reason))
     return Uncertainty(parts=tuple(parts.values()), fixed=fixed)
 
 
-def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertain | str:
-    """Return the distribution of one parameter, or why it is held."""
+class _Held(Exception):
+    """Why a parameter is not drawn."""
+
+
+def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertain:
+    """Return the distribution of one parameter; raises _Held where it is not drawn."""
     name, mean = parameter.name, float(parameter.value)
     if unit_of(parameter) != "reward":
         size = _size(settings, name, default)
-        if isinstance(size, str):
-            return size
         if name == DISCOUNT and SIZE not in settings:
-            return "the discount is held unless stated otherwise"
+            raise _Held("the discount is held unless stated otherwise")
         if mean in (0.0, 1.0):
-            return f"{mean:g} today"
+            raise _Held(f"{mean:g} today")
         return Uncertain(names=(name,), kind="beta", mean=(mean,), size=size)
     if settings.get("fixed"):
-        return FIXED
+        raise _Held(FIXED)
     if SIZE in settings:
         raise ModelError(
             "an effective sample size of a reward weight",
@@ -290,17 +291,19 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
             fix="state a relative_sd",
         )
     if SPREAD not in settings:
-        return "reward weights are held unless stated otherwise"
+        raise _Held("reward weights are held unless stated otherwise")
     spread, kind = _number(settings, SPREAD, name), str(settings.get("distribution", "normal"))
     # A weight of 0 has no relative spread; what is stated is checked all the same.
     part = Uncertain(names=(name,), kind=kind, mean=(mean or 1.0,), size=spread)
-    return part if mean else "0 today"
+    if not mean:
+        raise _Held("0 today")
+    return part
 
 
 def _row(
     row: Sequence[Parameter], label: str, stated: Mapping[str, Settings], default: float
-) -> Uncertain | str:
-    """Return the joint distribution of a row's entries, or why they are held."""
+) -> Uncertain:
+    """Return the joint distribution of a row's entries; raises _Held where they are not drawn."""
     names = tuple(parameter.name for parameter in row)
     said = [dict(_settings(stated, name)) for name in names]
     if label in stated:
@@ -319,16 +322,14 @@ def _row(
                 fix="name probabilities",
             )
     size = _size(said[0], label, default)
-    if isinstance(size, str):
-        return size
     means = tuple(float(parameter.value) for parameter in row)
     return Uncertain(names=names, kind="dirichlet", mean=means, size=size, label=label)
 
 
-def _size(settings: Settings, name: str, default: float) -> float | str:
-    """Return the effective sample size of a probability, or why it is held."""
+def _size(settings: Settings, name: str, default: float) -> float:
+    """Return the effective sample size of a probability; raises _Held where it is fixed."""
     if settings.get("fixed"):
-        return FIXED
+        raise _Held(FIXED)
     if SPREAD in settings:
         raise ModelError(
             "a relative spread of a probability",

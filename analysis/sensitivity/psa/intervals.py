@@ -9,9 +9,9 @@ of the Royal Statistical Society B 54, 1992),
 
     T = (m - μ) / s,    g(T) = T + γ T² / 3 + γ² T³ / 27 + γ / (6 n),
 
-g(T) √n being normal to a higher order, and how many draws carry the mean is told, (Σ x)² / Σ x².
-Where they are fewer than 50, no interval made of the sample alone is to be relied on: what was not
-drawn may carry more than what was.
+g(T) √n being normal to a higher order. The number of draws that carry the mean is (Σ x)² / Σ x².
+Where it is below 50, do not rely on an interval made of the sample alone: what was not drawn may
+carry more than what was.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Quantile:
 
 @dataclass(frozen=True, kw_only=True)
 class MeanLoss(Estimated):
-    """A mean of numbers that are not negative, with an interval that heeds their skewness.
+    """A mean of numbers that are not negative, with an interval that allows for their skewness.
 
     Attributes
     ----------

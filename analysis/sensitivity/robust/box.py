@@ -9,8 +9,7 @@ is hard in general (Wiesemann, Kuhn and Rustem, Mathematics of Operations Resear
   (the monotonicity test of interval analysis: Hansen and Walster, Global Optimization Using
   Interval Analysis, 2004, chapter 12). Where all are, the extreme is a corner: an exact number.
 * Otherwise the box is split along the parameter that may matter most, the most promising part first
-  (branch and bound). Bounds of V^π over a part and its values at points bracket the extreme; what
-  distance is left is told.
+  (branch and bound). Bounds of V^π over a part and its values at points bracket the extreme.
 
 For the best policy against the box, max_π min_θ V^π(θ): candidates' worst cases bound it from
 below, and the optimum at any point of the box from above; each worst point found is such a point,
