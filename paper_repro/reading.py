@@ -1,7 +1,7 @@
 """One reading of the paper, with everything that its claims need, worked out when first asked for.
 
 The default reading is the paper's text as `yuan2025` has it. Alternatives change one point at a
-time, so that a verdict that hangs on a reading can be told from one that does not.
+time, so that a verdict that depends on a reading can be told from one that does not.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class Reading:
 
     @cached_property
     def policies(self) -> dict[str, Policy]:
-        """ "optimal", "random" and "reported.ACTION", by the action in status 0000."""
+        """By name: "optimal", "random", and "reported.ACTION" by the action in status 0000."""
         found = {
             "optimal": Policy.from_choices(self.mdp, self.optimum),
             "random": Policy.uniform(self.mdp),

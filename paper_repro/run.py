@@ -56,11 +56,7 @@ def run(
         tick = partial(_tick, bar)
         tick("all readings of the text")
         study = reading_study(
-            seed=SEED,
-            out=store.folder("readings"),
-            quick=quick,
-            scheduler=scheduler,
-            progress=True,
+            seed=SEED, out=store.folder("readings"), quick=quick, scheduler=scheduler, progress=True
         )
         others = list(_others(reading, sizes, study.main))
         bar.total = bar.n + len(claims) + len(others) + len(readings.PICTURES) + len(PICTURES)

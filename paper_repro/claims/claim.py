@@ -3,20 +3,10 @@
 A claim is one statement of the paper with its place and a function that works out, for one reading
 of the text, what is true there. An *input* is a number or a definition that the model was built
 from: that it is the same shows a faithful transcription, no more. A *finding* is what the paper
-concludes. The verdict follows one of seven rules:
-
-entry       a number of a table or of the text: reproduced where the model's is the same rational.
-average     a mean of n experiments: reproduced where it is within three exact standard errors
-            under the completion of the text that fits all such means best.
-plotted     a number read off a plot ("about 140"): reproduced within 5, half of the last digit
-            that such a reading carries.
-event       something that one training run ended with: reproduced where at least 5 % of our own
-            runs end so (Wilson's 95 % interval above 5 %), not where it is below 5 %. That a run
-            like the paper's is nothing unusual does not say that most runs are like it.
-usual       something that training is said to lead to in general: reproduced where most of our own
-            runs do so (Wilson's 95 % interval above one half), not where most do not.
-statement   a predicate, stated in `why`, that the exact model fulfils or does not.
-open        nothing here can decide; `why` says what would.
+concludes. The verdict follows one of seven rules, `RULES`; a number read off a plot has to be
+within half of the last digit that such a reading carries, and an event, something that one training
+run ended with, is not refuted by being rare: that a run like the paper's is nothing unusual does
+not say that most runs are like it.
 """
 
 from __future__ import annotations
@@ -192,21 +182,12 @@ def statement(
     why: str,
     number: Number | None = None,
     shown: str = "",
-    *,
-    difference: float | None = None,
-    standard_error: float | None = None,
     **details: Any,
 ) -> Finding:
     """Judge by a predicate that `why` tells."""
-    return Finding(
-        verdict=Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
-        why=why,
-        number=number,
-        shown=shown,
-        difference=difference,
-        standard_error=standard_error,
-        details=details,
-    )
+    apart = {name: details.pop(name, None) for name in ("difference", "standard_error")}
+    verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
+    return Finding(verdict=verdict, why=why, number=number, shown=shown, details=details, **apart)
 
 
 def entry(paper: Fraction, exact: Fraction, why: str = "") -> Finding:

@@ -8,7 +8,7 @@ the return, and is reported rounded to one decimal: its likelihood is
 Numbers read off a plot ("around 70", "approximately 140") are taken as N(m, d²) with a stated
 tolerance d. Rounding to the nearest ten alone has a standard deviation of 10/√12 = 2.9; the eye's
 average over a noisy curve comes on top: d = 5 unless asked otherwise, and `variants` show what
-hangs on it. The learned strategy's curve is set against the mean of the three learned policies.
+depends on it. The learned strategy's curve is set against the mean of the three learned policies.
 The statuses that the text leaves open are a nuisance: `completion` is the one that fits best,
 `marginal` the average over all of them.
 
@@ -178,7 +178,7 @@ def _read_off(number: float, mean: Floats, tolerance: float | None) -> Floats:
     return np.asarray(-0.5 * score**2 - log(tolerance * sqrt(2 * pi)))
 
 
-# ---- what hangs on the tolerances --------------------------------------------------------------
+# ---- what depends on the tolerances -----------------------------------------------------------
 
 VARIANTS: dict[str, tuple[int, float | None, float | None]] = {
     "1,000 experiments, tolerance 5": (EXPERIMENTS[0], TOLERANCE, TOLERANCE),

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -87,9 +87,7 @@ def reading_study(
     out: str | Path | None = None,
     quick: bool = False,
     sizes: Mapping[str, int] | None = None,
-    n_jobs: int | None = None,
-    scheduler: str | None = None,
-    progress: bool = False,
+    **how: Any,
 ) -> ReadingStudy:
     """Return the whole study.
 
@@ -98,13 +96,7 @@ def reading_study(
     ones the policies are audited. The other arguments are those of `search`.
     """
     size, folder = sizes or (QUICK if quick else FULL), None if out is None else Path(out)
-    found = search(
-        space=space,
-        n_jobs=n_jobs,
-        scheduler=scheduler,
-        out=folder and folder / "search",
-        progress=progress,
-    )
+    found = search(space=space, out=folder and folder / "search", **how)
     evidence = variants(found)
     main, *others = evidence.values()
     by_experiments = {each.experiments: each for each in (*reversed(others), main)}
@@ -113,10 +105,8 @@ def reading_study(
         to_train(main, size["trained"]),
         seeds=size["seeds"],
         seed=seed,
-        n_jobs=n_jobs,
-        scheduler=scheduler,
         out=folder and folder / ("learning-quick" if quick else "learning"),
-        progress=progress,
+        **how,
     )
     return ReadingStudy(
         search=found,

@@ -191,16 +191,14 @@ def search(
     scenario: Scenario | None = None,
     *,
     space: ReadingSpace = PAPER_READINGS,
-    n_jobs: int | None = None,
-    scheduler: str | None = None,
     out: str | Path | None = None,
-    progress: bool = False,
+    **how: Any,
 ) -> ReadingSearch:
     """Evaluate every compatible policy under every reading; the last one is `evaluation_discount`.
 
-    In `n_jobs` processes, all cores where None, or on a Dask cluster, "tcp://host:port" or "local"
-    (see `solvers.parallel.many.many`). An interrupted search goes on from the folder `out`. Raises
-    ModelError where that holds another search or a damaged file.
+    An interrupted search goes on from the folder `out`. In `n_jobs` processes, on a `scheduler` or
+    with `progress`, as `solvers.parallel.many.many` says. Raises ModelError where the folder holds
+    another search or a damaged file.
     """
     if space.names[-1:] != ("evaluation_discount",):
         raise ModelError(
@@ -220,11 +218,9 @@ def search(
             "policies": (policies @ (4 ** np.arange(16))).tolist(),
             "block": BLOCK,
         },
-        n_jobs=n_jobs,
-        scheduler=scheduler,
         folder=out,
-        progress=progress,
         what="readings",
+        **how,
     )
     joined: dict[str, Any] = {
         name: np.concatenate([piece[name] for piece in found]) for name in ARRAYS

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,10 +173,8 @@ def learning(
     *,
     seeds: int = SEEDS,
     seed: int,
-    n_jobs: int | None = None,
-    scheduler: str | None = None,
     out: str | Path | None = None,
-    progress: bool = False,
+    **how: Any,
 ) -> LearningEvidence:
     """Train under some readings, as `to_train` gives them; the same seeds under each.
 
@@ -197,11 +196,9 @@ def learning(
             "seeds": seeds,
             "seed": seed,
         },
-        n_jobs=n_jobs,
-        scheduler=scheduler,
         folder=out,
-        progress=progress,
         what="trained readings",
+        **how,
     )
     return LearningEvidence(
         readings=np.array(numbers),

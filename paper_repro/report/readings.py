@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -40,6 +41,7 @@ from exact_mdp.paper_repro.reported import (
 )
 
 MARKS = dict(zip(STARTS, (("o", "black"), ("s", "0.45"), ("^", "white")), strict=True))
+INK: dict[str, Any] = {"mec": "black", "ecolor": "black"}
 SHADES = ("0.15", "0.6", "white")
 RANKED = 30  # readings in the figure
 LISTED = 10  # readings in the table
@@ -102,10 +104,10 @@ def _support_bars(ax: Axes, listed: Mapping[str, Sequence[OptionSupport]]) -> No
             np.array(places) + (number - 1) * height,
             [option.weight for option in part],
             height=height,
+            label=label,
             color=SHADES[number],
             edgecolor="black",
             linewidth=0.5,
-            label=label,
         )
     ax.plot([], [], color="black", ls=":", label="weight before any evidence")
     ax.set_yticks(places, [option_label(option.option) for option in options])
@@ -133,11 +135,7 @@ def _ranking(study: ReadingStudy) -> Figure:
             y,
             xerr=2 * np.sqrt(variance / found.experiments),
             fmt=marker,
-            ms=4.5,
-            mfc=fill,
-            mec="black",
-            ecolor="black",
-            elinewidth=0.7,
+            **{**INK, "ms": 4.5, "mfc": fill, "elinewidth": 0.7},
             label=f"{SHORT[start]} in 0000",
         )
     _stated(right, RANDOM_RETURN, f"≈ {RANDOM_RETURN}")
@@ -222,11 +220,7 @@ def _points(study: ReadingStudy, ax: Axes, size: float) -> None:
         xerr=2 * TOLERANCE,
         yerr=2 * float(np.sqrt(np.median(spread[found.credible()]) / found.experiments)),
         fmt="P",
-        ms=9,
-        mfc="white",
-        mec="black",
-        ecolor="black",
-        elinewidth=1.6,
+        **{**INK, "ms": 9, "mfc": "white", "elinewidth": 1.6},
         capsize=4,
         zorder=5,
         label="reported, ± 2 sd",
@@ -306,12 +300,9 @@ def _learning(study: ReadingStudy) -> Figure:
             share,
             yerr=np.maximum([share - low, high - share], 0.0),
             fmt="os"[column],
-            ms=4,
-            capsize=1.5,
-            mfc=("black", "white")[column],
-            mec="black",
-            ecolor="0.4",
+            **{**INK, "ms": 4, "mfc": ("black", "white")[column], "ecolor": "0.4"},
             elinewidth=0.8,
+            capsize=1.5,
             label=f"{UNIQUE_POLICIES[schedule]} unique policies, {schedule} exploration",
         )
     ax.set_xticks(y, [f"{place + 1}" for place in y], fontsize=7)
