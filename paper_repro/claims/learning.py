@@ -15,7 +15,7 @@ from math import sqrt
 
 import numpy as np
 
-from exact_mdp.analysis.learning.curves import EXPERIMENTS
+from exact_mdp.analysis.learning.curves import EXPERIMENTS as POINT
 from exact_mdp.analysis.learning.outcomes import CANDIDATES, Outcomes
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.paper_repro import reported
@@ -38,12 +38,8 @@ CLAIMS = Claims()
 
 # ---- settings, as the code that uses them holds them -------------------------------------------
 
-_CODE, _RATE = SETTINGS["constant"], "Learning rate. Used as stated."
-_DISCOUNT = "Discount factor in training. Used as stated."
-_LEAST = "The least ε that the decay comes down to. Used as stated."
-_SNAPSHOT = "Each epoch's policy is that of its 10th episode."
-_POINT = "Each point of a learning curve is the average of 40 experiments."
-_CHOICE = "The final policy is chosen among the five suggested most often."
+_CODE = SETTINGS["constant"]
+_CHOSEN = "The final policy is chosen among the five suggested most often"
 
 
 def _epsilon(reading: Reading, epoch: int, paper: float) -> Finding:
@@ -61,22 +57,26 @@ def _setting(name: str, source: str, says: str, paper: str, held: object) -> Non
     CLAIMS.entry(name, source, says, paper, lambda reading: Fraction(str(held)))
 
 
-_setting("training.rate", "Section 3.2.4", _RATE, "1/20", _CODE.rate.values(1)[0])
-_setting("training.discount", "Section 3.2.4", _DISCOUNT, "19/20", _CODE.discount)
-_setting("training.epochs", "Section 3.2.4", "Epochs. Used as stated.", "6000", _CODE.epochs)
-_EPISODES = "Episodes of an epoch. Used as stated."
-_setting("training.episodes", "Section 3.2.4", _EPISODES, "30", _CODE.episodes)
-_CONSTANT = "Constant ε. Used as stated."
-_setting("training.epsilon", "Section 3.2.4", _CONSTANT, "1/10", PAPER_CONSTANT.value)
-for _epoch, _paper in ((0, 1.0), (300, 0.8)):
-    _says, _find = f"Decaying ε at epoch {_epoch}.", partial(_epsilon, epoch=_epoch, paper=_paper)
-    CLAIMS.add(f"equation2.epoch-{_epoch}", "Equation 2", says=_says, kind="input", paper=_paper)(
-        _find
-    )
-_setting("equation2.minimum", "Equation 2", _LEAST, "3/100", PAPER_DECAYING.minimum)
-_setting("training.snapshot", "Section 3.2.5", _SNAPSHOT, "10", _CODE.snapshot_episode)
-_setting("training.experiments", "Section 3.2.5", _POINT, "40", EXPERIMENTS)
-_setting("training.candidates", "Section 3.2.5", _CHOICE, "5", CANDIDATES)
+for _name, _paper, _held, _says in (
+    ("rate", "1/20", _CODE.rate.values(1)[0], "Learning rate."),
+    ("discount", "19/20", _CODE.discount, "Discount factor in training."),
+    ("epochs", "6000", _CODE.epochs, "Epochs."),
+    ("episodes", "30", _CODE.episodes, "Episodes of an epoch."),
+    ("epsilon", "1/10", PAPER_CONSTANT.value, "Constant ε."),
+):
+    _setting(f"training.{_name}", "Section 3.2.4", f"{_says} Used as stated.", _paper, _held)
+for _epoch, _value in ((0, 1.0), (300, 0.8)):
+    _name, _says = f"equation2.epoch-{_epoch}", f"Decaying ε at epoch {_epoch}."
+    _keep = CLAIMS.add(_name, "Equation 2", says=_says, kind="input", paper=_value)
+    _keep(partial(_epsilon, epoch=_epoch, paper=_value))
+_says = "The least ε that the decay comes down to. Used as stated."
+_setting("equation2.minimum", "Equation 2", _says, "3/100", PAPER_DECAYING.minimum)
+for _name, _paper, _held, _says in (
+    ("snapshot", "10", _CODE.snapshot_episode, "Each epoch's policy is that of its 10th episode"),
+    ("experiments", "40", POINT, "Each point of a learning curve is the average of 40 experiments"),
+    ("candidates", "5", CANDIDATES, _CHOSEN),
+):
+    _setting(f"training.{_name}", "Section 3.2.5", f"{_says}.", _paper, _held)
 
 
 @CLAIMS.add("training.selection-runs", "Section 3.2.5", "open", kind="input", paper=10000)
@@ -126,11 +126,11 @@ def _similar(reading: Reading) -> Finding:
     constant, decaying = (reading.learned(schedule).converged for schedule in SETTINGS)
     apart = float(decaying.mean() - constant.mean())
     error = sqrt(constant.var(ddof=1) / len(constant) + decaying.var(ddof=1) / len(decaying))
-    point = reading.evaluations["optimal"].sd / sqrt(EXPERIMENTS)
+    point = reading.evaluations["optimal"].sd / sqrt(POINT)
     return statement(
         abs(apart) <= 2 * point,
         f"decaying less constant: {apart:+.2f}, less than twice the standard error {point:.1f} "
-        f"of one point of the plot ({EXPERIMENTS} experiments)",
+        f"of one point of the plot ({POINT} experiments)",
         Estimated(value=apart, standard_error=error),
     )
 

@@ -18,12 +18,14 @@ console = later("rich.console")
 rich = later("rich.table")
 
 
-def number(value: float, *, unit: str = "") -> str:
-    """Return a number for reading: few digits, and a true minus sign.
+def number(value: float | None, *, unit: str = "") -> str:
+    """Return a number for reading: few digits, and a true minus sign; nothing for None.
 
     >>> number(0.3, unit="%"), number(-2.2253931), number(6000.0)
     ('30 %', '−2.225', '6,000')
     """
+    if value is None:
+        return ""
     if unit == "%":
         text = f"{100 * value:.4g} %"
     elif value == int(value) and abs(value) < 1e9:
@@ -36,22 +38,18 @@ def number(value: float, *, unit: str = "") -> str:
 def cells(each: Judged) -> dict[str, str]:
     """Return the cells of a claim by name."""
     claim, found = each.claim, each.finding
-    difference, errors = "", found.standard_errors
-    if found.difference is not None:
-        sign = "+" if found.difference > 0 else ""
-        difference = sign + number(found.difference, unit=claim.unit if found.difference else "")
-    plotted = "≈ " if claim.rule == "plotted" or claim.id == "return.optimal" else ""
+    apart, errors = found.difference, found.standard_errors
+    sign = "+" if apart is not None and apart > 0 else ""
+    paper = "" if claim.paper is None else number(float(claim.paper), unit=claim.unit)
+    plotted = claim.rule == "plotted" or claim.id == "return.optimal"
     return {
         "id": claim.id,
         "source": claim.source,
         "says": claim.says,
-        "paper": ""
-        if claim.paper is None
-        else plotted + number(float(claim.paper), unit=claim.unit),
-        "exact": found.shown
-        or ("" if found.exact is None else number(found.exact, unit=claim.unit)),
+        "paper": f"≈ {paper}" if plotted else paper,
+        "exact": found.shown or number(found.exact, unit=claim.unit),
         "kind": str(found.claim or ""),
-        "difference": difference,
+        "difference": sign + number(apart, unit=claim.unit if apart else ""),
         "errors": "" if errors is None else f"{errors:+.1f}".replace("-", "−"),
         "verdict": str(found.verdict),
         "why": found.why,
