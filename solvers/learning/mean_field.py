@@ -59,7 +59,9 @@ class MeanField(Result):
     policy : (K,) ints
         The greedy policy that is assumed.
     chain : PolicyChain
-        The ε-greedy policy's; its states are visited `visited` (S,) times an episode.
+        The ε-greedy policy's.
+    weight : (N,)
+        Expected number of times that each outcome of the chain happens in an episode.
     entry, following : (N,) ints
         Entry of the flat table that each outcome of the chain updates, and the one that it looks
         at; -1 for none.
@@ -76,7 +78,7 @@ class MeanField(Result):
     discount: float
     policy: Integers
     chain: PolicyChain
-    visited: Floats
+    weight: Floats
     entry: Integers
     following: Integers
     updates: Floats
@@ -127,24 +129,16 @@ class MeanField(Result):
     @cached_property
     def jacobian(self) -> Floats:
         """(U, U) derivative of the expected change of Q in an episode, per unit of α."""
-        return np.asarray(
-            self.discount * self._moves - np.diag(self.updates.reshape(-1)[self.used])
-        )
+        live, size = self.following >= 0, self.updates.size
+        places = self.entry[live], self.following[live]
+        moves = sp.csr_array((self.weight[live], places), (size, size))[self.used][:, self.used]
+        updates = np.diag(self.updates.reshape(-1)[self.used])
+        return np.asarray(self.discount * moves.toarray() - updates)
 
     @cached_property
     def drift(self) -> Floats:
         """(U,) expected change of Q in an episode at Q = 0, per unit of α."""
         return -self.jacobian @ self.q.reshape(-1)[self.used]
-
-    @cached_property
-    def _moves(self) -> Floats:
-        """(U, U) expected steps in an episode from one entry to the greedy one that follows."""
-        chain, live = self.chain, self.following >= 0
-        flow = self.visited[chain.source] * chain.probability
-        size = self.updates.size
-        shape = (size, size)
-        matrix = sp.csr_array((flow[live], (self.entry[live], self.following[live])), shape)
-        return np.asarray(matrix[self.used][:, self.used].toarray())
 
     @cached_property
     def noise(self) -> Floats:
@@ -160,10 +154,9 @@ class MeanField(Result):
         system = (sp.eye_array(states) - chain.transition).tocsc()
         live = ~self.mdp.terminal
         later = spl.splu(system).solve(np.where(live[:, None], expected.toarray(), 0.0))
-        weight = self.visited[chain.source] * chain.probability
-        into = sp.csr_array((weight * delta, (self.entry, outcomes)), (size, len(delta)))
+        into = sp.csr_array((self.weight * delta, (self.entry, outcomes)), (size, len(delta)))
         cross = into[self.used] @ np.where(live[:, None], later, 0.0)[chain.table.next]
-        square = np.bincount(self.entry, weight * delta**2, minlength=size)[self.used]
+        square = np.bincount(self.entry, self.weight * delta**2, minlength=size)[self.used]
         # The start's own mean is 0 where Q stands still, up to rounding.
         mean = self.mdp.start_distribution @ later
         return np.asarray(np.diag(square) + cross + cross.T - np.outer(mean, mean))
@@ -263,7 +256,7 @@ def mean_field(
         discount=rate,
         policy=greedy,
         chain=chain,
-        visited=visited,
+        weight=weight,
         entry=entry,
         following=following,
         updates=updates.reshape(shape),
