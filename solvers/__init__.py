@@ -41,9 +41,10 @@ from exact_mdp.solvers.solver import SOLVERS, solve
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.dynamic.operator import operator_mean
+    from exact_mdp.solvers.pomdp.pomdp import BeliefProblem
     from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
     from exact_mdp.solvers.proof.certify import certify
-    from exact_mdp.solvers.robust.robust import solve_robust
+    from exact_mdp.solvers.robust.robust import RobustModel, solve_robust
     from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
     from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
     from exact_mdp.solvers.values.simulate import Simulation, simulate
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SOLVERS",
     "BackwardInduction",
+    "BeliefProblem",
     "Bounded",
     "BoundedCertificate",
     "Certificate",
@@ -64,6 +66,7 @@ __all__ = [
     "PolicyIteration",
     "PrecisionWarning",
     "ReturnDistribution",
+    "RobustModel",
     "Simulation",
     "Solution",
     "Solver",
@@ -83,9 +86,10 @@ __getattr__, __dir__ = names_later(
     __name__,
     {
         "exact_mdp.solvers.dynamic.operator": ["operator_mean"],
+        "exact_mdp.solvers.pomdp.pomdp": ["BeliefProblem"],
         "exact_mdp.solvers.proof.certificate": ["BoundedCertificate", "Certificate"],
         "exact_mdp.solvers.proof.certify": ["certify"],
-        "exact_mdp.solvers.robust.robust": ["solve_robust"],
+        "exact_mdp.solvers.robust.robust": ["RobustModel", "solve_robust"],
         "exact_mdp.solvers.values.evaluate": ["Evaluation", "evaluate"],
         "exact_mdp.solvers.values.returns": ["ReturnDistribution", "return_distribution"],
         "exact_mdp.solvers.values.simulate": ["Simulation", "simulate"],
