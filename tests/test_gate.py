@@ -365,3 +365,19 @@ def test_the_plugin_loads_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
+    """A table may rule actions out by -inf, which says nothing of their values."""
+    step = [[0, 1, 0], [0, 0, 1], [0, 0, 1]]
+    mdp = MDP.from_arrays([step] * 3, [[1, 3, 2], [0, 1, 4], [0, 0, 0]])
+    table = np.array([[2.0, -np.inf, 6.5], [-np.inf, 0.5, 3.5], [0, 0, 0]])
+    found = check(mdp, table, kind="q").q_error
+    assert found is not None
+    # Q* is 5, 7, 6 in the first state and 0, 1, 4 in the second.
+    errors = np.array([2 - 5, 6.5 - 6, 0.5 - 1, 3.5 - 4])
+    assert (found.largest, found.where) == (3.0, mdp.where(0))
+    assert found.mean == pytest.approx(errors.mean())
+    assert found.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
+    assert found.promised == 6.5
+    assert found.visited == pytest.approx(0.5)

@@ -18,12 +18,14 @@ from exact_mdp.analysis.sensitivity import (
     tornado,
     two_way,
 )
+from exact_mdp.analysis.sensitivity.one_way import Values
 from exact_mdp.analysis.sensitivity.ranges import around, whole
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.care import scenario as care_scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
 from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
 from exact_mdp.solvers import BackwardInduction
+from exact_mdp.solvers.solution import Bounded
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}
@@ -306,3 +308,13 @@ def test_command_refuses(words: str, message: str) -> None:
     assert done.out == ""
     assert message in done.err
     assert "fix:" in done.err
+
+
+def test_the_regret_of_a_point_is_as_uncertain_as_both_values() -> None:
+    optimal, fixed = Bounded(value=5.0, error=0.25), Bounded(value=3.0, error=0.5)
+    regret = Values(optimal=optimal, fixed=fixed).regret
+    assert regret.value == 2
+    assert 0.75 <= regret.error <= 0.76
+    low, high = regret.interval
+    assert low <= optimal.interval[0] - fixed.interval[1]
+    assert high >= optimal.interval[1] - fixed.interval[0]

@@ -20,20 +20,14 @@ from exact_mdp.mdp.io.files import write_atomically
 # What XML 1.0 does not allow, in section 2.2.
 FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
+KINDS = {"failure": "regret", "error": "error"}  # elements, and the types that they state
+
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One test case.
+    """One test case: what failed, or why there is no verdict, each on one line; None where neither.
 
-    Attributes
-    ----------
-    name : str
-    failure : str, optional
-        What was found, on one line; None where the case passed.
-    error : str, optional
-        Why there is no verdict, on one line; None where there is one.
-    text : str
-        All there is to say of the failure or the error.
+    `text` is all there is to say of it.
     """
 
     name: str
@@ -45,14 +39,7 @@ class Case:
 def junit(
     suite: str, cases: Sequence[Case], *, seconds: float, properties: Mapping[str, str]
 ) -> bytes:
-    """Return a report of one suite of test cases.
-
-    Examples
-    --------
-    >>> report = junit("gate", [Case(name="regret")], seconds=0.5, properties={"claim": "bounded"})
-    >>> b'<testcase classname="gate" name="regret"' in report
-    True
-    """
+    """Return a report of one suite of test cases."""
     failures = sum(case.failure is not None for case in cases)
     errors = sum(case.error is not None for case in cases)
     counts = {"tests": len(cases), "failures": failures, "errors": errors, "skipped": 0}
@@ -68,14 +55,10 @@ def junit(
         time = f"{seconds / len(cases):.3f}"
         place = {"classname": _clean(suite), "name": _clean(case.name), "time": time}
         element = ElementTree.SubElement(group, "testcase", place)
-        if case.failure is not None:
-            message = _clean(case.failure)
-            failed = ElementTree.SubElement(element, "failure", message=message, type="regret")
-            failed.text = _clean(case.text)
-        if case.error is not None:
-            message = _clean(case.error)
-            broken = ElementTree.SubElement(element, "error", message=message, type="error")
-            broken.text = _clean(case.text)
+        for kind, message in (("failure", case.failure), ("error", case.error)):
+            if message is not None:
+                named = {"message": _clean(message), "type": KINDS[kind]}
+                ElementTree.SubElement(element, kind, named).text = _clean(case.text)
     ElementTree.indent(root)
     report: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return report + b"\n"
