@@ -148,7 +148,18 @@ def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
     pytest.importorskip("gymnasium")
     assert run(*words).status == 0
     found = run(
-        "sensitivity", file, "sobol", "--samples", 32, "--n-jobs", 1, "--relative", "0.05", "--json"
+        "sensitivity",
+        file,
+        "sobol",
+        "--samples",
+        32,
+        "--n-jobs",
+        1,
+        "--relative",
+        "0.05",
+        "--json",
+        "--parameter",
+        "discount",
     ).result
     assert found["total"]["discount"] == pytest.approx(1, abs=0.2)
     refused = run("sensitivity", file, "structural")
