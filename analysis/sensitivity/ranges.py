@@ -251,7 +251,7 @@ def _flat(prefix: str, value: object) -> Iterator[tuple[str, object]]:
 def usual(model: Parametric) -> list[str]:
     """Return the names of the parameters to vary together: all but the discount.
 
-    The discount is no number of the tables, and a share of it is a change of another kind: from 1
+    The discount is not a number of the tables, and a share of it is a change of another kind: from 1
     to 4/5 it would outweigh them all. It is varied where it is named, or where there is no other.
     """
     names = [parameter.name for parameter in model.parameters]

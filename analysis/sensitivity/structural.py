@@ -20,15 +20,15 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from itertools import product
-from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.carried_optimum import Today, best_pairs
+from exact_mdp.analysis.sensitivity.draws.blocks import How
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.gradient import gradient
 from exact_mdp.analysis.sensitivity.joint_radius import joint_radius
@@ -279,10 +279,7 @@ def structural(
     perception: ArrayLike | None = None,
     elasticities: bool = True,
     stability: bool = True,
-    n_jobs: int | None = 1,
-    scheduler: str | None = None,
-    folder: str | Path | None = None,
-    progress: bool = False,
+    **how: Unpack[How],
 ) -> Structural:
     """Return the same outputs under every reading.
 
@@ -301,8 +298,9 @@ def structural(
     elasticities, stability : bool
         Whether to find the parameter that weighs most, and the stability radius for joint changes
         (see `analysis.sensitivity.joint_radius`).
-    n_jobs, scheduler, folder, progress
-        See `solvers.parallel.many.many`; the result does not depend on them.
+    **how
+        Where the work is done: n_jobs, scheduler, folder and progress of
+        `solvers.parallel.many.many`; the result does not depend on them.
 
     Returns
     -------
@@ -346,7 +344,7 @@ def structural(
         for name, form in {CARRIED: optimum.policy, **held}.items()
     ]
     key: dict[str, object] = {}
-    if folder is not None:
+    if how.get("folder") is not None:
         key = {
             "readings": [fingerprint(compile_scenario(each)) for each in variants.values()],
             "labels": list(variants),
@@ -359,11 +357,8 @@ def structural(
         partial(_outputs, today, held, confusion, elasticities, stability),
         list(variants.items()),
         key=key,
-        n_jobs=n_jobs,
-        scheduler=scheduler,
-        folder=folder,
-        progress=progress,
         what="readings",
+        **how,
     )
     status = mdp.space.column("status")
     statuses = tuple(status.label(value) for value in range(status.size))

@@ -2,8 +2,8 @@
 
 Each probability of the tables enters the chance of one status alone, which makes every row of a
 trial affine in it; a row that skips is a product of two laws, and where both have the number in
-them (reading `skip_onset = base`) it is quadratic. Expected rewards are affine in each weight.
-their squares quadratic. A chance is cut off at 1, and where that happens the polynomial changes:
+them (reading `skip_onset = base`) it is quadratic. Expected rewards are affine in each weight. A
+chance is cut off at 1, and where that happens the polynomial changes:
 
     base_i + Σ_{j in J} influence_ij = 1     (and persistence_i, where influence adds to it)
 
