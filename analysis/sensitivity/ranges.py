@@ -251,8 +251,8 @@ def _flat(prefix: str, value: object) -> Iterator[tuple[str, object]]:
 def usual(model: Parametric) -> list[str]:
     """Return the names of the parameters to vary together: all but the discount.
 
-    The discount is not a number of the tables, and a share of it is a change of another kind: from 1
-    to 4/5 it would outweigh them all. It is varied where it is named, or where there is no other.
+    The discount is not one of the tables' numbers, and a share of it is a change of another kind:
+    from 1 to 4/5 it would outweigh them all. It is varied where it is named, or where it is alone.
     """
     names = [parameter.name for parameter in model.parameters]
     return [name for name in names if name != DISCOUNT] or names
