@@ -79,7 +79,7 @@ class ModelError(ValueError):
 
 
 class ScenarioWarning(UserWarning):
-    """The tables of a scenario, as they are read, state what is no probability: more than 1."""
+    """The tables of a scenario, as they are read, state a probability above 1."""
 
 
 def _rebuild(kind: type[ModelError], what: str, where: str, fix: str) -> ModelError:

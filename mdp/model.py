@@ -266,7 +266,7 @@ class MDP(Parts):
         Raises
         ------
         ModelError
-            For what is no positive whole number; where the model would not fit in memory; where it
+            Where `steps` is not a positive whole number, the model would not fit in memory, or it
             has a column `time` already.
 
         Examples

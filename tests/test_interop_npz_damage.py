@@ -279,7 +279,7 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     np.savez(tmp_path / "q.npz", np.zeros((16, 4)))
     refused(tmp_path / "q.npz", "a Q-table is a policy")
     np.save(tmp_path / "q.npy", np.zeros((16, 4)))
-    refused(tmp_path / "q.npy", "damaged or no archive")
+    refused(tmp_path / "q.npy", "damaged, or not an archive")
     with pytest.raises(ModelError, match="cannot write the file"):
         npz.save(MODELS["floats"], tmp_path / "nowhere" / "model.npz")
     huge = MODELS["floats"].with_(discount=1 - Fraction(1, 10**5000))

@@ -43,8 +43,8 @@ class Stream(Protocol):
 def read_array(path: str | Path, *, called: str) -> Numbers:
     """Return the array of a `.npy` file, or the one of that name (or the only one) of an `.npz`.
 
-    Nothing is rounded. Raises ModelError where the file is no regular file, is damaged, claims more
-    than it can hold, or holds something other than real numbers.
+    Nothing is rounded. Raises ModelError where the file is not a regular file, is damaged, claims
+    more than it can hold, or holds something other than real numbers.
 
     Examples
     --------
@@ -231,5 +231,5 @@ def _named(where: str) -> Iterator[None]:
         raise
     except Exception as error:  # zipfile and zlib raise many kinds on damaged archives
         raise ModelError(
-            "the file is damaged or no archive", where=where, fix="save it again"
+            "the file is damaged, or not an archive", where=where, fix="save it again"
         ) from error

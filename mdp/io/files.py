@@ -93,7 +93,7 @@ def _open(path: str | Path) -> BinaryIO:
 
 
 def kind_of(mode: int) -> str:
-    """Return what a file is where it is no regular file, from its mode; nothing where it is."""
+    """Return what a file is, from its mode; nothing where it is a regular file."""
     if stat.S_ISREG(mode):
         return ""
     if stat.S_ISDIR(mode):

@@ -17,7 +17,7 @@ format has none. To other tools
     rewards/reward   is Σ_i p_i r_i for each choice, from which expected totals are the same,
 
 and every reward component is a reward model of its own, likewise by choice, in floats, called by
-its name with underscores for what is no letter or digit (`subtask_complete`). States
+its name with underscores for other signs than letters and digits (`subtask_complete`). States
 where the process has ended carry the label `terminal`; the columns of the state space are the
 states' valuations (-1 for the states beside the product). Storm, for one, then answers
 

@@ -193,9 +193,9 @@ def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
     try:
         header = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ModelError("its description is no JSON", where=place, fix="save it again") from error
+        raise ModelError("its description is not JSON", where=place, fix="save it again") from error
     if not isinstance(header, dict):
-        raise ModelError("its description is no object", where=place, fix="save it again")
+        raise ModelError("its description is not a JSON object", where=place, fix="save it again")
     return header
 
 
@@ -258,7 +258,7 @@ def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
     for what, wrong in kinds.items():
         if wrong:
             raise ModelError(
-                f"the model is no MDP or Markov chain: {what}",
+                f"the model is neither an MDP nor a Markov chain: {what}",
                 where="index.json",
                 fix="give a model in discrete time, of one player, fully observable",
             )

@@ -150,12 +150,14 @@ def row_change(
             wrong = change.key[np.asarray(power != 0, dtype=bool)]
             if len(wrong):
                 pair = int(wrong[0]) // (models[0].n_states if entries is transition_entries else 1)
-                raise _no_polynomial("rows are no polynomials", name, degree, models[0].where(pair))
+                raise _no_polynomial(
+                    "rows are not polynomials", name, degree, models[0].where(pair)
+                )
         found.append(Change(key=change.key, coefficients=change.coefficients[:degree]))
     rates = [np.array([mdp.discount_exact], dtype=object) for mdp in models]
     rate = [power[0] for power in _newton(rates, [Fraction(0), *steps])]
     if any(rate[degree:]):
-        raise _no_polynomial("the discount is no polynomial", name, degree)
+        raise _no_polynomial("the discount is not a polynomial", name, degree)
     return RowChange(
         name=name,
         origin=place,
@@ -173,7 +175,7 @@ def _no_polynomial(what: str, name: str, degree: int, where: str = "") -> ModelE
         where=f"parameter {name}" + (f", {where}" if where else ""),
         fix=f'state the degree, Family(degrees={{"{name}": 2}}), and the values at which rows pass '
         "to another polynomial, breaks=…; and let build compute with the fractions that it is "
-        "given: floats are rounded, and other functions are no polynomials",
+        "given: floats are rounded, and other functions are not polynomials",
     )
 
 

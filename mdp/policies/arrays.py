@@ -3,14 +3,14 @@
 The rule, the same for arrays and for files. A row counts where a state with a choice reads it; rows
 of terminal states and of states with one action may hold anything. Unless `kind` says which it is,
 
-    a row that counts is no distribution        the array is a Q-table
+    a row that counts is not a distribution     the array is a Q-table
     every such row gives 1 to a single action   both readings are the same policy: it is one
     otherwise                                   both fit and differ: refused, `kind` has to say
 
 A distribution has entries of at least 0 that sum to 1, up to 1e-9. Of a Q-table the greedy policy
 counts: the greatest value among the actions offered, compared in the array's own numbers, the
 lowest action number on a tie. -inf is an action never to be taken. NaN and +inf, and -inf on every
-action offered, say nothing about what to do and are refused.
+action offered, do not tell what to do and are refused.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def numbers_of(given: object) -> Numbers:
     >>> numbers_of([[2**53 + 1, 0.5]]).tolist() == [[2**53 + 1, 0.5]]
     True
     """
-    if np.ma.is_masked(given):  # what lies under a mask is no number of anybody's
+    if np.ma.is_masked(given):  # what lies under a mask was not given
         raise ModelError(
             "entries of the array are masked",
             where="policy",
@@ -229,7 +229,7 @@ def _distributions(array: Numbers) -> Flags:
 
 
 def space_of(model: MDP, rows: int) -> StateSpace | None:
-    """Return the states that so many rows of a table stand for; None where there are no such.
+    """Return the states that so many rows of a table stand for; None where no states fit.
 
     All states; without the extra ones, where these offer no choice; or, where the first column is
     the time, the states without it.

@@ -52,7 +52,7 @@ def start_value(mdp: MDP) -> F:
 def test_a_wrong_degree_is_refused(analysis) -> None:
     """A gradient or threshold is not certified on a degree that nobody checked."""
     rest = {gradient: (), thresholds: ("p",)}[analysis]
-    with pytest.raises(ModelError, match="no polynomials of degree 1 in p") as error:
+    with pytest.raises(ModelError, match="not polynomials of degree 1 in p") as error:
         analysis(waiting(2), *rest)
     assert "degrees=" in error.value.fix
 
@@ -157,7 +157,7 @@ def test_what_else_moves_with_a_parameter_is_refused(what: str) -> None:
         return MDP.from_outcomes(rows, p**2 if what == "discount" else F(1, 2), start=start)
 
     family = Family(parameters=(unit("p", F(1, 2)),), build=build)
-    with pytest.raises(ModelError, match=r"start change|pairs change|discount is no polynomial"):
+    with pytest.raises(ModelError, match=r"start change|pairs change|discount is not a polynomial"):
         gradient(family)
 
 
