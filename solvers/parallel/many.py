@@ -17,8 +17,10 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+import warnings
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +163,9 @@ def _guarded(wanted: Mapping[str, str], work: Work, index: int, piece: Any) -> t
 def _on_cores(
     work: Work, tasks: Sequence[Task], n_jobs: int | None, threads: bool
 ) -> Generator[tuple[int, Arrays]]:
-    left, wanted = dict(tasks), here()
+    left = dict(tasks)
+    # Threads have the code of this process; others may have begun after a file changed.
+    do = joblib.delayed(_one if threads else partial(_guarded, here()))
     how = {"backend": "threading"} if threads else {}
     for attempt in range(ATTEMPTS + 1):
         parallel = joblib.Parallel(
@@ -170,9 +174,7 @@ def _on_cores(
             batch_size=1,
             **how,
         )
-        with closing(
-            parallel(joblib.delayed(_guarded)(wanted, work, *task) for task in list(left.items()))
-        ) as results:
+        with _quietly(parallel(do(work, *task) for task in list(left.items()))) as results:
             try:
                 for index, result in results:
                     del left[index]
@@ -181,3 +183,14 @@ def _on_cores(
             except loky.TerminatedWorkerError as error:
                 if attempt == ATTEMPTS:
                     raise died(min(left)) from error
+
+
+@contextmanager
+def _quietly(results: Generator[Any]) -> Iterator[Generator[Any]]:
+    """Close results in the end, without joblib's warning of pieces that nobody took any more."""
+    try:
+        yield results
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            results.close()
