@@ -136,8 +136,7 @@ class Batch:
         rows: dict[tuple[int, ...], int] = {}
         gains = np.zeros((len(EVENTS), len(PLACES), 2), dtype=np.int64)
         for event, p, f in np.ndindex(gains.shape):
-            names_charged = rules.charged(EVENTS[event], p, f)
-            charged = tuple(place[f"reward.{name}"] for name in names_charged)
+            charged = tuple(place[f"reward.{name}"] for name in rules.charged(EVENTS[event], p, f))
             gains[event, p, f] = rows.setdefault(charged, len(rows))
         widest = max(map(len, rows))
         charges = np.array([[*row, *[none] * (widest - len(row))] for row in rows])
@@ -169,13 +168,13 @@ class Batch:
                 where="draws",
                 fix="give a row for each draw, at least one, and a column for each name",
             )
-        limits: dict[str, tuple[float, float]] = {DISCOUNT: (0.0, 1.0)}
-        for parameter in self.scenario.parameters:
-            low = -np.inf if parameter.low is None else float(parameter.low)
-            high = np.inf if parameter.high is None else float(parameter.high)
-            limits[parameter.name] = low, high
+        parameters = {parameter.name: parameter for parameter in self.scenario.parameters}
         for name, least, most in zip(self.names, table.min(axis=0), table.max(axis=0), strict=True):
-            low, high = limits[name]
+            low, high = 0.0, 1.0
+            if name != DISCOUNT:
+                ends = parameters[name].low, parameters[name].high
+                low = -np.inf if ends[0] is None else float(ends[0])
+                high = np.inf if ends[1] is None else float(ends[1])
             for drawn in (least, most):
                 if not (np.isfinite(drawn) and low <= drawn <= high):
                     raise ModelError(

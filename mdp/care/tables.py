@@ -14,7 +14,7 @@ their text can be read in more than one way, a *reading* chooses.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
@@ -206,11 +206,10 @@ def bits_of(count: int) -> Integers:
     return (np.arange(2**count)[:, None] >> np.arange(count - 1, -1, -1)) & 1
 
 
-def known(name: object, options: Iterable[str], what: str, where: str) -> str:
+def known(name: object, options: Collection[str], what: str, where: str) -> str:
     """Return a name that is one of the options, or raise ModelError."""
-    listed = list(options)
-    if name not in listed:
-        raise ModelError(f"unknown {what} {name!r}", where=where, fix=suggest(str(name), listed))
+    if name not in options:
+        raise ModelError(f"unknown {what} {name!r}", where=where, fix=suggest(str(name), options))
     return str(name)
 
 

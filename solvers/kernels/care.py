@@ -232,16 +232,8 @@ def optimal_values(
 ) -> None:
     """Solve draws `first` to `last`-1 of `draws` (D, Q).
 
-    Parameters
-    ----------
-    base : (P+2,)
-        Parameters, 0, discount; `positions` (Q,) tells which of them are drawn.
-    start : (D,)
-        Optimal values of the start.
-    gaps : (D, V, A) or (0, V, A)
-        max Q - Q at subtask 0, trial 0.
-    actions : (D, K, trials, flags, V) or (0, …) int8
-        The first action with the largest value.
+    `base` (P+2,) holds parameters, 0, discount; `positions` (Q,) tells which of them are drawn.
+    `start`, `gaps` and `actions` are those of `solvers.care.CareValues`, empty where not wanted.
     """
     vectors, rows, number = care.bits.shape[0], care.step.shape[1], len(care.assist)
     vector, law, q = room.vector, room.law, room.q
