@@ -342,7 +342,7 @@ def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
     runs = list(zip(first.tolist(), [*first[1:].tolist(), count], strict=True))
 
     def lay(values: Numbers, cuts: Numbers, *, moved: bool = False) -> Numbers:
-        """Repeat blocks of `values`, which `cuts` (kinds + 1,) delimit; add the shifts to states."""
+        """Repeat blocks of `values`, which `cuts` (kinds + 1,) delimit; shift states."""
         total = int(np.diff(cuts)[order].sum()) + len(values) - int(cuts[-1])
         kind = np.promote_types(values.dtype, _states(end)) if moved else values.dtype
         laid, at = np.empty((total, *values.shape[1:]), dtype=kind), 0

@@ -186,14 +186,10 @@ class _Pass:
         )
 
     def _charged(self, value: _Value, times: int) -> _Value:
-        """Return (2^n,) numbers with the cost of each vector, where the rules charge it."""
-        return (
-            value + self._cost
-            if times == 1
-            else value
-            if times == 0
-            else value + self._cost.scaled(times)
-        )
+        """Return (2^n,) numbers with the cost of each vector, as often as the rules charge it."""
+        for _ in range(times):
+            value = value + self._cost
+        return value
 
     def run(self) -> BoxBounds:
         """Return the bounds at the start."""
