@@ -390,7 +390,9 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
     suffix = Path(path).suffix.lower()
     if suffix == ".csv":
         rows = _csv_rows(text, where, PAIRS, "write true,perceived first")
-        pairs: Iterable[tuple[str, object, object]] = [(place, *row) for place, row in rows]
+        pairs: Iterable[tuple[str, object, object]] = [
+            (place, row[0], row[1]) for place, row in rows
+        ]
     elif suffix == ".jsonl":
         pairs = _pairs_of_lines(text, where, _status_names(model))
     else:
