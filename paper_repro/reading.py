@@ -16,6 +16,8 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
+import numpy as np
+
 from exact_mdp.analysis.readings import option_label
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.exact import fingerprint
@@ -128,7 +130,7 @@ class Reading:
     @cached_property
     def optimum(self) -> Integers:
         """(S,) an optimal action of each state."""
-        return solve(self.mdp).policy
+        return np.asarray(solve(self.mdp).policy)
 
     @cached_property
     def averages(self) -> Averages:

@@ -159,7 +159,8 @@ def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
     if name == "optimal":
         return Policy.from_choices(mdp, solve(mdp).policy)
     if name.startswith("reported:"):
-        from exact_mdp.paper_repro import numbers, reported
+        from exact_mdp.paper_repro import reported
+        from exact_mdp.paper_repro.readings.search import averages
 
         start = name.removeprefix("reported:")
         check_action(start, tuple(reported.AVERAGE_RETURN), "policy reported")
@@ -169,7 +170,7 @@ def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
                 where=f"scenario {scenario.name}",
                 fix="choose optimal, random or a file",
             )
-        completion = numbers.study(scenario).completion
+        completion = reported.COMPLETIONS[averages(scenario).best()]
         return Policy.of(mdp, reported.policy(start, completion))
     return Policy.of(mdp, name)
 
