@@ -76,7 +76,7 @@ class Optimum:
     @property
     def policy(self) -> Integers:
         """(S,) action numbers."""
-        return self.best.policy
+        return np.asarray(self.best.policy)
 
     @cached_property
     def optimal(self) -> Mask:
