@@ -48,7 +48,8 @@ class PolicyGate(Protocol):
         discount: object | None = None,
         kind: str = "auto",
         horizon: int | None = None,
-    ) -> Audit: ...
+    ) -> Audit:
+        """Fail the test unless the policy passes; see the module."""
 
 
 @pytest.fixture

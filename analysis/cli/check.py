@@ -1,4 +1,4 @@
-"""What `exact-mdp check` does: does a learned policy lose more than it may?"""
+"""What `exact-mdp check` does: it finds out whether a learned policy loses too much."""
 
 from __future__ import annotations
 

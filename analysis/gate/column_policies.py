@@ -234,11 +234,14 @@ class Solver(Protocol):
     """Bounds and values of many nodes at once; see `analysis.gate.relaxation.Relaxations`."""
 
     @property
-    def batch(self) -> int: ...
+    def batch(self) -> int:
+        """The most nodes at once."""
 
-    def expand(self, allowed: Flags, worth: float = ...) -> Expansion: ...
+    def expand(self, allowed: Flags, worth: float = ...) -> Expansion:
+        """Return bounds, and policies with what their rows cost."""
 
-    def evaluate(self, choices: Integers) -> tuple[Floats, Floats]: ...
+    def evaluate(self, choices: Integers) -> tuple[Floats, Floats]:
+        """Return values and their errors."""
 
 
 class _Search:

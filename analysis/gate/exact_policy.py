@@ -30,11 +30,16 @@ class Values(Protocol):
     """Exact values V(s) = numerator[s] / denominator[group[s]]."""
 
     @property
-    def numerator(self) -> Sequence[int]: ...
+    def numerator(self) -> Sequence[int]:
+        """One for each state."""
+
     @property
-    def group(self) -> Integers: ...
+    def group(self) -> Integers:
+        """(S,) the place of each state's denominator."""
+
     @property
-    def denominator(self) -> Sequence[int]: ...
+    def denominator(self) -> Sequence[int]:
+        """One for each group."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

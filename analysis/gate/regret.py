@@ -154,29 +154,10 @@ def regret(
 ) -> Regret:
     """Return what a policy is worth against the optimum.
 
-    Parameters
-    ----------
-    mdp : MDP
-    chain : PolicyChain
-        The model under the policy.
-    exact : bool, optional
-        Rational arithmetic or bounds; unless given, rational arithmetic in models of up to 100,000
-        transitions (250,000 with a horizon) without cycles of over 64 states.
-    optimum : Certificate or Bounds, optional
-        What another policy's regret was found with; unless `exact` is given, this says how.
-
-    Raises
-    ------
-    ModelError
-        At discount 1 where not every policy ends.
-
-    Examples
-    --------
-    >>> stay, move = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
-    >>> mdp = MDP.from_arrays([stay, move], [[1, 1], [0, 0]])
-    >>> found = regret(mdp, PolicyChain.of(mdp, np.array([1, 0])))
-    >>> print(found.at_start, found.gap.tolist())
-    1 (certified) [0.0, 1.0, 0.0, 0.0]
+    `exact` asks for rational arithmetic, or for bounds; unless given, rational arithmetic is used
+    in models of up to 100,000 transitions (250,000 with a horizon) without cycles of over 64
+    states. An `optimum` that another policy's regret was found with is not computed again; unless
+    `exact` is given, it says how. Raises ModelError at discount 1 where not every policy ends.
     """
     if exact is None:
         exact = cheap(mdp) if optimum is None else isinstance(optimum, Certificate)

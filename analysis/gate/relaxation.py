@@ -1,10 +1,4 @@
-"""Optimal values and visits for many sets of allowed pairs of one model.
-
-Models without cycles are solved backward, level by level, for all sets at once; others by policy
-iteration, one set after the other, begun with the policy of the one before. Neither claims anything
-of its error: `analysis.gate.relaxation` bounds it.
-
-Policies bound to read some columns only: many of them, or many relaxations, solved at once.
+"""Policies bound to read some columns only: many of them, or many relaxations, solved at once.
 
 All states in which the columns read have the same values form a *row*, and a policy that reads
 these columns takes one action in the whole row. A relaxation allows a set of actions in each row
@@ -12,8 +6,12 @@ and lets every state of it choose among them freely, knowing the full state: its
 an upper bound for every policy that takes, in each row, one of the allowed actions, mixed ones
 included, and with one action allowed in each row it is the value of that policy.
 
+Models without cycles are solved backward, level by level, for all sets of allowed pairs at once;
+others by policy iteration, one set after the other, begun with the policy of the one before.
+Neither claims anything of its error.
+
 The upper bound is V + c w with the weights w and margins m of `solvers.bounds.bounds`, where V are
-the values that `analysis.gate.relaxation` finds and r + γ P V - V ≤ c m for every allowed pair,
+the values found and r + γ P V - V ≤ c m for every allowed pair,
 rounding errors included.
 """
 
@@ -162,15 +160,7 @@ class Rows:
 
     @classmethod
     def of(cls, mdp: MDP, columns: Sequence[str]) -> Rows:
-        """Return the rows; raises ModelError where a row has no action in common.
-
-        Examples
-        --------
-        >>> from exact_mdp import Scenario
-        >>> rows = Rows.of(Scenario.load("yuan2025").compile(), ("status",))
-        >>> rows.available.shape, int(rows.asked.sum())
-        ((16, 4), 16)
-        """
+        """Return the rows; raises ModelError where a row has no action in common."""
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
         row = np.zeros(mdp.n_states, dtype=np.int64)
         if set(space.columns) == set(mdp.space.columns):
@@ -260,10 +250,7 @@ class Relaxations:
     def expand(self, allowed: Flags, worth: float = -np.inf) -> Expansion:
         """Return bounds, and for those above `worth` a policy and what each of its rows costs.
 
-        Parameters
-        ----------
-        allowed : (N, K, A) bool
-            N ≤ `batch` relaxations, with at least one action in every row that is asked.
+        `allowed` (N, K, A) holds N ≤ `batch` relaxations, with an action in each row asked.
         """
         mdp = self.rows.mdp
         open_pairs = self._pairs(allowed)
@@ -288,13 +275,7 @@ class Relaxations:
         return Expansion(upper=upper, kept=kept, choice=choice, value=rest, loss=loss)
 
     def evaluate(self, choices: Integers) -> tuple[Floats, Floats]:
-        """Return the values (N,) at the start of policies (N, K), and sound bounds on the errors.
-
-        Parameters
-        ----------
-        choices : (N, K) int64
-            Available action numbers, for any number N of policies.
-        """
+        """Return values (N,) of any number of policies (N, K) at the start, and error bounds."""
         found = []
         for first in range(0, len(choices), self.batch):
             some = one_hot(choices[first : first + self.batch], self.rows.mdp.n_actions)

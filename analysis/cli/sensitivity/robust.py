@@ -85,6 +85,7 @@ def robust_report(asked: Asked) -> Report:
         "seconds": found.robust.seconds,
     }
     facts = {
+        "start value": found.value,
         "uncertainty": MEANING[kind].format(f"{float(radius):.4g}"),
         "policy held": asked.form,
         "price of robustness": f"{cell(found.price)} (where the tables are right)",
