@@ -48,24 +48,27 @@ class Stopped(KeyboardInterrupt):
         self.number = number
 
 
-class _Ends:
-    """A program of its own, which ends as this module says."""
+class Program(click.Command):
+    """A command that is a program of its own: it ends as this module says."""
 
     def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
         """Run, and end the process."""
-        assert isinstance(self, click.Command)
-        name = prog_name or str(self.name)
-        if args is None:
-            leave(run(self, name, sys.argv[1:]))
-        sys.exit(run(self, name, args))
+        _run_as_program(self, args, prog_name)
 
 
-class Program(_Ends, click.Command):
-    """A command that is a program of its own."""
+class Programs(click.Group):
+    """The same of a group of commands."""
+
+    def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
+        """Run, and end the process."""
+        _run_as_program(self, args, prog_name)
 
 
-class Programs(_Ends, click.Group):
-    """A group of commands that is a program of its own."""
+def _run_as_program(command: click.Command, args: Sequence[str] | None, prog: str) -> NoReturn:
+    name = prog or str(command.name)
+    if args is None:
+        leave(run(command, name, sys.argv[1:]))
+    sys.exit(run(command, name, args))
 
 
 def run(

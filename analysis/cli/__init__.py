@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -55,10 +56,10 @@ def _reporting(words: list[str]) -> Told | None:
     """
     if next((word for word in words if not word.startswith("-")), None) != GATE.name:
         return None
-    rest = words[words.index(GATE.name) + 1 :]
+    rest = words[words.index(str(GATE.name)) + 1 :]
     if "--help" in rest:
         return None
-    anything = {"ignore_unknown_options": True, "allow_extra_args": True}
+    anything: dict[str, Any] = {"ignore_unknown_options": True, "allow_extra_args": True}
     with GATE.make_context(GATE.name, rest, resilient_parsing=True, **anything) as context:
         path, model = context.params.get("junit"), context.params.get("model") or "?"
     if not isinstance(path, str) or not path.lower().endswith(".xml"):

@@ -21,7 +21,7 @@ def info(**shared: Any) -> Report:
     mdp, scenario = loaded.mdp, loaded.scenario
     ending = termination(mdp)
     columns = {column.name: column.size for column in mdp.space.columns}
-    start = [[mdp.space.label(state), weight] for state, weight in mdp.start]
+    start = [(mdp.space.label(state), weight) for state, weight in mdp.start]
     result: dict[str, Any] = {
         "model": loaded.name,
         "title": scenario.title if scenario else None,

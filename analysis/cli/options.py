@@ -67,8 +67,8 @@ class Given:
     ) -> Report:
         """Return what was found, with how result and facts begin."""
         return Report(
-            result=self.head | result,
-            facts=self.facts | facts,
+            result={**self.head, **result},
+            facts={**self.facts, **facts},
             tables=tables,
             notes=(*notes, *self.notes),
             status=status,

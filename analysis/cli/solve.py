@@ -39,7 +39,7 @@ def solve(
     """Find an optimum, and write what was asked for."""
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     if operator:
-        wanted = {"--certify": certify, "--certificate": certificate}
+        wanted: dict[str, object] = {"--certify": certify, "--certificate": certificate}
         wanted["--horizon"] = shared.pop("horizon")
         asked = _as_operator(method, wanted, **shared)
         method = "backward-induction" if method == "auto" else method

@@ -169,7 +169,7 @@ def _changes(
 def _action(chain: PolicyChain, state: int) -> str:
     mdp = chain.mdp
     taken = [pair for pair in mdp.pairs_of(state) if chain.weights[pair] > 0]
-    names = [mdp.actions[mdp.pair_action[pair]] for pair in taken]
+    names: list[str] = [mdp.actions[mdp.pair_action[pair]] for pair in taken]
     if len(names) == 1:
         return names[0]
     return ", ".join(f"{chain.weights[p]:.4g} {name}" for p, name in zip(taken, names, strict=True))

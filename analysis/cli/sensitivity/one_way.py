@@ -61,7 +61,7 @@ def gradient_report(asked: Asked) -> Report:
     return Report(result=result, facts=facts, tables=[table])
 
 
-def _float(number: Certified | Bounded | None) -> float | None:
+def _float(number: Any) -> float | None:
     return None if number is None else float(number.value)
 
 

@@ -31,7 +31,7 @@ def sensitivity(
     asked = Asked(loaded=loaded.loaded, options=options)
     found: Report = getattr(import_module(f"{__package__}.{module}"), function)(asked)
     seen = options.get("perception")
-    result = loaded.head | {"kind": kind, "perception": seen} | found.result
+    result = {**loaded.head, "kind": kind, "perception": seen, **found.result}
     facts = {
         "model": loaded.loaded.name,
         "analysis": kind,
@@ -39,7 +39,7 @@ def sensitivity(
     }
     if options.get("out") is not None:
         result = _written(loaded, Path(options["out"]), kind, result)
-    return replace(found, result=result, facts=facts | found.facts, notes=loaded.notes)
+    return replace(found, result=result, facts={**facts, **found.facts}, notes=loaded.notes)
 
 
 def check(kind: str, options: Mapping[str, Any]) -> None:
