@@ -81,11 +81,11 @@ test-slow: $(STAMP) ## the tests that take long, and every property on examples 
 
 # The core at the lowest versions that are declared: models, solvers, certificates, the gate, the
 # commands, and each optional package that has a bound of its own. Not what takes long.
-LOWEST_TESTS = $(addprefix tests/,$(addsuffix .py,test_build test_certificate test_cli \
-    test_cli_files test_cli_train test_elimination test_environment test_evaluation test_exact \
-    test_gate test_interop_gymnasium test_interop_npz test_interop_umb test_many test_model \
-    test_perception test_policy test_policy_files test_robust test_sensitivity_global \
-    test_simulation test_solvers verdict/test_versions verdict/test_workers))
+LOWEST_TESTS = $(addprefix tests/,mdp solvers/test_solvers.py solvers/test_elimination.py \
+    solvers/proof/test_certificate.py solvers/proof/test_exact.py solvers/values solvers/robust \
+    solvers/parallel analysis/cli/test_commands.py analysis/cli/test_files.py \
+    analysis/cli/test_train.py analysis/gate/test_gate.py analysis/sensitivity/test_global.py \
+    project/test_versions.py)
 
 .PHONY: test-lowest
 test-lowest: $(LOWEST_STAMP) ## the core tests at the lowest declared versions, in .venv-lowest
@@ -94,7 +94,7 @@ test-lowest: $(LOWEST_STAMP) ## the core tests at the lowest declared versions, 
 
 .PHONY: wheel-test
 wheel-test: $(STAMP) ## build the wheel, install it elsewhere and use it there
-	$(PY) -m pytest -m wheel tests/test_packaging.py
+	$(PY) -m pytest -m wheel tests/project/test_packaging.py
 
 .PHONY: lint
 lint: $(STAMP) ## ruff's checks, its formatting among them

@@ -23,7 +23,7 @@ from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers import Claim, certify
 from exact_mdp.solvers.proof.certificate import Certificate
 
-SOLVERS = Path(__file__).parent.parent / "solvers"
+SOLVERS = Path(__file__).parents[3] / "solvers"
 Change = Callable[[Certificate], dict[str, Any]]
 
 

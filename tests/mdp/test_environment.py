@@ -20,7 +20,7 @@ from exact_mdp.solvers import evaluate, solve
 
 YUAN = f"exact_mdp.mdp.environment:{YUAN2025}"
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 READINGS = [{}, {"skip_timestep": "own"}, {"task_bonus": "no-subtask-skipped"}]
 
 

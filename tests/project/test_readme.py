@@ -11,7 +11,7 @@ import pytest
 
 from exact_mdp.analysis.cli import main
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text("utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
 PYTHON = [body for kind, body in BLOCKS if kind == "python"]

@@ -36,7 +36,7 @@ from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.session import NAME, hold
 from exact_mdp.solvers import certify, evaluate
 
-PLAN = reported.policy("non-directive", reported.completions()[77])
+PLAN = reported.policy("non-directive", reported.COMPLETIONS[77])
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.25, 1.0])

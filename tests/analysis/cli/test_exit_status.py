@@ -16,7 +16,7 @@ from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
 
 LONG_HEX = "0x" + "f" * 9000
-YUAN = Path(__file__).parents[2] / "mdp" / "scenarios" / "yuan2025.toml"
+YUAN = Path(__file__).parents[3] / "mdp" / "scenarios" / "yuan2025.toml"
 
 
 def told(err: str, status: int = 2) -> None:

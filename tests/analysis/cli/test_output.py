@@ -20,7 +20,7 @@ from exact_mdp.analysis.cli.render import at_most, decimal, digits_of, number, r
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp.io.load import save_model
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 
 
 # ---- what it prints --------------------------------------------------------------------------

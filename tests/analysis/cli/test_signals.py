@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from cli_runner import PROGRAM
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 WORK = """
 import click

@@ -12,7 +12,7 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 # Imports point one way: a package may import itself and those before it.
 LAYERS = ["mdp", "solvers", "analysis", "paper_repro"]
