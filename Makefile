@@ -107,7 +107,7 @@ format: $(STAMP) ## rewrite the files as ruff formats them
 	$(PY) -m ruff format .
 
 .PHONY: types
-types: $(STAMP) ## mypy over mdp and solvers
+types: $(STAMP) ## mypy over the four packages
 	$(PY) -m mypy
 
 .PHONY: bench

@@ -51,7 +51,9 @@ class Stopped(KeyboardInterrupt):
 class Program(click.Command):
     """A command that is a program of its own: it ends as this module says."""
 
-    def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
+    def main(
+        self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: Any, **__: Any
+    ) -> NoReturn:
         """Run, and end the process."""
         _run_as_program(self, args, prog_name)
 
@@ -59,12 +61,16 @@ class Program(click.Command):
 class Programs(click.Group):
     """The same of a group of commands."""
 
-    def main(self, args: Sequence[str] | None = None, prog_name: str = "", **_: Any) -> NoReturn:
+    def main(
+        self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: Any, **__: Any
+    ) -> NoReturn:
         """Run, and end the process."""
         _run_as_program(self, args, prog_name)
 
 
-def _run_as_program(command: click.Command, args: Sequence[str] | None, prog: str) -> NoReturn:
+def _run_as_program(
+    command: click.Command, args: Sequence[str] | None, prog: str | None
+) -> NoReturn:
     name = prog or str(command.name)
     if args is None:
         leave(run(command, name, sys.argv[1:]))
