@@ -107,8 +107,9 @@ format: $(STAMP) ## rewrite the files as ruff formats them
 	$(PY) -m ruff format .
 
 .PHONY: types
-types: $(STAMP) ## mypy over the four packages
+types: $(STAMP) ## mypy over the four packages and the tests' helpers
 	$(PY) -m mypy
+	$(PY) -m mypy tests/support tests/cases
 
 .PHONY: bench
 bench: $(BENCH_STAMP) ## the benchmarks; rewrites tests/benchmarks/RESULTS.md

@@ -57,7 +57,11 @@ def _model(n_states: int, pairs: Iterable[Pair]) -> Model:
 
 
 def _absorbing(model: Model) -> set[int]:
-    return {s for s, acts in enumerate(model) if all(x == (0, {s: 1}) for x in acts.values())}
+    return {s for s, acts in enumerate(model) if all(_stays(s, *x) for x in acts.values())}
+
+
+def _stays(state: int, reward: Fraction, row: Mapping[int, Fraction]) -> bool:
+    return reward == 0 and row == {state: 1}
 
 
 def _ending_policy(model: Model) -> dict[int, int]:

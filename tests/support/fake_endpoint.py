@@ -24,11 +24,18 @@ from typing import Any
 
 CERTIFICATE = Path(__file__).parent / "localhost.pem"
 
-GOOD = {
+GOOD: dict[str, dict[str, Any]] = {
     "behaviour": {"nonverbal": "Looks at the shelf.", "verbal": "Here it is."},
     "perception": {"forgetfulness": 0, "confusion": 0, "anger": 0, "disengagement": 0},
     "execution": {"speech": "Take the red can."},
 }
+
+
+class Quiet(ThreadingHTTPServer):
+    """A server that says nothing of the connections that it cannot serve."""
+
+    def handle_error(self, *_: object) -> None:
+        return
 
 
 @dataclass
@@ -173,12 +180,11 @@ def fake_endpoint(*faults: int | str, tls: bool = False, **headers: str) -> Iter
         def log_message(self, *_: object) -> None:
             return
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server = (Quiet if tls else ThreadingHTTPServer)(("127.0.0.1", 0), Handler)
     if tls:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.load_cert_chain(CERTIFICATE)
         server.socket = context.wrap_socket(server.socket, server_side=True)
-        server.handle_error = lambda *_: None
     thread = threading.Thread(target=server.serve_forever, args=(0.02,))
     thread.start()
     state.url = f"http{'s' * tls}://127.0.0.1:{server.server_address[1]}/v1"
@@ -220,7 +226,7 @@ def raw_server(script: Callable[[RawServer, socket.socket], None]) -> Iterator[R
 
     After the script the connection stays open until the other side ends it.
     """
-    state, threads = RawServer(), []
+    state, threads = RawServer(), list[threading.Thread]()
 
     def serve(line: socket.socket) -> None:
         with line:

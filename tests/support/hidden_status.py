@@ -47,7 +47,9 @@ class Hidden:
         return total
 
     def _acting(self, place: Any, belief: Belief, action: str) -> Fraction:
-        worth, onward = Fraction(0), defaultdict(lambda: defaultdict(Fraction))
+        worth = Fraction(0)
+        onward: dict[tuple[Any, Hashable], dict[Any, Fraction]]
+        onward = defaultdict(lambda: defaultdict(Fraction))
         for s, b in belief.items():
             for p, following, reward, signal in self.rows[place, s, action]:
                 worth += b * p * reward
@@ -66,7 +68,9 @@ class Hidden:
         total = Fraction(0)
         for z, chance in self.confusion[s].items():
             for p, following, reward, _ in self.rows[place, s, policy[place, z]] if chance else ():
-                later = Fraction(0) if following is None else self._following(*following, policy)
+                later = Fraction(0)
+                if following is not None:
+                    later = self._following(following[0], following[1], policy)
                 total += chance * p * (reward + self.discount * later)
         return total
 

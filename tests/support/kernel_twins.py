@@ -39,7 +39,7 @@ def relaxed(mdp: MDP, value: np.ndarray, *, backward: bool) -> np.ndarray:
 
 def factor_pattern(pattern: np.ndarray) -> np.ndarray:
     """Return (S, S) where factors of a dense pattern and its mirror image may have entries."""
-    found = pattern | pattern.T
+    found: np.ndarray = pattern | pattern.T
     for pivot in range(len(found)):
         later = np.flatnonzero(found[pivot, pivot + 1 :]) + pivot + 1
         found[np.ix_(later, later)] = True

@@ -9,8 +9,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from exact_mdp.solvers.kernels.tables import Tables
 
 WORD = 2**64 - 1
 
@@ -43,7 +47,7 @@ class Stream:
 class Twin:
     """A learner with dictionaries; rows and actions as the settings name them."""
 
-    tables: object  # solvers.kernels.Tables
+    tables: Tables
     actions: int
     method: str
     ties: str

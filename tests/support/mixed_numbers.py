@@ -36,7 +36,7 @@ def floats(value: F) -> list[Any]:
         return []
     found: list[Any] = [wide, np.float64(wide), np.longdouble(wide)]
     with np.errstate(over="ignore"):
-        short = [np.float32(wide), np.float16(wide)]
+        short: list[Any] = [np.float32(wide), np.float16(wide)]
     return found + [number for number in short if float(number) == wide]
 
 

@@ -18,8 +18,9 @@ def independent_law(scenario: Scenario, status: tuple[int, ...], action: str) ->
         given = f"assistance.{action}.{name}.{'persistence' if status[i] else 'onset'}"
         push = sum(values[f"influence.{names[j]}.{name}"] for j in range(len(names)) if j != i
                    and status[j])  # fmt: skip
-        free = values[f"persistence.{name}"] if status[i] else min(1, values[f"base.{name}"] + push)
-        result.append(values.get(given, Fraction(free)))
+        raised = min(Fraction(1), values[f"base.{name}"] + push)
+        free = values[f"persistence.{name}"] if status[i] else raised
+        result.append(values.get(given, free))
     return result
 
 

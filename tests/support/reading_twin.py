@@ -13,10 +13,10 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from oracle import ACTIONS, TABLE_4, Oracle
+from oracle import ACTIONS, TABLE_4, Oracle, Status
 
 Array = NDArray[np.float64]
-STATUSES = list(product((0, 1), repeat=4))
+STATUSES: list[Status] = [(a, b, c, d) for a, b, c, d in product((0, 1), repeat=4)]
 BITS = np.array(STATUSES, dtype=float)
 W = {name: float(weight) for name, weight in TABLE_4.items()}
 ASSIST = np.array([W[f"assist.{action}"] for action in ACTIONS])

@@ -48,7 +48,9 @@ def model_of(
 
 
 @st.composite
-def distributions(draw: st.DrawFn, states: Sequence[int], *, through: int | None = None):
+def distributions(
+    draw: st.DrawFn, states: Sequence[int], *, through: int | None = None
+) -> dict[int, Fraction]:
     """Draw {state: probability} over some of the states, `through` among them."""
     chosen = draw(st.lists(st.sampled_from(states), min_size=1, max_size=4))
     if through is not None:
