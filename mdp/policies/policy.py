@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, check_names, located
@@ -49,12 +50,12 @@ ReadAs = Literal["q", "policy"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Policy:
+class Policy(NDArrayOperatorsMixin):
     """π(a | columns): what to do for each combination of column values.
 
-    A policy is an array, too: `np.asarray(policy)` is its `rule`, and so are indexing, `len`,
-    iteration and comparison with other arrays. Two policies are equal where they are the same
-    object.
+    A policy is an array, too, that of its `rule`: in indexing, `len`, iteration, comparison and
+    arithmetic, in functions of NumPy, and with the methods of an array (`policy.copy()`).
+    Comparison is by element, as of arrays: `(policy == other).all()`.
 
     Attributes
     ----------
@@ -178,6 +179,10 @@ class Policy:
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Numbers:
         return np.array(self.rule, dtype=dtype, copy=copy)
 
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
+        plain = [given.rule if isinstance(given, Policy) else given for given in inputs]
+        return getattr(ufunc, method)(*plain, **settings)
+
     def __len__(self) -> int:
         return len(self.rule)
 
@@ -188,10 +193,10 @@ class Policy:
         return self.rule[key]
 
     def __eq__(self, other: object) -> Any:
-        return self is other if isinstance(other, Policy) else self.rule == other
+        return self.rule == (other.rule if isinstance(other, Policy) else other)
 
     def __ne__(self, other: object) -> Any:
-        return self is not other if isinstance(other, Policy) else self.rule != other
+        return self.rule != (other.rule if isinstance(other, Policy) else other)
 
     __hash__ = object.__hash__
 
@@ -213,6 +218,14 @@ class Policy:
     def tolist(self) -> list[Any]:
         """Return the array as lists of Python numbers."""
         return list(self.rule.tolist())
+
+    if not TYPE_CHECKING:  # where types are checked, a name that nobody knows stays an error
+
+        def __getattr__(self, name: str) -> Any:
+            """Return an attribute of the array."""
+            if name in ("rule", "shares") or name.startswith("_") or not hasattr(np.ndarray, name):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            return getattr(self.rule, name)
 
     # ---- what it says ------------------------------------------------------------------------
 

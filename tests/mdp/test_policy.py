@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -131,8 +133,18 @@ def test_a_policy_is_the_array_of_its_rule() -> None:
     assert (numbers == policy).all()
     assert not (policy != numbers).any()
     assert policy in {policy}
-    assert policy == policy
-    assert policy != Policy.of(MDP_1, numbers)
+    other = Policy.of(MDP_1, numbers)
+    assert (policy == other).all()
+    assert not (policy != other).any()
+    assert (policy + 1 == 1 + policy).all()
+    assert (policy < 1).all()
+    assert np.maximum(policy, other).tolist() == numbers.tolist()
+    assert policy.size == policy.copy().size == policy.reshape(1, -1).shape[1] == len(policy)
+    assert policy.astype(float).tobytes() == numbers.astype(float).tobytes()
+    for again in (copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))):
+        assert (again == policy).all()
+    with pytest.raises(AttributeError, match="'Policy' object has no attribute 'gap'"):
+        _ = policy.__getattribute__("gap")
     mixed = Policy.by(MDP_1, ["status"], [[0.5, 0.5, 0, 0]] * 16)
     assert np.asarray(mixed).tolist() == mixed.table.tolist()
     assert mixed.shape == (16, 4)
