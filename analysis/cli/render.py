@@ -5,7 +5,7 @@ its exit status. JSON holds the result; text holds facts and tables. A value is 
 
     type                in JSON                                  in text
     Certified, Bounded  {"value": x, "error_bound": e}           117.07 (bounded, within 2e-12)
-    Estimated           {"value": x, "standard_error": e, ...}   117.1 ± 0.2 (estimated)
+    Estimated           {"value": x, "standard_error": e, ...}   117.1 (estimated, standard error 2)
     Fraction            "p/q"                                    p/q
     float               as Python's repr, which is exact         ten digits at most
     NaN, None           null                                     - in a table, no fact
@@ -214,12 +214,18 @@ def fact(value: Any) -> str:
     --------
     >>> fact(Bounded(value=117.24, error=0.101)), fact(12345), fact(Certified(value=Fraction(1, 4)))
     ('117.2 (bounded, within 0.11)', '12,345', '0.25 (certified)')
+    >>> fact(Estimated(value=147.63, standard_error=1.14))
+    '147.6 (estimated, standard error 1.1)'
     """
     if isinstance(value, Bounded) and math.isnan(value.value):
         return "unknown: double precision cannot bound it"
     if isinstance(value, Bounded):
         return f"{cell(value)} ({value.claim}, within {at_most(value.error)})"
-    if isinstance(value, Certified | Estimated):
+    if isinstance(value, Estimated):
+        error = value.standard_error
+        shown = number(value.value, error / 10)
+        return f"{shown} ({value.claim}, standard error {error:.2g})"
+    if isinstance(value, Certified):
         return f"{cell(value)} ({value.claim})"
     return cell(value)
 

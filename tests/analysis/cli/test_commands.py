@@ -293,6 +293,8 @@ def test_simulate_agrees_with_evaluate() -> None:
     assert (found["claim"], found["episodes"], found["seed"]) == ("estimated", 20_000, 0)
     assert abs(found["mean"] - exact["mean"]) < 4 * found["standard_error"]
     assert found["standard_error"] == pytest.approx(exact["sd"] / sqrt(20_000), rel=0.05)
+    shown = run("simulate", *words, "--episodes", 20_000).out
+    assert f"(estimated, standard error {found['standard_error']:.2g})" in shown
     same = run("simulate", *words, "--episodes", 20_000, "--seed", 0, "--json")
     assert same.result == found
     other = run("simulate", *words, "--episodes", 20_000, "--seed", 1, "--json").result
