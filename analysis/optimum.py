@@ -15,6 +15,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,9 @@ from exact_mdp.mdp.chain import is_acyclic, reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.proof.certificate import Certificate
+
+if TYPE_CHECKING:
+    from exact_mdp.solvers.proof.certificate import Certificate
 
 Mask = NDArray[np.bool_]
 
@@ -63,13 +66,13 @@ class Optimum:
     def value(self) -> Floats:
         """(S,) state values."""
         best = self.best
-        return best.value_float if isinstance(best, Certificate) else best.value
+        return best.value if isinstance(best, solvers.Solution) else best.value_float
 
     @cached_property
     def state_error(self) -> Floats:
         """(S,) bounds on the errors of the values; rounding alone where they are certified."""
         best = self.best
-        if isinstance(best, Certificate):
+        if not isinstance(best, solvers.Solution):
             return np.asarray(np.spacing(np.abs(self.value)))
         return best.state_error
 
@@ -82,7 +85,7 @@ class Optimum:
     def optimal(self) -> Mask:
         """(L,) the optimal pairs; up to the error bound where there is no certificate."""
         best = self.best
-        if isinstance(best, Certificate):
+        if not isinstance(best, solvers.Solution):
             return best.optimal_pairs
         return np.asarray(best.q >= best.value[self.mdp.pair_state] - 2 * best.error_bound)
 
@@ -95,7 +98,7 @@ class Optimum:
     def error_bound(self) -> float:
         """A bound on the error of the start value, and of the value of every state."""
         best = self.best
-        if isinstance(best, Certificate):
+        if not isinstance(best, solvers.Solution):
             rounding = float(np.spacing(abs(self.start_value)))
             return max(float(self.state_error.max()), rounding)
         return max(best.error_bound, best.start.error)

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from exact_mdp.mdp import build
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.horizon import unrolled
-from exact_mdp.mdp.io.gymnasium import outcomes_of
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric.symbolic import (
     arrays_degree,
     changed_degree,
@@ -34,6 +34,8 @@ from exact_mdp.mdp.parametric.symbolic import (
 )
 from exact_mdp.mdp.table import Floats, Integers, OutcomeTable
 from exact_mdp.mdp.validate import Parts, as_discount, as_start, check_model, counted
+
+gymnasium = later("exact_mdp.mdp.io.gymnasium")
 
 
 @dataclass(frozen=True, eq=False)
@@ -429,7 +431,7 @@ class MDP(Parts):
         >>> MDP.from_gymnasium(Coin()).table.row(0)[1]
         (Fraction(1, 2), 1, Fraction(1, 1))
         """
-        rows, parts = outcomes_of(env, **names)
+        rows, parts = gymnasium.outcomes_of(env, **names)
         return cls.from_outcomes(rows, discount, **parts)
 
 

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from exact_mdp.analysis.cli.render import Report, Table
-from exact_mdp.mdp.care.perception import perceived, read
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.load import Loaded, load
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import exact
 from exact_mdp.solvers.values.policy_chain import policy_of
+
+seeing = later("exact_mdp.mdp.care.perception")
 
 MOST_STEPS = 10**9
 
@@ -136,7 +138,8 @@ def policy_from(
     found = policy_of(mdp, form, kind=kind)
     if perception is None:
         return found
-    return replace(perceived(mdp, found, read(perception, mdp)), source=found.source)
+    seen: Policy = seeing.perceived(mdp, found, seeing.read(perception, mdp))
+    return replace(seen, source=found.source)
 
 
 def number_of(text: str, option: str, *, positive: bool = False) -> float:

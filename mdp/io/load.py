@@ -13,8 +13,11 @@ from pathlib import Path
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.io import npz, umb
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+
+npz = later("exact_mdp.mdp.io.npz")
+umb = later("exact_mdp.mdp.io.umb")
 
 GYMNASIUM = "gymnasium:"
 FILES = (".toml", ".npz", ".umb")
