@@ -1,5 +1,6 @@
 """Derivatives and thresholds of families: certified where the degree is proven, and only there."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from itertools import pairwise
 
@@ -28,6 +29,22 @@ from exact_mdp.solvers.solution import Claim
 
 def unit(name: str, value: F) -> Parameter:
     return Parameter(name=name, value=value, low=F(0), high=F(1))
+
+
+def earning(gain: F) -> MDP:
+    """Earn a gain once."""
+    return MDP.from_outcomes([(0, 0, [(1, 1, gain)]), (1, 0, [(1, 1, 0)])])
+
+
+def staying(at) -> MDP:
+    """Earn 1 and stay with probability p: V = 1 / (1 - p)."""
+    return MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0])
+
+
+def two_entries() -> Family:
+    """Two probabilities of one row, each with room until both sum to 1."""
+    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
+    return moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]})
 
 
 def waiting(power: int) -> Family:
@@ -72,7 +89,7 @@ def test_what_is_checked_at_points_alone_is_not_certified() -> None:
 
     def build(at):
         assert float(at["p"]) >= 0
-        return MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0])
+        return staying(at)
 
     family = Family(parameters=(unit("p", F(1, 2)),), build=build)
     found = gradient(family)
@@ -98,10 +115,7 @@ def test_what_is_checked_at_points_alone_is_not_certified() -> None:
     ],
 )
 def test_what_is_no_polynomial_is_never_certified(reward) -> None:
-    def build(at):
-        return MDP.from_outcomes([(0, 0, [(1, 1, reward(at["p"]))]), (1, 0, [(1, 1, 0)])])
-
-    family = Family(parameters=(unit("p", F(1, 4)),), build=build)
+    family = Family(parameters=(unit("p", F(1, 4)),), build=lambda at: earning(reward(at["p"])))
     with pytest.raises(ModelError, match="not polynomials"):
         gradient(family)
 
@@ -111,15 +125,11 @@ def test_a_builder_with_another_way_beyond_the_points_is_not_certified() -> None
 
     def build(at):
         gain = F(5) if F(9001, 10**4) < at["p"] < F(9002, 10**4) else at["p"]
-        return MDP.from_outcomes([(0, 0, [(1, 1, gain)]), (1, 0, [(1, 1, 0)])])
+        return earning(gain)
 
     family = Family(parameters=(unit("p", F(1, 4)),), build=build)
     assert gradient(family)["p"].claim == Claim.ESTIMATED
-    broken = Family(
-        parameters=family.parameters,
-        build=build,
-        breaks={"p": [F(9001, 10**4), F(9002, 10**4)]},
-    )
+    broken = replace(family, breaks={"p": [F(9001, 10**4), F(9002, 10**4)]})
     assert gradient(broken)["p"].claim == Claim.CERTIFIED
 
 
@@ -127,8 +137,7 @@ def test_a_proof_needs_the_model_that_was_followed() -> None:
     """A model made of another one's floats is not the one whose degree is known."""
 
     def build(at):
-        first = MDP.from_outcomes([(0, 0, [(1, 1, at["p"])]), (1, 0, [(1, 1, 0)])])
-        return MDP.from_outcomes([(0, 0, [(1, 1, F(first.reward[0]) ** 2)]), (1, 0, [(1, 1, 0)])])
+        return earning(F(earning(at["p"]).reward[0]) ** 2)
 
     assert degree_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
 
@@ -139,7 +148,7 @@ def test_a_builder_that_catches_everything_proves_nothing() -> None:
             gain = F(float(at["p"]) ** 2)
         except Exception:
             gain = F(1)
-        return MDP.from_outcomes([(0, 0, [(1, 1, gain)]), (1, 0, [(1, 1, 0)])])
+        return earning(gain)
 
     assert degree_of(build, {"p": F(1, 2)}, "p", (F(0), F(1)), F(1, 4)) is None
 
@@ -239,8 +248,7 @@ def test_certified_thresholds_are_where_optimal_actions_change(drawn) -> None:
 
 def test_two_named_entries_of_one_row_have_a_gradient() -> None:
     """Each has room until both sum to 1; V = (1 + 2 b γ / (1 - γ)) / (1 - γ a) by hand."""
-    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
-    family = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]})
+    family = two_entries()
     found = gradient(family)
 
     def value(a: F, b: F) -> F:
@@ -267,32 +275,12 @@ def test_one_name_on_two_entries_of_a_row_has_a_gradient() -> None:
 
 
 def test_a_parameter_at_the_end_of_its_room_has_one_side() -> None:
-    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
-    family = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]})
-    family = Family(
-        parameters=tuple(
-            Parameter(
-                name=p.name, value=F(3, 4) if p.name == "a" else p.value, low=p.low, high=p.high
-            )
-            for p in family.parameters
-        ),
-        build=family.build,
-        room=family.room,
-    )
+    family = two_entries()
+    a, *rest = family.parameters
+    family = replace(family, parameters=(replace(a, value=F(3, 4)), *rest))
     below, above = pieces(family, "a", F(3, 4))
     assert below is not None
     assert above is None
-
-
-def test_the_docstring_example_of_a_family_has_a_gradient() -> None:
-    """No range is stated there, and half a step from today there is no model any more."""
-    family = Family(
-        parameters=(Parameter(name="p", value=F(1, 2)),),
-        build=lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
-    )
-    each = gradient(family)["p"].value
-    assert each is not None
-    assert (each.value, each.claim) == (4, Claim.CERTIFIED)
 
 
 @pytest.mark.parametrize("bounds", [(-1, 1), (-1, 2), (F(-1, 2), F(1, 4))])
@@ -335,25 +323,6 @@ def test_a_tie_at_a_kink_is_a_touch() -> None:
     assert found.claim == Claim.CERTIFIED
     assert found.frame()["touch"].tolist() == [True]
     assert found.stable() == (0, 1)
-
-
-def test_derivatives_at_a_clip_are_those_of_each_side() -> None:
-    """One-sided slopes where base and influence sum to 1, against values in fractions."""
-    own = Scenario.load("yuan2025").with_(
-        tasks=[1],
-        max_trial=2,
-        parameters={"base.anger": "4/5", "influence.disengagement.anger": "1/5"},
-    )
-    family = parametric(own)
-    assert F(4, 5) in family.breakpoints("base.anger")
-    found = gradient(own, names=["base.anger"])["base.anger"]
-    step = F(1, 10**6)
-    points = {k: F(4, 5) + k * step for k in (-1, 0, 1)}
-    values = {k: start_value(family.at({"base.anger": at})) for k, at in points.items()}
-    for sign, side in ((-1, found.left), (1, found.right)):
-        assert side is not None
-        slope = (values[sign] - values[0]) / (sign * step)
-        assert float(side.value) == pytest.approx(float(slope), abs=1e-3)
 
 
 def test_scenario_degrees_hold_at_further_points() -> None:
@@ -413,10 +382,7 @@ def test_default_ranges_stay_where_there_is_a_model() -> None:
     family = moving(MDP.from_arrays([rows], [1, 2, 0], "1/2"), {"a": [(0, 0)], "b": [(0, 1)]})
     bars = {bar.parameter.name: bar for bar in tornado(family).bars}
     assert (bars["a"].high.at, bars["b"].high.at) == (F(11, 20), F(1, 2))
-    open_ended = Family(
-        parameters=(Parameter(name="p", value=F(9, 10)),),
-        build=lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
-    )
+    open_ended = Family(parameters=(Parameter(name="p", value=F(9, 10)),), build=staying)
     (bar,) = tornado(open_ended).bars
     assert F(9, 10) < bar.high.at < 1
     assert two_way(family, "a", "discount", points=2).value.shape == (2, 2)
@@ -439,8 +405,6 @@ def test_an_elasticity_beyond_floats_is_infinite_not_an_error() -> None:
     tiny = F(1, 10**320)
     family = Family(
         parameters=(Parameter(name="p", value=F(1)),),
-        build=lambda at: MDP.from_outcomes(
-            [(0, 0, [(1, 1, at["p"] - 1 + tiny)]), (1, 0, [(1, 1, 0)])]
-        ),
+        build=lambda at: earning(at["p"] - 1 + tiny),
     )
     assert gradient(family)["p"].elasticity == np.inf

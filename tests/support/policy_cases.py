@@ -248,7 +248,7 @@ def state_of(mdp: MDP, number: int) -> State:
     """The oracle's name of a state."""
     if number == mdp.n_states - 1:
         return END
-    value = {name: int(mdp.space.values(name)[number]) for name in mdp.space.names}
+    value = {name: int(mdp.space.values(name, np.array([number]))[0]) for name in mdp.space.names}
     f, c, a, d = (value["status"] >> shift & 1 for shift in (3, 2, 1, 0))
     return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), (f, c, a, d))
 

@@ -1,4 +1,7 @@
-"""Acting on perceived statuses: against the reference model, by file, on the command line."""
+"""Acting on perceived statuses: against the reference model, by file, on the command line.
+
+The matrix of perception may be counted from labelled examples: files, priors, intervals, draws.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,21 @@ import numpy as np
 import pytest
 from cli_runner import run
 from oracle import Oracle
+from scipy.stats import beta, dirichlet
 
+from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.care.perception import independent, perceived, read
+from exact_mdp.mdp.care.perception import (
+    Counted,
+    counted,
+    independent,
+    perceived,
+    read,
+    read_counts,
+)
 from exact_mdp.solvers import evaluate
 
+NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
 LABELS = [f"{status:04b}" for status in range(16)]
 ACTIONS = ("none", "supportive", "non-directive", "directive")
 RATES = ("9/10", "4/5", "19/20", "3/4")
@@ -73,9 +86,8 @@ def test_the_value_is_that_of_the_reference_model(care: MDP, tmp_path: Path, exa
 
 
 def test_rates_and_matrix_say_the_same(care: MDP, tmp_path: Path, exact_rows) -> None:
-    names = ("forgetfulness", "confusion", "anger", "disengagement")
-    lines = ["[sensitivity]", *(f'{n} = "{r}"' for n, r in zip(names, RATES, strict=True))]
-    lines += ["[specificity]", *(f'{n} = "{r}"' for n, r in zip(names, CLEAR, strict=True))]
+    lines = ["[sensitivity]", *(f'{n} = "{r}"' for n, r in zip(NAMES, RATES, strict=True))]
+    lines += ["[specificity]", *(f'{n} = "{r}"' for n, r in zip(NAMES, CLEAR, strict=True))]
     (tmp_path / "seen.toml").write_text("\n".join(lines))
     by_rate = read(tmp_path / "seen.toml", care)
     by_row = read(as_csv(tmp_path / "seen.csv", exact_rows), care)
@@ -116,6 +128,14 @@ def test_every_command_about_a_policy_takes_it(tmp_path: Path) -> None:
         ("a.toml", "[sensitivity]\nangre = 1\n", "unknown status"),
         ("a.toml", "[sensitivity]\nanger = nan\n", "finite"),
         ("a.txt", "", "unknown kind"),
+        ("a.csv", "true,perceived\n0000\n", "1 values in a row"),
+        ("a.csv", "true,perceived\n0000,0002\n", "unknown status"),
+        ("a.csv", "true,perceived\n0000,0000\n", "no example was labelled 0001"),
+        ("a.jsonl", "{\n", "broken JSON"),
+        ("a.jsonl", "3\n", "not an object"),
+        ("a.jsonl", '{"statuses": ["joy"]}\n', "the statuses"),
+        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "16 is not a status"),
+        ("a.jsonl", '{"status": true, "perceived": 0}\n', "True is not a status"),
     ],
 )
 def test_broken_files_are_refused(tmp_path: Path, name: str, text: str, what: str) -> None:
@@ -143,3 +163,116 @@ def test_rows_that_are_no_distribution(care: MDP, tmp_path: Path) -> None:
         perceived(care, "random", matrix)
     with pytest.raises(ModelError, match="no statuses"):
         perceived(MDP.from_arrays([[[1]]], [0]), "random", np.eye(16))
+
+
+# ---- counted from labelled examples -------------------------------------------------------------
+
+
+def examples() -> list[tuple[str, str]]:
+    rng = np.random.default_rng(0)
+    pairs = [(s, s if rng.random() < 0.8 else int(rng.integers(16))) for s in [*range(16)] * 6]
+    return [(f"{s:04b}", f"{z:04b}") for s, z in pairs]
+
+
+def test_every_form_gives_the_same_counts(care: MDP, tmp_path: Path) -> None:
+    pairs = examples()
+    table = np.zeros((16, 16), dtype=int)
+    for s, z in pairs:
+        table[int(s, 2), int(z, 2)] += 1
+    (tmp_path / "a.csv").write_text("true,perceived\n" + "".join(f"{s},{z}\n" for s, z in pairs))
+    header = {"kind": "header", "statuses": list(NAMES)}
+    talk = [{"kind": "step", "status": s, "perceived": z, "action": "none"} for s, z in pairs]
+    lines = [json.dumps(entry) for entry in [header, *talk, {"kind": "end", "return": "3"}]]
+    (tmp_path / "a.jsonl").write_text("\n".join(lines) + '\n{"status": "00')  # a broken last line
+    labels = [{"status": int(s, 2), "perceived": int(z, 2)} for s, z in pairs]
+    (tmp_path / "b.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in labels))
+    for name in ("a.csv", "a.jsonl", "b.jsonl"):
+        assert np.array_equal(read_counts(tmp_path / name, care).counts, table)
+        assert np.array_equal(read(tmp_path / name, care), Counted(counts=table).mean)
+    assert np.array_equal(counted(pairs, size=16).counts, table)
+    assert np.array_equal(counted(table, size=16).counts, table)
+    assert not counted(table, size=16).counts.flags.writeable
+
+
+def test_a_last_line_without_its_newline(care: MDP, tmp_path: Path) -> None:
+    line = '{"status": "0000", "perceived": "0001"}'
+    for end, kept in (("", 2), ("\n", 2), ('\n{"status": "0000", "perceived": "00', 2)):
+        (tmp_path / "a.jsonl").write_text(f"{line}\n{line}{end}")
+        assert read_counts(tmp_path / "a.jsonl", care).counts[0, 1] == kept
+    (tmp_path / "a.jsonl").write_text(f'{line}\n{{"status"\n{line}')
+    with pytest.raises(ModelError, match="broken JSON"):
+        read_counts(tmp_path / "a.jsonl", care)
+
+
+def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
+    (tmp_path / "few.csv").write_text("true,perceived\n0000,0000\n")
+    seen = ("--perception", tmp_path / "few.csv")
+    for words in (("evaluate", "yuan2025", "random"), ("perception", "yuan2025")):
+        done = run(*words, *seen)
+        assert done.status == 2
+        assert f"where: {tmp_path / 'few.csv'}" in done.err
+        assert "`exact-mdp perception` takes a --prior" in done.err
+
+
+def test_a_prior_is_so_many_examples(care: MDP) -> None:
+    pairs = examples()[:10]
+    bare, weighed = counted(pairs, size=16), counted(pairs, size=16, prior=0.25)
+    assert set(bare.missing) == {f"{s:04b}" for s in range(10, 16)}
+    with pytest.raises(ModelError, match="labelled 1010, 1011, 1100, 1101 and others"):
+        _ = bare.mean
+    assert weighed.mean == pytest.approx((bare.counts + 0.25) / (bare.counts.sum(1) + 4)[:, None])
+    with pytest.raises(ModelError, match="no prior to draw from"):
+        bare.samples(np.random.default_rng(0), 1)
+
+
+def test_draws_are_of_the_posterior() -> None:
+    found = counted(examples(), size=16, prior=0.5)
+    drawn = found.samples(np.random.default_rng(1), 20_000)
+    assert drawn.sum(axis=2) == pytest.approx(1)
+    row = found.counts[3] + 0.5
+    error = np.sqrt(dirichlet.var(row) / 20_000)
+    assert (abs(drawn[:, 3].mean(axis=0) - dirichlet.mean(row)) < 5 * error).all()
+    share = beta(row[3], row.sum() - row[3])
+    below = (drawn[:, 3, 3] < share.ppf(0.2)).mean()
+    assert abs(below - 0.2) < 5 * np.sqrt(0.16 / 20_000)
+
+
+def test_rates_are_of_single_statuses() -> None:
+    found = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
+    rates = found.rates(["anger", "confusion"])
+    told = {
+        (name, what): (rate.right, rate.total)
+        for name, both in rates.items()
+        for what, rate in both.items()
+    }
+    assert told == {
+        ("anger", "sensitivity"): (1, 2),
+        ("anger", "specificity"): (1, 2),
+        ("confusion", "sensitivity"): (1, 1),
+        ("confusion", "specificity"): (2, 3),
+    }
+    empty = counted([("00", "00")], size=4).rates(["a", "b"])["a"]["sensitivity"]
+    assert (empty.value, empty.low, empty.high) == (None, 0.0, 1.0)
+
+
+def test_the_uncertain_value_is_that_of_the_draws(care: MDP) -> None:
+    counts = counted(examples(), size=16, prior=1 / 16)
+    policy = {f"{s:04b}": ["none", "supportive", "directive"][s % 3] for s in range(16)}
+    found = value_under_counts(care, policy, counts, rng=5, n=30)
+    again = value_under_counts(care, policy, counts, rng=5, n=30)
+    matrices = counts.samples(np.random.default_rng(5), 30)
+    alone = [evaluate(care, perceived(care, policy, matrix)).mean for matrix in matrices]
+    assert found.draws == pytest.approx(alone, rel=1e-12)
+    assert np.array_equal(found.draws, again.draws)
+    assert found.value.value == pytest.approx(np.mean(alone))
+    at_mean = evaluate(care, perceived(care, policy, counts.mean)).mean
+    assert abs(found.at_mean.value - at_mean) <= 2 * found.at_mean.error
+    assert found.value.claim == "estimated"
+
+
+def test_counts_that_are_none() -> None:
+    for table in (np.ones((2, 3)), -np.eye(2), np.full((2, 2), 0.5)):
+        with pytest.raises(ModelError, match="whole numbers"):
+            Counted(counts=table)
+    with pytest.raises(ModelError, match="prior is -1"):
+        Counted(counts=np.eye(2, dtype=int), prior=-1)

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import END, STATUSES, Oracle, State
+from oracle import STATUSES, Oracle, State
+from policy_cases import state_of
 
 from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.care.tables import READINGS
@@ -24,15 +25,6 @@ ALL_READINGS = [
     dict(zip(READINGS, options, strict=True)) for options in product(*READINGS.values())
 ]
 Law = dict[tuple[State, Fraction, bool], Fraction]
-
-
-def state_of(mdp: MDP, number: int) -> State:
-    """The reference's name of a state number."""
-    if number == mdp.n_states - 1:
-        return END
-    value = {name: int(mdp.space.values(name, np.array([number]))[0]) for name in mdp.space.names}
-    bits = tuple(value["status"] >> shift & 1 for shift in (3, 2, 1, 0))
-    return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), bits)
 
 
 def law_of(mdp: MDP, pair: int) -> Law:
