@@ -1,8 +1,8 @@
 """How the programs end: one exit status, one sentence, no traceback.
 
 0 done, 1 a check did not hold, 2 bad input or usage, 3 anything else that went wrong: a full disk,
-a closed standard output, too little memory, numbers beyond the arithmetic, a method that gave up, a
-fault of the program itself. A signal that asks to stop ends with 128 + its number, as shells count:
+a closed standard output, too little memory, numbers beyond the arithmetic, a method that gave up,
+an error in the program itself. A signal that asks to stop ends with 128 + its number, as in shells:
 130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed; and 141, without a word, where the reader
 of a pipe went away (`| head`).
 
@@ -201,9 +201,9 @@ def _broken(error: BaseException, usage: str) -> str:
         return _message("OSError", f"the system refuses: {error.strerror}", place, fix)
     return _message(
         kind,
-        f"a fault of the program, not of what you gave it: {said or 'no message'}",
+        f"an error in the program, not in your input: {said or 'no message'}",
         f"{usage}, in {_place(error)}",
-        f"report it with this command; {TRACEBACK}=1 shows the traceback to send along",
+        f"report it with this command; {TRACEBACK}=1 shows the traceback to send with it",
     )
 
 

@@ -159,7 +159,7 @@ def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
     for name in listed:
         if not isinstance(name, str):
             raise ModelError(
-                f"{of} is {_cut(repr(name))}, not a text", where=where, fix="give a text"
+                f"{of} is {_cut(repr(name))}, not a string", where=where, fix="give a string"
             )
     # One search through all of them: a million states may have a name each.
     if not UNSAFE.search("".join(listed)) and max(map(len, listed), default=0) <= LONGEST:

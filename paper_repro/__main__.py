@@ -22,17 +22,15 @@ from exact_mdp.mdp import ModelError
     type=click.Path(file_okay=False, path_type=Path),
     default=Path("results"),
     show_default=True,
-    help="Folder for the report, numbers, figures and run.json; an interrupted run goes on there.",
+    help="Folder for report, numbers, figures and run.json; an interrupted run continues there.",
 )
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
     help="Search the readings and train under them on a Dask cluster: tcp://HOST:PORT, or local.",
 )
-@click.option("--claim", "name", metavar="ID", help="Work out this claim alone, and print it.")
-@click.option(
-    "--candidates", is_flag=True, help="Print what is found in the form of expected.toml."
-)
+@click.option("--claim", "name", metavar="ID", help="Work out only this claim, and print it.")
+@click.option("--candidates", is_flag=True, help="Print the results in the form of expected.toml.")
 def main(
     quick: bool, out: Path, scheduler: str | None, name: str | None, candidates: bool
 ) -> int | None:

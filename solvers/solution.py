@@ -46,7 +46,7 @@ class Status(StrEnum):
         "allow a larger tol, or use certify(), which computes in rational arithmetic"
     )
     ITERATION_LIMIT = (
-        "the iteration limit came first; "
+        "the iteration limit was reached first; "
         "raise max_iterations, or use PolicyIteration, which does not depend on mixing"
     )
     NO_BOUND = (

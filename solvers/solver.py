@@ -140,7 +140,7 @@ def solve(
     own = getattr(model, "solve_with", None)
     if horizon is not None and not isinstance(model, MDP | Scenario):
         raise ModelError(
-            f"{type(model).__name__} is solved until it ends",
+            f"{type(model).__name__} takes no horizon",
             where="horizon",
             fix="leave horizon out, or compile the scenario, which stops after any number of steps",
         )

@@ -176,7 +176,9 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
         "learned value": lost.learned,
         "agreement": f"{audit.agreement:.1%} of the states with a choice, "
         f"{audit.agreement_by_visits:.1%} of the visits to them",
-        "not decided": f"by the bounds, in {audit.unclear} more states" if audit.unclear else None,
+        "not decided": f"in {audit.unclear} more states, by these bounds"
+        if audit.unclear
+        else None,
     }
     if q := audit.q_error:
         facts["Q-table"] = (
@@ -186,8 +188,8 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
     if why is not None:
         best = why.best
         proof = "proven" if best.proven else f"upper bound {cell(best.upper_bound)}"
-        facts[f"best that reads {_read(best.columns)}"] = f"{cell(best.value)} ({proof})"
-        facts["lost by what it reads"] = why.loss
+        facts[f"best policy that reads {_read(best.columns)}"] = f"{cell(best.value)} ({proof})"
+        facts["lost because of what it reads"] = why.loss
         facts["lost by learning"] = why.learning_error
     return facts
 

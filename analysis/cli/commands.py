@@ -24,8 +24,8 @@ HERE = "exact_mdp.analysis.cli"
 
 POLICY_HELP = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
 .csv with the header status,action; .npy or .npz with a Q-table or with probabilities of actions
-(--kind q, --kind policy; auto takes an array for probabilities where every row that counts is a
-distribution, and refuses it where its greedy policy would be another one)."""
+(--kind q, --kind policy; auto reads an array as probabilities if the row of each state with a
+choice is a distribution, and refuses it if its greedy policy would differ)."""
 
 PERCEPTION_HELP = (
     "The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity "
@@ -235,7 +235,7 @@ def simulate() -> None:
 @click.option("--junit", metavar="FILE", help="Write a JUnit report: .xml.")
 @click.option("--certify", is_flag=True, help="Use rational arithmetic, however long it takes.")
 @click.option(
-    "--no-explain", is_flag=True, help="Leave out what the policy's columns cannot express."
+    "--no-explain", is_flag=True, help="Do not say what the policy's columns cannot express."
 )
 @of_policy
 @of_model
@@ -243,9 +243,9 @@ def check() -> None:
     """Compare LEARNED, a policy or Q-table, with the exact optimum of MODEL.
 
     The check passes where the regret at the start is within the limits; what bounds leave open does
-    not pass. Without a limit it passes where the regret is zero: exactly, but for what half a unit
-    in the last place of the model's floats can move. --max-regret 0 forgives nothing. LEARNED is a
-    POLICY; of a Q-table the greedy policy counts.
+    not pass. Without a limit it passes where the regret is zero: exactly, or up to what half a
+    unit in the last place of the model's floats can cause. --max-regret 0 forgives nothing.
+    LEARNED is a POLICY; a Q-table stands for its greedy policy.
     """
 
 
@@ -259,9 +259,11 @@ def check() -> None:
     "number from 0 to 1.",
 )
 @click.option("--seeds", default="40", metavar="N", help="Number of runs (40).")
-@click.option("--seed", default="0", metavar="S", help="Seed of all runs together (0).")
+@click.option("--seed", default="0", metavar="S", help="Seed of the random numbers (0).")
 @click.option(
-    "--out", metavar="DIR", help="Keep runs there as they finish, and go on from those it holds."
+    "--out",
+    metavar="DIR",
+    help="Folder for finished runs; runs that are there already are not repeated.",
 )
 @click.option(
     "--method",
@@ -281,21 +283,30 @@ def check() -> None:
 @click.option(
     "--columns",
     metavar="NAMES",
-    help="What the learner reads: all, or columns with commas, such as trial,status. Unless given, "
-    "the status alone where there is one.",
+    help="What the learner reads: all, or columns separated by commas, such as trial,status. The "
+    "default is the status, where there is one.",
 )
 @click.option("--initial", default="0", metavar="X", help="First value of every entry (0).")
-@click.option("--ties", default="first", metavar="RULE", help="first (the default), last, random.")
-@click.option("--bootstrap-end", is_flag=True, help="Look beyond the end as if it went on.")
+@click.option(
+    "--ties",
+    default="first",
+    metavar="RULE",
+    help="Which of equal values is greedy: first (the default), last or random.",
+)
+@click.option(
+    "--bootstrap-end", is_flag=True, help="Bootstrap from the end, as if the episode went on."
+)
 @click.option("--max-steps", default="10000", metavar="N", help="Cut longer episodes (10000).")
-@click.option("--jobs", metavar="N", help="Threads; all cores unless given. Changes no result.")
+@click.option("--jobs", metavar="N", help="Number of threads (all cores). Does not change results.")
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
     help="Train on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
 )
 @click.option(
-    "--explain", is_flag=True, help="Predict how unstable the least stable status is, and why."
+    "--explain",
+    is_flag=True,
+    help="Say how unstable the least stable status is by theory, and why.",
 )
 @of_model
 def train() -> None:
@@ -308,7 +319,7 @@ def train() -> None:
 # ---- its parameters ----------------------------------------------------------------------------
 
 
-@command("sensitivity.run:sensitivity", "Which numbers of the model decide.", epilog=POLICY_HELP)
+@command("sensitivity.run:sensitivity", "Which numbers of the model matter.", epilog=POLICY_HELP)
 @model
 @click.argument("kind", type=click.Choice(list(KINDS)))
 @click.option(
@@ -316,8 +327,8 @@ def train() -> None:
     "parameters",
     multiple=True,
     metavar="NAME",
-    help="Only this parameter. May be repeated; all of them unless given, for sobol and morris all "
-    "but the discount.",
+    help="Vary only this parameter. May be repeated. The default is all parameters; for sobol and "
+    "morris, all but the discount.",
 )
 @click.option(
     "--range",
@@ -330,17 +341,19 @@ def train() -> None:
     "--ranges",
     "range_file",
     metavar="FILE",
-    help="A .toml file. Ranges: NAME = [low, high]. psa: what is known of each probability.",
+    help="A .toml file with ranges, NAME = [low, high]; for psa, with distributions.",
 )
 @click.option(
-    "--relative", metavar="X", help="Other ranges: today's value ± this share of it (0.2)."
+    "--relative", metavar="X", help="Ranges not given: the present value ± this share of it (0.2)."
 )
-@click.option("--whole", is_flag=True, help="Other ranges: everything that a parameter may be.")
+@click.option(
+    "--whole", is_flag=True, help="Ranges not given: all values that a parameter may take."
+)
 @click.option(
     "--policy",
     metavar="POLICY",
-    help="The policy held fixed, whose regret is shown; the optimum unless given. The derivatives "
-    "of a gradient are then those of this policy's value.",
+    help="The policy held fixed, whose regret is shown (the optimal one). A gradient then gives "
+    "the derivatives of this policy's value.",
 )
 @click.option(
     "--samples",
@@ -349,7 +362,9 @@ def train() -> None:
     "(1024). morris: trajectories (64).",
 )
 @click.option("--seed", metavar="S", help="Seed of the draws (0).")
-@click.option("--n-jobs", metavar="N", help="Processes; all cores unless given. Changes no result.")
+@click.option(
+    "--n-jobs", metavar="N", help="Number of processes (all cores). Does not change results."
+)
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
@@ -358,13 +373,13 @@ def train() -> None:
 @click.option(
     "--out",
     metavar="DIR",
-    help="Keep finished work and the result there, and go on from what it holds.",
+    help="Folder for finished work and the result; work that is there already is not repeated.",
 )
 @click.option(
     "--effective-sample-size",
     metavar="X",
-    help="psa: how many observations stand behind each probability (100), or a .toml file that "
-    "states this by name.",
+    help="psa: number of observations behind each probability (100), or a .toml file with this "
+    "number by name.",
 )
 @click.option(
     "--set-kind",
@@ -381,8 +396,8 @@ def train() -> None:
 @click.option(
     "--perception",
     metavar="FILE",
-    help=f"{PERCEPTION_HELP} This is the policy held fixed; the optimum it is compared with knows "
-    "the status. Exact for the probabilities as rounded to floats.",
+    help=f"{PERCEPTION_HELP} This holds for the policy held fixed; the optimum that it is compared "
+    "with knows the status. Values are exact for the probabilities as rounded to floats.",
 )
 @of_model
 def sensitivity() -> None:
@@ -391,7 +406,7 @@ def sensitivity() -> None:
     gradient: derivatives and elasticities. tornado: values at both ends of each range, and the
     regret of a policy held fixed. threshold: every value at which an optimal action changes.
     psa: value, regret and optimal actions over random draws around the tables. sobol, morris:
-    which parameters decide, alone and together. robust: the worst case within sets around the
+    which parameters matter, alone and together. robust: the worst case within sets around the
     tables. structural: the same outputs under each reading of the text.
 
     An option that a kind does not use is refused.
@@ -424,7 +439,7 @@ def sensitivity() -> None:
     "--policy",
     default="optimal",
     metavar="POLICY",
-    help="The policy that takes what is perceived for true; the optimum unless given.",
+    help="The policy that takes what is perceived for true (optimal).",
 )
 @click.option(
     "--share", default="19/20", metavar="X", help="Share of the value that is to be kept (19/20)."
@@ -432,8 +447,8 @@ def sensitivity() -> None:
 @click.option(
     "--seconds",
     metavar="X",
-    help="Limit of each of the two searches with memory (5). Where it ends one, the bounds vary a "
-    "little with the load of the machine; with --trials they do not.",
+    help="Time limit of each of the two searches with memory (5). Where it ends a search, the "
+    "bounds vary a little with the load of the machine; with --trials they do not.",
 )
 @click.option(
     "--trials",
@@ -441,7 +456,10 @@ def sensitivity() -> None:
     help="Limit of each search in trials, instead of seconds: identical output in every run.",
 )
 @click.option(
-    "--tolerance", default="0.02", metavar="X", help="Gap at which such a search ends (0.02)."
+    "--tolerance",
+    default="0.02",
+    metavar="X",
+    help="Gap between the bounds at which a search ends (0.02).",
 )
 @of_model
 def perception() -> None:

@@ -293,7 +293,7 @@ class Audit(Result):
             f" {int(self._choosing.sum())} states with a choice"
         )
         if self.unclear:
-            lines.append(f"in {self.unclear} more the bounds do not tell")
+            lines.append(f"in {self.unclear} more the bounds leave it open")
         lines += [
             f"  ({each.label}): {each.learned}, not {' or '.join(each.optimal)};"
             f" gap {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"

@@ -89,11 +89,11 @@ class Representation:
     def __str__(self) -> str:
         best = self.best
         read = ", ".join(best.columns) or "nothing"
-        proof = "proven" if best.proven else f"no other is worth over {best.upper_bound:.10g}"
+        proof = "proven" if best.proven else f"no other has a value above {best.upper_bound:.10g}"
         return (
-            f"the best policy that reads {read} alone is worth {best.value.value:.10g} ({proof});"
-            f" of the regret, {float(self.loss.value):.6g} is due to what the policy reads and"
-            f" {float(self.learning_error.value):.6g} to what was learned"
+            f"the best policy that reads {read} alone has the value {best.value.value:.10g}"
+            f" ({proof}); of the regret, {float(self.loss.value):.6g} is due to what the policy"
+            f" reads and {float(self.learning_error.value):.6g} to what was learned"
         )
 
     @cached_property

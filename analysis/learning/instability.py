@@ -165,7 +165,7 @@ def predict(
     field = settled(first)
     if not field.consistent:
         raise ModelError(
-            "greedy steps run in a circle: no fixed point was found",
+            "greedy steps repeat themselves: no fixed point was found",
             where="predict",
             fix="start from another policy, or explore more",
         )
@@ -204,10 +204,10 @@ def predict(
 
 
 def require_theory(settings: QLearning) -> None:
-    """Raise ModelError for settings that `predict` has no theory of."""
+    """Raise ModelError for settings that `predict` has no theory for."""
     if settings.method != "q-learning" or settings.rate_power:
         raise ModelError(
-            f"no theory of {settings.method} with rate_power {settings.rate_power:g}",
+            f"there is no theory for {settings.method} with rate_power {settings.rate_power:g}",
             where="predict",
             fix="use Q-learning with a rate that does not depend on visits",
         )

@@ -250,9 +250,7 @@ def cell(
 
 def mark_cell(ax: Axes, column: float, row: float, width: float = 2.0) -> None:
     """Draw a heavy frame within a cell."""
-    ax.add_patch(
-        Rectangle((column + 0.04, row + 0.05), 0.92, 0.9, fill=False, ec="black", lw=width)
-    )
+    ax.add_patch(Rectangle((column + 0.04, row + 0.1), 0.92, 0.8, fill=False, ec="black", lw=width))
 
 
 def status_grid(ax: Axes, statuses: Sequence[str]) -> list[tuple[int, int]]:

@@ -341,7 +341,7 @@ def _status(value: object, column: Column, where: str) -> int:
     raise ModelError(
         f"{value!r} is not a status",
         where=where,
-        fix=f"give a number from 0 to {column.size - 1}, or such as {column.label(0)}",
+        fix=f"give a number from 0 to {column.size - 1}, or a label such as {column.label(0)}",
     )
 
 
@@ -486,7 +486,7 @@ def _matrix_of_rates(text: str, model: MDP, where: str) -> Floats:
         raise ModelError(
             f"unknown key {next(iter(content))!r}",
             where=where,
-            fix="keep [sensitivity] and [specificity] alone",
+            fix="keep only [sensitivity] and [specificity]",
         )
     return independent(*rates)
 

@@ -188,7 +188,9 @@ def _mask(mdp: MDP, events: Sequence[str] | None) -> int:
             raise ModelError(
                 f"unknown event {name!r}",
                 where="events",
-                fix=f"choose among {', '.join(mdp.events) or 'none: the model has no events'}",
+                fix=f"choose one of {', '.join(mdp.events)}"
+                if mdp.events
+                else "the model has no events",
             )
     return sum(1 << mdp.events.index(name) for name in set(names))
 
@@ -241,7 +243,7 @@ def _offered(mdp: MDP) -> NDArray[np.bool_]:
     if differ.any():
         place = int(np.flatnonzero(differ)[0])
         raise ModelError(
-            "the actions on offer give the status away",
+            "the available actions reveal the status",
             where=f"state ({mdp.space.label(place * by_place.shape[1])}) and its other statuses",
             fix="offer the same actions in every status of a place",
         )
@@ -264,7 +266,7 @@ def _order(mdp: MDP, moves: Sequence[Sequence[Move]], start: int) -> tuple[int, 
     except CycleError as error:
         stuck = min(error.args[1])
         raise ModelError(
-            "a place comes back, and beliefs are tracked over a finite horizon only",
+            "a place can recur, and beliefs are tracked over a finite horizon only",
             where=f"state ({mdp.space.label(stuck * mdp.space.columns[-1].size)})",
             fix="use a scenario: its trials and subtasks are counted",
         ) from error

@@ -208,5 +208,5 @@ def _table(content: Mapping[str, Any], key: str) -> dict[str, Any]:
 def _text(content: dict[str, Any], key: str, default: str) -> str:
     text = content.get(key, default)
     if not isinstance(text, str):
-        raise ModelError(f"{key} is not a text", where=key, fix="put it in quotes")
+        raise ModelError(f"{key} is not a string", where=key, fix="put it in quotes")
     return text

@@ -138,7 +138,7 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
         size = getattr(getattr(env, space, None), "n", least)
         if size < least:
             raise ModelError(
-                f"P numbers {least} of them, {space} has {size}",
+                f"P has at least {least} of them, {space} has {size}",
                 where=where,
                 fix="make P and the spaces agree",
             )

@@ -66,7 +66,7 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
             f"{sets[0]!r} cannot be set: the model is not a scenario",
             where=text,
             fix="set values on a shipped scenario or a .toml file"
-            + ("; the discount has an option of its own" if "discount" in sets[0] else ""),
+            + ("; use --discount for the discount" if "discount" in sets[0] else ""),
         )
     if text.startswith(GYMNASIUM):
         mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), 1 if discount is None else discount)

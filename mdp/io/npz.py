@@ -107,7 +107,7 @@ def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
     )
     if space.size > pairs:
         raise ModelError(
-            f"the columns make {space.size:.3g} states, there are {pairs} state-action pairs",
+            f"the columns make {space.size:.3g} states, but there are {pairs} state-action pairs",
             where="header, columns",
             fix="every state has at least one pair; save the model again",
         )
@@ -168,13 +168,13 @@ def _of_kind(value: object, key: str, kind: type[T]) -> T:
 def _words(header: Mapping[str, Any], key: str) -> tuple[str, ...]:
     values = _of_kind(header.get(key), key, list)
     if not all(isinstance(value, str) for value in values):
-        raise _wrong(key, "a list of texts")
+        raise _wrong(key, "a list of strings")
     return tuple(values)
 
 
 def _rational(value: object, key: str) -> Fraction:
     if not isinstance(value, str):
-        raise _wrong(key, 'a text such as "1/3"')
+        raise _wrong(key, 'a string such as "1/3"')
     with located(f"header, {key}", instead=True):
         return exact(value)
 

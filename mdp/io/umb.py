@@ -127,8 +127,8 @@ def _others(content: Content, path: Path, discount: object, start: object) -> MD
     """Return a model of another program, of which the caller says what the format does not."""
     if discount is None:
         warnings.warn(
-            f"{shown_text(str(path))}: a UMB file of another program says no discount, so that 1 "
-            "is taken; give one",
+            f"{shown_text(str(path))}: a UMB file of another program states no discount, and 1 "
+            "is used; give the discount",
             stacklevel=3,
         )
     return MDP.from_outcomes(
@@ -161,7 +161,7 @@ def _own(content: Content, header: Mapping[str, Any], discount: object, start: o
             raise ModelError(
                 f"another program changed {what}",
                 where=f"annotations/{GROUP}",
-                fix=f"drop the annotations of the group {GROUP}, which are no longer of this model",
+                fix=f"drop the annotations of group {GROUP}, which no longer describe the model",
             )
     if not content.ours:
         parts["component_names"] = ("reward",)

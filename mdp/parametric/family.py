@@ -335,9 +335,9 @@ def _rest(mdp: MDP, pair: int, states: Mapping[int, str]) -> Fraction:
     rest = sum((p for p, following, _ in outcomes if following not in states), Fraction(0))
     if rest <= 0 or any(_entry(mdp, pair, state) == 0 for state in states):
         raise ModelError(
-            "an entry of probability 0, or a row in which nothing is left to make room",
+            "an entry has probability 0, or the named entries are all of a row",
             where=mdp.where(pair),
-            fix="name entries that are positive, and not all of a row",
+            fix="name positive entries, and leave at least one of the row unnamed",
         )
     return rest
 

@@ -235,7 +235,7 @@ def _check_alike(first: MDP, other: MDP, name: str, point: Fraction) -> None:
             raise ModelError(
                 f"{what} change with {name}",
                 where=f"parameter {name} = {shown(point)}",
-                fix="let a parameter move probabilities, rewards and the discount alone",
+                fix="let a parameter change only probabilities, rewards and the discount",
             )
 
 

@@ -92,7 +92,9 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
 def too_small(where: str) -> ModelError:
     """Return the error to raise where a probability above 0 would become 0 as a float."""
     return ModelError(
-        "a probability of an action is above 0, and below all floats", where=where, fix="give 0"
+        "a probability of an action is above 0, but smaller than any float",
+        where=where,
+        fix="give 0",
     )
 
 

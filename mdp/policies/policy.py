@@ -161,7 +161,7 @@ class Policy(NDArrayOperatorsMixin):
             right = bool(same.all() and ((shares > 0) == (table > 0)).all())
         if not right:
             raise ModelError(
-                "exact shares that are not those of the table",
+                "the exact shares differ from the table",
                 where="policy",
                 fix="give whole numbers in proportion to each row of the table",
             )
@@ -270,7 +270,7 @@ class Policy(NDArrayOperatorsMixin):
         Raises
         ------
         ModelError
-            Where the policy says nothing of a state with a choice, or takes an action that the
+            Where the policy gives no action for a state with a choice, or takes an action that the
             state does not offer.
         """
         weights, wanted = self._by_pair(model, self.rule)
@@ -292,7 +292,7 @@ class Policy(NDArrayOperatorsMixin):
             missing = bool(np.isnan(total[state]))
             names = [model.actions[model.pair_action[pair]] for pair in model.pairs_of(state)]
             raise ModelError(
-                "the policy says nothing of a state with a choice"
+                "the policy gives no action for a state with a choice"
                 if missing
                 else "the policy takes an action that is not available",
                 where=f"state ({model.space.label(state)})",
@@ -601,7 +601,7 @@ class Solved(Protocol):
 
 
 PolicyLike: TypeAlias = Policy | str | Path | Mapping[Any, Any] | ArrayLike | Solved
-"""What is taken as a policy: one, its name or file, a mapping, an array, or what has one."""
+"""What is accepted as a policy: a Policy, its name or file, a mapping, an array, a Solution."""
 
 
 def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:

@@ -230,7 +230,7 @@ def _whole_number(text: str) -> int:
 def _number(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise Malformed("holds a number that is infinite or none")
+        raise Malformed("holds a number that is not finite")
     return value
 
 

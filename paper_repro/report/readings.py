@@ -93,7 +93,8 @@ def _support_bars(ax: Axes, listed: Mapping[str, Sequence[OptionSupport]]) -> No
     for number, option in enumerate(options):
         if number == 0 or option.reading != options[number - 1].reading:
             place += 1.5
-            ax.text(0, place - 0.62, option.reading.replace("_", " "), weight="bold", va="bottom")
+            name = option.reading.replace("_", " ")
+            ax.text(0.01, place - 0.62, name, weight="bold", va="bottom")
         places.append(place)
         prior = 1 / counts[option.reading]
         ax.plot([prior] * 2, [place - 0.42, place + 0.42], color="black", ls=":", lw=1.2)
@@ -123,7 +124,7 @@ def _ranking(study: ReadingStudy) -> Figure:
     numbers = list(dict.fromkeys([*found.ranking[:RANKED].tolist(), 0]))
     y = np.arange(len(numbers))
     figure, (left, right, weight) = plt.subplots(
-        1, 3, figsize=(13.5, 7.6), sharey=True, width_ratios=(3, 1.5, 1)
+        1, 3, figsize=(13.5, 8.8), sharey=True, width_ratios=(3, 1.5, 1)
     )
     chosen = found.completion[numbers]
     for place, (start, average) in enumerate(AVERAGE_RETURN.items()):
@@ -166,12 +167,12 @@ def _stated(ax: Axes, value: float, text: str) -> None:
 
 
 def _wrapped(label: str) -> str:
-    """Return a label in at most two lines."""
+    """Return a label in one line, or in two of nearly the same length."""
     parts = label.split(", ")
     if len(parts) < 4:
         return label
-    half = (len(parts) + 1) // 2
-    return ", ".join(parts[:half]) + ",\n" + ", ".join(parts[half:])
+    ways = [(", ".join(parts[:k]) + ",", ", ".join(parts[k:])) for k in range(1, len(parts))]
+    return "\n".join(min(ways, key=lambda lines: max(map(len, lines))))
 
 
 @PICTURES.add("reading_scatter")

@@ -27,5 +27,5 @@ values step by step, its settings are `tol` and `max_iterations`, checked by
   as errors then differ from state to state and such shifts could go on for ever.
 - What `solve(model, solver, tol=…)` does with it: it sets the setting `tol` where there is one.
 
-The tests in `tests/test_solvers.py` run over all of `SOLVERS`.
+The tests in `tests/solvers/test_solvers.py` run over all of `SOLVERS`.
 """

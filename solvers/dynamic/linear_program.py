@@ -181,7 +181,7 @@ class LinearProgram:
         """Raise SolverError where the optimiser's mean is not that of the values (S,) reached."""
         reached, scale = float(value[~mdp.terminal].mean()), float(np.abs(mdp.reward).max())
         if not abs(objective - reached) <= AGREEMENT * (abs(reached) + scale):
-            detail = f"{self.solver} found a mean value of {objective:.9g}, it is {reached:.9g}"
+            detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
             raise SolverError(Status.PROGRAM_FAILED, detail)
 
 
@@ -190,7 +190,7 @@ def _pairs_of(mdp: MDP, start: PolicyLike) -> Integers:
     policy = Policy.of(mdp, start)
     if not policy.deterministic:
         raise ModelError(
-            "a policy that draws its actions",
+            "the policy is mixed: it draws its actions",
             where="LinearProgram(start=…)",
             fix="give a solution of this model, a deterministic policy, or an action number for "
             "each state",

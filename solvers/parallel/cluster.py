@@ -76,9 +76,9 @@ def on_cluster(
 def died(index: int) -> ModelError:
     """Return the error for a piece during which worker processes died time after time."""
     return ModelError(
-        f"the processes at work died, however often it was tried ({ATTEMPTS + 1})",
+        f"the worker processes died in each of {ATTEMPTS + 1} attempts",
         where=f"piece {index}",
-        fix="give them more memory, or choose fewer of them; pieces that are finished are kept",
+        fix="give them more memory, or use fewer of them; finished pieces are kept",
     )
 
 
@@ -179,7 +179,7 @@ class _Crew:
             self.seen = time.monotonic()
         elif time.monotonic() - self.seen > self.within:
             raise ModelError(
-                f"no worker has been there for {self.within:g} seconds",
+                f"there has been no worker for {self.within:g} seconds",
                 where=self.address,
                 fix="start workers again; finished pieces are kept. For slow ones set "
                 "DASK_EXACT_MDP__TIMEOUT to more seconds",

@@ -78,7 +78,7 @@ def require(wanted: Mapping[str, str], where: str) -> None:
 def unlike(told: str, where: str) -> ModelError:
     """Return the error for a worker with other code or other versions."""
     return ModelError(
-        f"a worker has other code than this process: {told}",
+        f"a worker runs other code than this process: {told}",
         where=where,
         fix="install the same versions there, and start it again; finished pieces are kept",
     )

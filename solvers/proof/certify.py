@@ -87,7 +87,9 @@ def certify(
     if bounded:
         return _bounded(mdp, tol, solution)
     if tol is not None or solution is not None:
-        raise ModelError("tol and solution are for bounds", where="certify", fix="add bounded=True")
+        raise ModelError(
+            "tol and solution apply only to bounds", where="certify", fix="add bounded=True"
+        )
     rows = bellman_rows(mdp)
     rank, weight = _proof(mdp, rows)
     found = solve_exactly(rows)

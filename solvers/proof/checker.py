@@ -107,7 +107,9 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     choices = np.add.reduceat(found.optimal_pairs.astype(np.int64), mdp.pair_offsets[:-1])
     reached = reachable(mdp, pairs=found.optimal_pairs) & ~ends
     if found.unique is not bool((choices[reached] == 1).all()):
-        wrong.append(f"that the optimal policy is {'' if found.unique else 'not '}unique is false")
+        wrong.append(
+            f"it calls the optimal policy {'' if found.unique else 'not '}unique, which is false"
+        )
     below = found.denominator
     if Fraction(*halves) != sum(
         weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start
@@ -183,12 +185,12 @@ def _equations(rows: BellmanRows, found: ExactClaims) -> list[str]:
             if min(losses) != 0:
                 wrong.append(f"the value of state {s} does not solve the Bellman equation")
             if [loss == 0 for loss in losses] != optimal[pairs[s] : pairs[s + 1]].tolist():
-                wrong.append(f"the optimal actions of state {s} are others")
+                wrong.append(f"the optimal actions of state {s} are not those of the model")
             least = min((loss for loss in losses if loss > 0), default=None)
             gap, below_gap = found.gap[s], found.gap_scale[s]
             claimed = None if gap is None else gap * (unit // own) * scale[s]
             if claimed != (None if least is None else least * below_gap) or below_gap <= 0:
-                wrong.append(f"the gap of state {s} is another one")
+                wrong.append(f"the gap of state {s} is not that of the model")
     return wrong
 
 

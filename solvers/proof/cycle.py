@@ -275,7 +275,7 @@ class Cycle:
 def endless(where: str = "rows of floats on a cycle") -> ModelError:
     """Return the error to raise where a policy is found not to end."""
     return ModelError(
-        "a policy need not end, because probabilities of its rows add up to more than 1",
+        "a policy need not end, because the probabilities of some rows sum to more than 1",
         where=where,
         fix='give the probabilities as exact numbers such as "1/10", or a discount below 1',
     )

@@ -120,9 +120,9 @@ def _drawn(asked: Asked) -> tuple[Ranges, list[str]]:
         without = [name for name in without if name in names]
     if not ranges:
         raise ModelError(
-            "every parameter asked for is 0, and 0 ± a share of it is no range",
+            "every chosen parameter is 0, and a share of 0 gives no range",
             where=f"sensitivity of {asked.loaded.name}",
-            fix="state one: --range NAME=LOW:HIGH",
+            fix="give a range: --range NAME=LOW:HIGH",
         )
     return ranges, without
 

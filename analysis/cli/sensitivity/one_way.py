@@ -45,8 +45,8 @@ def gradient_report(asked: Asked) -> Report:
     if asked["perception"] is not None:
         result["claim_of"] = facts["claim"] = ROUNDED
     for name, (less, more) in found.steps.items():
-        last = "" if less is None else f"the last one adds {float(less.value):+.6g}, "
-        facts[name] = f"{last}one more adds {float(more.value):+.6g}"
+        last = "" if less is None else f"the last unit adds {float(less.value):+.6g}, "
+        facts[name] = f"{last}one more would add {float(more.value):+.6g}"
     held = "re-optimised" if found.reoptimised else "held fixed"
     table = Table(
         title=f"derivatives of the start value, per unit of the parameter (policy {held})",

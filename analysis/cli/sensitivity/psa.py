@@ -220,8 +220,8 @@ def _tables(
             },
         ),
         Table(
-            title="expected loss by effective sample size of what nothing is stated of, "
-            f"{losses['draws']:,} draws each; ~ marks what fewer than {FEW:g} draws carry",
+            title="expected loss by the effective sample size of parameters without a stated one, "
+            f"{losses['draws']:,} draws each; ~: rests on fewer than {FEW:g} draws",
             rows=[
                 {"name": name} | {str(n): _marked(each, n) for n in range(len(losses["points"]))}
                 for name, each in losses["policies"].items()
@@ -255,7 +255,11 @@ def _stated(asked: Asked) -> tuple[Parametric, Stated, float]:
     default, text, file = None, asked["effective_sample_size"], asked["range_file"]
     if text is not None and text.lower().endswith(".toml"):
         if file is not None:
-            raise ModelError("two files", where="sensitivity psa", fix="state all in one of them")
+            raise ModelError(
+                "two files with distributions",
+                where="sensitivity psa",
+                fix="put all into one of them",
+            )
         text, file = None, text
     if file is not None:
         stated, default = load_uncertainty(Path(file))

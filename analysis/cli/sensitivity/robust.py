@@ -64,7 +64,7 @@ def robust_report(asked: Asked) -> Report:
     if kind == "l1" and radius > MOST_APART:
         raise ModelError(
             f"an L1 radius of {beside(radius, Fraction(MOST_APART))}, "
-            f"and no two laws are more than {MOST_APART} apart",
+            f"but no two distributions are more than {MOST_APART} apart",
             where="--radius",
             fix=f"choose one from 0 to {MOST_APART}",
         )
@@ -112,7 +112,7 @@ def robust_report(asked: Asked) -> Report:
             },
         ),
         Table(
-            title="states in which the robust policy does something else",
+            title="states in which the robust policy takes another action",
             rows=changes,
             columns={"state": "state", "held": "before", "robust": "after"},
         ),

@@ -310,9 +310,9 @@ def _row(
         said = [each or dict(stated[label]) for each in said] + [dict(stated[label])]
     if any(each != said[0] for each in said):
         raise ModelError(
-            "something else is stated of one entry of a row than of another",
+            "the entries of a row have different settings",
             where=f"row {label}",
-            fix=f'its probabilities are drawn together: state it once, of "{label}"',
+            fix=f'its probabilities are drawn together: state them once, for "{label}"',
         )
     for parameter in row:
         if unit_of(parameter) != "probability":
@@ -346,7 +346,9 @@ def _chosen(
 ) -> set[str]:
     """Return the parameters that are asked for; of a row all or none."""
     if isinstance(names, str):
-        raise ModelError(f"names is the word {names!r}", where="names", fix="give a list of names")
+        raise ModelError(
+            f"names is one string, {names!r}", where="names", fix="give a list of names"
+        )
     chosen: set[str] = set()
     for name in names:
         chosen |= set(rows[name]) if name in rows else {parameter_of(model, name).name}
@@ -389,14 +391,14 @@ def _checked(name: str, settings: object) -> Settings:
     if not isinstance(held, bool):
         what, fix = f"fixed is {held!r}", "write fixed = true, or leave it out"
     elif held and len(settings) > 1:
-        what, fix = "fixed, and a distribution", "state one or the other of it"
+        what, fix = "fixed, and a distribution", "state one of the two"
     elif kind not in ("normal", "gamma"):
         what, fix = f"distribution {kind!r}", "choose normal or gamma"
     elif "distribution" in settings and SPREAD not in settings:
         what, fix = f"distribution {kind!r} without a relative_sd", "state a relative_sd"
     elif SIZE in settings and SPREAD in settings:
         what = "both an effective_sample_size and a relative_sd"
-        fix = "state the first of a probability, the second of a reward weight"
+        fix = "state the first for a probability, the second for a reward weight"
     if what:
         raise ModelError(what, where=where, fix=fix)
     for key in {SIZE, SPREAD} & settings.keys():
@@ -443,9 +445,9 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     general = found.pop(DEFAULT, {})
     if set(general) - {SIZE}:
         raise ModelError(
-            "[default] states something else than effective_sample_size",
+            "[default] states more than effective_sample_size",
             where=f"{path}, {DEFAULT}",
-            fix="state that of each parameter",
+            fix="state the rest for each parameter",
         )
     return found, _number(general, SIZE, DEFAULT) if general else None
 
