@@ -115,7 +115,7 @@ def test_shares_of_another_table_are_refused() -> None:
     model = once(5, 0)
     table = np.array([[0.5, 0.5], [1.0, 0.0]])
     for shares in ([[9, 1], [1, 0]], [[1, 1]], [[1, 1], [1, 1]], [[0, 0], [1, 0]]):
-        with pytest.raises(ModelError, match="not those of the table"):
+        with pytest.raises(ModelError, match="differ from the table"):
             Policy(space=model.space, actions=model.actions, rule=table, shares=np.array(shares))
 
 

@@ -200,7 +200,7 @@ def test_a_cluster_changes_nothing() -> None:
         (("morris", "--range", "base.anger=0.2:0.2"), "empty"),
         (("sobol", "--range", "base.anger=0.2:1.2"), "outside [0, 1]"),
         (("sobol", "--range", "base.anger"), "is not a range"),
-        (("sobol", "--parameter", "assistance.supportive.anger.onset"), "is no range"),
+        (("sobol", "--parameter", "assistance.supportive.anger.onset"), "gives no range"),
         (("sobol", "--policy", "always:nothing"), "nothing"),
         (("sobol", "--out", " "), "--out is empty"),
         (("sobol", "--combined"), "--combined does not apply to sobol"),

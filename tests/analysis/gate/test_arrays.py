@@ -187,7 +187,7 @@ def test_a_probability_below_all_floats_is_not_taken_for_none() -> None:
         [[1 - least, least, 0], [0, 1, 0], [0, 0, 0]],
         {"0": {"0": 1 - least, "1": "1e-400"}, "1": "1", "2": "0"},
     ):
-        with pytest.raises(ModelError, match="below all floats"):
+        with pytest.raises(ModelError, match="smaller than any float"):
             check(rare(), given, kind="auto" if isinstance(given, dict) else "policy")
 
 

@@ -103,7 +103,7 @@ def test_the_longest_beginning_counts(tmp_path: Path) -> None:
         ('["base.angre"]\neffective_sample_size = 3\n', "base.angre"),
         ("[base]\neffective_sample = 3\n", "unknown setting 'effective_sample'"),
         ("effective_sample_size = 3\n", "unknown setting"),
-        ("[default]\nrelative_sd = 3\n", "something else"),
+        ("[default]\nrelative_sd = 3\n", "states more than"),
         ('[default]\neffective_sample_size = "3"\n', "'3'"),
         ("[base]\neffective_sample_size = 0\n", "effective sample size 0"),
         ("[base]\neffective_sample_size = -2\n", "effective sample size -2"),
@@ -204,9 +204,9 @@ def test_what_is_stated_of_a_row_holds_for_all_of_it(stated, size) -> None:
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
-        ({ONE: {"effective_sample_size": 5}}, "one entry of a row"),
-        ({TWO: {"fixed": True}}, "one entry of a row"),
-        ({ROW: {"effective_sample_size": 5}, TWO: {"fixed": True}}, "one entry of a row"),
+        ({ONE: {"effective_sample_size": 5}}, "different settings"),
+        ({TWO: {"fixed": True}}, "different settings"),
+        ({ROW: {"effective_sample_size": 5}, TWO: {"fixed": True}}, "different settings"),
         ({ROW: {"relative_sd": 0.3}}, "relative spread of a probability"),
         ({"(state 0, 1)": {"fixed": True}}, "unknown parameter"),
     ],

@@ -91,7 +91,7 @@ def test_rows_make_room_in_proportion() -> None:
         family.at({"a": "9/10", "b": "3/10"})
     with pytest.raises(ModelError, match="outside"):
         family.at({"a": 2})
-    with pytest.raises(ModelError, match="make room"):
+    with pytest.raises(ModelError, match="all of a row"):
         moving(mdp, {"a": [(1, 1)]})
     with pytest.raises(ModelError, match="2 different"):
         moving(mdp, {"a": [(0, 0), (0, 1)]})

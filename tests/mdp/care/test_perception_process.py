@@ -305,7 +305,7 @@ def test_models_that_cannot_be_tracked() -> None:
     column = Column(name="status", size=2, bits=1)
     rows = [(s, 0, [(1, 1 - s, 1)]) for s in (0, 1)]
     round_and_round = MDP.from_outcomes(rows, "1/2").with_(space=StateSpace(columns=(column,)))
-    with pytest.raises(ModelError, match="a place comes back"):
+    with pytest.raises(ModelError, match="a place can recur"):
         Process.of(round_and_round, np.eye(2))
     mdp = Scenario.load("yuan2025").compile()
     with pytest.raises(ModelError, match="unknown event"):

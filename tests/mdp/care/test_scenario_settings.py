@@ -171,7 +171,7 @@ TEXT = own_text(3, 3)
         ("[base]", "[status_weight]\ns7 = 'x'\n[base]", "unknown status"),
         ("max_trial = 2", "max_trial = 2\nreadings = 3", "not a table"),
         ("s0 = 0.1", "s0 = 1e99999", "exponent"),
-        ("[base]", "name = 3\n[base]", "not a text"),
+        ("[base]", "name = 3\n[base]", "not a string"),
     ],
 )
 def test_bad_scenario_files(tmp_path: Path, old: str, new: str, message: str) -> None:

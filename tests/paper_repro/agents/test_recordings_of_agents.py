@@ -169,8 +169,8 @@ def test_a_measurement_goes_on_only_with_its_own_entries(
         ("guidelines.toml", "version = ", "edition = ", "lacks version"),
         ("perception.toml", "version = 1", "version = 'one'", "version is not a whole number"),
         ("perception.toml", 'message = "user"', 'message = "person"', "not one of system, user"),
-        ("perception.toml", "$behaviour", "$behavior", "that nothing fills"),
-        ("perception.toml", "$behaviour", "$ 5", "that nothing fills"),
+        ("perception.toml", "$behaviour", "$behavior", "without a value"),
+        ("perception.toml", "$behaviour", "$ 5", "without a value"),
     ],
 )
 def test_prompts_of_ones_own_are_checked(

@@ -497,8 +497,8 @@ def test_an_address_that_two_readers_read_differently_is_refused(url: str) -> No
         ("digits", "holds a number of over 40 digits"),
         ("twice", "names a part twice"),
         ("deep", "is nested deeper than 64"),
-        ("nan", "infinite or none"),
-        ("infinite", "infinite or none"),
+        ("nan", "not finite"),
+        ("infinite", "not finite"),
     ],
 )
 def test_a_form_that_no_reader_should_take_is_refused(

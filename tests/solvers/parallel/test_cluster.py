@@ -243,7 +243,7 @@ def test_a_piece_that_kills_whoever_does_it_is_named(
     for module in (cluster_module, many_module):
         monkeypatch.setattr(module, "ATTEMPTS", attempts)
     where = cluster.scheduler_address if scheduler else None
-    with pytest.raises(ModelError, match="processes at work died") as caught:
+    with pytest.raises(ModelError, match="worker processes died") as caught:
         many(deadly, range(2), key=KEY, n_jobs=2, scheduler=where, folder=tmp_path)
     assert "memory" in caught.value.fix
 

@@ -220,7 +220,7 @@ OVERFULL = [
 
 @pytest.mark.parametrize("discount", [1, 1 - 1e-12])
 def test_rows_that_sum_to_too_much_are_refused(discount: float) -> None:
-    with pytest.raises(ModelError, match="add up to more than 1"):
+    with pytest.raises(ModelError, match="sum to more than 1"):
         certify(MDP.from_outcomes(OVERFULL, discount))
 
 
@@ -405,7 +405,7 @@ def test_another_model_is_another_model() -> None:
 
 
 def test_settings_that_do_not_belong() -> None:
-    with pytest.raises(ModelError, match="for bounds"):
+    with pytest.raises(ModelError, match="apply only to bounds"):
         certify(MODELS["cycle"], tol=1e-3)
 
 

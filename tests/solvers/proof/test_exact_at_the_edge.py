@@ -23,7 +23,7 @@ def test_a_row_that_stays_for_ever_is_refused_by_name(stay: float, leave: float)
     """1.0 to stay and 1e-20 to leave: as numbers, the state is never left; no division by zero."""
     for rows in ([[stay, leave], [0, 1]], [[stay, leave, 0], [0.5, 0, 0.5], [0, 0, 1]]):
         mdp = MDP.from_arrays([rows], [1.0, *[0.0] * (len(rows) - 1)], 1)
-        with pytest.raises(ModelError, match="add up to more than 1") as caught:
+        with pytest.raises(ModelError, match="sum to more than 1") as caught:
             certify(mdp)
         assert "state 0" in caught.value.where
         for attempt in (solve, lambda mdp: certify(mdp, bounded=True)):
@@ -59,7 +59,7 @@ def test_floats_that_suggest_a_policy_may_overflow() -> None:
         (1, 0, [(F(1, 2), 0, 1), (F(1, 2), 2, 0)]),
         (2, 0, [(1, 2, 0)]),
     ]
-    with pytest.raises(ModelError, match="add up to more than 1"):
+    with pytest.raises(ModelError, match="sum to more than 1"):
         certify(MDP.from_outcomes(rows, 1))
 
 
