@@ -51,7 +51,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
     columns : names of columns, optional
         What the agent sees; the whole state unless given.
     pass_forced : bool
-        Never ask the agent where there is no choice: such states are passed through at once. Their
+        Do not ask the agent where there is no choice: such states are passed at once. Their
         rewards are added to that of the step, discounted by the model's own discount, and
         `info["timesteps"]` says how many timesteps went by. In a circle of such states that is
         done once round. Otherwise any action number stands for the only action there.

@@ -55,7 +55,7 @@ class BellmanRows:
     pair_offsets : (S+1,) int64
         Pairs of state s are pair_offsets[s] … pair_offsets[s+1]-1.
     terminal : (S,) bool
-        States worth 0 because nothing happens there any more.
+        States with the value 0, because nothing happens there any more.
     scale : (S,)
         What the equations of a state are multiplied by to be in integers.
     constant : (L,)
@@ -149,7 +149,7 @@ def _lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
     """Return the least common multiples of groups of positive integers, none of them empty."""
     found = np.asarray(np.lcm.reduceat(values, offsets[:-1]))
     if values.dtype != object:
-        # a 64-bit product that overflowed is no multiple of all its factors, or is one all the same
+        # a 64-bit product that overflowed is not a multiple of all its factors, or is one by chance
         safe = bool((found > 0).all())
         if not safe or (np.repeat(found, np.diff(offsets)) % values).any():
             return _lcm_by_group(values.astype(object), offsets)

@@ -9,7 +9,7 @@ A package's own names load when they are first asked for, too:
 
 The core needs NumPy, SciPy, pandas, numba, python-flint, joblib, tqdm, click and rich.
 `pip install exact-mdp` brings everything that the commands of the README use; an environment that
-leaves some of the others out is told what is missing where it is needed.
+leaves some of the others out learns what is missing where it is needed.
 """
 
 from __future__ import annotations

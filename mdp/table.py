@@ -514,7 +514,7 @@ def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
 def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Floats:
     """Return top / bottom as floats, each correctly rounded once.
 
-    With `counts` each denominator is that of so many numbers, one group after the other.
+    With `counts` each denominator is that of this many numbers, one group after the other.
     """
     if top.dtype == np.float64:
         return np.asarray(top, dtype=np.float64)

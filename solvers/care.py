@@ -194,7 +194,7 @@ class Batch:
         parts = (care.charges, care.statuses, care.assist)
         rewards = np.unique(np.concatenate([part.reshape(-1) for part in parts]))
         moved = np.isin(self.positions, rewards)
-        rows = self.draws[:, moved] if moved.any() else np.empty((1, 0))  # else one tells of all
+        rows = self.draws[:, moved] if moved.any() else np.empty((1, 0))  # else one stands for all
         sizes = np.repeat(np.abs(self.base[rewards])[None], len(rows), axis=0)
         sizes[:, np.searchsorted(rewards, self.positions[moved])] = np.abs(rows)
 
@@ -479,7 +479,7 @@ def policy_values_of_last(
     threads: int | None = None,
     warn: bool = True,
 ) -> list[PolicyMoments]:
-    """Return what `policy_values` does, of the last so many subtasks alone, for every length.
+    """Return what `policy_values` does, of the last k subtasks alone, for every length k.
 
     Backward induction passes them on its way: a task of 2 subtasks is the end of one of 6.
 
@@ -515,7 +515,7 @@ def _moments(
     second: bool,
     threads: int | None,
 ) -> list[PolicyMoments]:
-    """Return the moments of the last so many subtasks, for every length."""
+    """Return the moments of the last k subtasks, for every length k."""
     chosen, shares = batch.policies(policies)
     subtasks = len(batch.care.places)
     errors = [batch.errors(length, second=second) for length in lengths]

@@ -110,7 +110,7 @@ def solve(
         Greatest absolute error in any state, for a solver that takes one. Backward induction, where
         "auto" takes it, is as exact as floats allow; it warns where that is not enough.
     horizon : int, optional
-        Stop after so many steps, without a further reward: the solution is that of
+        Stop after this many steps, without a further reward: the solution is that of
         `mdp.within(horizon)`, whose states are times and states.
 
     Returns

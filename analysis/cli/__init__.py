@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _reporting(words: list[str]) -> Told | None:
     """Let the JUnit report of a check say at once that it has not ended, and later why it did not.
 
-    So no report of an earlier run stays, whatever becomes of this one.
+    So no report of an earlier run stays, whatever happens to this one.
     """
     if next((word for word in words if not word.startswith("-")), None) != GATE.name:
         return None

@@ -173,7 +173,7 @@ class Audit(Result):
 
     @cached_property
     def _decisions(self) -> tuple[tuple[str, bool | None, str], ...]:
-        """What is checked, whether it holds (None: the bounds do not tell), and what was found."""
+        """What is checked, whether it holds (None: it stays open), and what was found."""
         found, text = list[tuple[str, bool | None, str]](), f"it is {_number(self.value)}"
         limit, relative = self.max_regret, self.max_relative_regret
         if limit is None and relative is None:
@@ -220,7 +220,7 @@ class Audit(Result):
 
     @cached_property
     def unclear(self) -> int:
-        """Number of states in which bounds do not tell whether what the policy does is optimal."""
+        """Number of states in which bounds do not decide whether the policy is optimal."""
         used = self.regret.unclear & (self.chain.chosen > 0)
         states = np.unique(self.mdp.pair_state[used])
         listed = {each.state for each in self.disagreements}
@@ -363,7 +363,7 @@ def check(
         What a two-dimensional array or a file of one holds; `mdp.policies.arrays` states the rule
         of "auto", and `Audit.read_as` says what was taken.
     horizon : int, optional
-        Stop after so many steps, without a further reward: the audit is that of
+        Stop after this many steps, without a further reward: the audit is that of
         `mdp.within(horizon)`. What is learned over states is the same at every time there; tables
         (N, S, A) depend on time.
 
@@ -375,7 +375,7 @@ def check(
     ------
     ModelError
         For a policy that does not fit the model, an array that may be read in two ways, or a limit
-        that is no number of at least 0; at discount 1 where not every policy ends.
+        that is not a number of at least 0; at discount 1 where not every policy ends.
 
     Examples
     --------
@@ -441,7 +441,7 @@ def assert_policy_optimal(
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `check`.
     horizon : int, optional
-        Stop after so many steps; see `check`.
+        Stop after this many steps; see `check`.
 
     Returns
     -------

@@ -59,9 +59,9 @@ class BestPolicy(Result):
     value : Bounded
         Its value at the start.
     upper_bound : float
-        No deterministic policy that reads these columns is worth more at the start.
+        No deterministic policy that reads these columns has a higher value at the start.
     mixed_upper_bound : float
-        No policy at all is worth more: the optimal value, which bounds mixed ones, too.
+        No policy at all has a higher value: the optimal value, which bounds mixed ones, too.
     proven : bool
         Whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding; see
         `is_proven`.
@@ -162,7 +162,7 @@ def searched(
 
 
 def is_proven(value: Bounded, upper: float) -> bool:
-    """Return whether nothing is worth more than a value, up to 1e-9 of it, or to its own error.
+    """Return whether nothing exceeds a value, up to 1e-9 of it, or to its own error.
 
     Small rewards are rewards: the error has to be small by itself, and may count beside a value of
     0 alone.
@@ -252,7 +252,7 @@ class _Search:
     value, error, choice
         The best policy: value at the start, bound on its error, actions (K,).
     upper : float
-        No policy is worth more.
+        No policy has a higher value.
     """
 
     def __init__(self, rows: Rows, relaxations: Solver, start: Policy | None) -> None:
@@ -318,7 +318,7 @@ class _Search:
         return found, np.where(open_rows, found.loss, -1.0).argmax(axis=1).tolist()
 
     def _offer(self, choices: Integers) -> bool:
-        """Keep the best of some policies (N, K) if it beats the one at hand by over rounding."""
+        """Keep the best of some policies (N, K) if it beats the present one beyond rounding."""
         if not len(choices):
             return False
         values, errors = self.relaxations.evaluate(choices)

@@ -1,4 +1,4 @@
-"""What a mixed policy is worth in rational arithmetic, and each pair's exact distance to the best.
+"""The value of a mixed policy in rational arithmetic, and each pair's exact distance to the best.
 
 A state in which a policy takes pair l with probability π(l) has the row Σ_l π(l) P_l and the reward
 Σ_l π(l) r(l). These are built in integers from the Bellman rows of the model and the exact

@@ -5,7 +5,7 @@
 where `best` is the value of the best deterministic policy that reads the same columns as π
 (`analysis.gate.column_policies`). The first bracket is the *representation loss*: no learner that
 reads these columns can avoid it. The second is the *learning error*; it is negative where π mixes
-and gains by that. What it would be worth to remember more is the value of the best policy that
+and gains by that. The gain of remembering more follows from the value of the best policy that
 reads further columns, too.
 
 A Q-table may also be wrong about the optimal action values, and about what it will earn:
@@ -15,7 +15,7 @@ A Q-table may also be wrong about the optimal action values, and about what it w
 over the pairs of all states with a choice that any policy can reach, infinities left out. A table
 that shares rows among states cannot be right everywhere, and a greedy policy can be optimal under
 large errors: these numbers explain, they do not judge. What the table promises at the start,
-max_a Q, is set beside what its greedy policy is worth there.
+max_a Q, is set beside the value of its greedy policy there.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class RowChange:
     row : str
         The row, such as "status 0100".
     learned, best : str
-        The action in the table, and the one with which the policy is worth most at the start.
+        The action in the table, and the one with which the policy's start value is highest.
     gain : float
         By how much.
     """

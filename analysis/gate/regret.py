@@ -126,7 +126,7 @@ class Regret:
         return self.forgiveness.low
 
     def decided(self, limit: Fraction) -> bool | None:
-        """Return whether the regret is at most `limit`; None where the bounds do not tell."""
+        """Return whether the regret is at most `limit`; None where the bounds do not decide."""
         if isinstance(self.at_start, Certified):
             return self.at_start.value <= limit
         low, high = self.at_start.interval
@@ -136,7 +136,7 @@ class Regret:
 
     @property
     def zero(self) -> bool | None:
-        """Whether the regret is zero up to rounding; None where the bounds do not tell."""
+        """Whether the regret is zero up to rounding; None where the bounds do not decide."""
         if isinstance(self.at_start, Certified):
             return self.forgiveness.covers(self.at_start.value)
         low, high = self.at_start.interval

@@ -204,13 +204,13 @@ class Expansion:
     Attributes
     ----------
     upper : (N,)
-        Nothing that the relaxation allows is worth more at the start, rounding included.
+        Nothing that the relaxation allows has a higher value at the start, rounding included.
     kept : (M,) int64
         Those with an upper bound above the one asked for.
     choice : (M, K) int64
         A policy that it allows: the cheapest action of each row, by the relaxation's own visits.
     value : (M,)
-        About what that policy is worth at the start.
+        About the value of that policy at the start.
     loss : (M, K)
         About what each row costs it against the relaxation: visits of the policy times what its
         actions fall short of the best allowed. The sum is the whole difference.
@@ -266,7 +266,7 @@ class Relaxations:
         number = np.where(best, np.arange(mdp.n_pairs)[:, None], mdp.n_pairs)
         first = np.minimum.reduceat(number, mdp.pair_offsets[:-1])
         loss = self._losses(number == first[mdp.pair_state], gap).reshape(allowed.shape)
-        # What rounding leaves is no loss: of equal actions, the lowest number is taken.
+        # What rounding leaves is not a loss: of equal actions, the lowest number is taken.
         loss[loss <= self._rounding(value)[:, None, None]] = 0.0
         choice = np.where(allowed, loss, np.inf).argmin(axis=2)
         taken = self._pairs(one_hot(choice, mdp.n_actions))

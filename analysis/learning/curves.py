@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 kernels, pandas = later("exact_mdp.solvers.kernels"), later("pandas")
 
 EXPERIMENTS = 40
-MAX_STEPS = 10_000  # an experiment is cut short after so many timesteps
+MAX_STEPS = 10_000  # an experiment is cut short after this many timesteps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -134,7 +134,7 @@ def predict(
     """Return the shares that theory predicts for the greedy action of a row under `settings`.
 
     The search for the fixed point starts at `policy` (K,), each row's first action unless given.
-    The equation of `switching` is simulated on n paths of so many episodes, the first half of
+    The equation of `switching` is simulated on n paths of this many episodes, the first half of
     which is thrown away. ModelError names settings without a theory (see `require_theory`), and
     greedy steps that find no fixed point.
 

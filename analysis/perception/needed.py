@@ -120,7 +120,7 @@ def accuracy_needed(
     Raises
     ------
     ModelError
-        Where that value is not positive, so that a share of it is no target.
+        Where that value is not positive, so that a share of it cannot be a target.
 
     Examples
     --------

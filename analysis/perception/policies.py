@@ -47,7 +47,7 @@ def best_perceived_policy(
     """Return the best deterministic memoryless policy on perceptions, and bounds on all others.
 
     The policy reads `columns`, the perceived status among them; the search begins from `start`,
-    too, and solves so many relaxations at most: `upper_bound` is sound wherever it ends. The
+    too, and solves at most this many relaxations: `upper_bound` is sound wherever it ends. The
     confusion (Z, Z) has the perceived status (column) given the true one (row).
 
     Examples
@@ -78,8 +78,8 @@ def place_by_place(process: Process, policies: Sequence[PolicyLike]) -> Policy:
     """Return a good policy that reads place and perceived status, from others by improvement.
 
     A place is visited once, so what is best in it for each perception, the other places held, is
-    known from its visits and action values; places are gone through from the last to the first
-    until nothing improves. The best of what becomes of the policies given is returned.
+    known from its visits and action values; places are improved from the last to the first
+    until nothing improves. The best policy that results is returned.
     """
     best, worth = process.table(policies[0]), -inf
     for policy in policies:

@@ -52,6 +52,6 @@ class BaseCase:
 
 
 def digest(*policies: Floats) -> str:
-    """Return a hash that tells policies, (L,) probabilities of pairs each, from other ones."""
+    """Return a hash of policies, (L,) probabilities of pairs each; other policies have another."""
     content = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
     return sha256(content).hexdigest()

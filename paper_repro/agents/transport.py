@@ -265,7 +265,7 @@ class Dialler(httpcore.NetworkBackend):
 def addresses(host: str, port: int, budget: Budget) -> list[Any]:
     """Return the addresses of a host as `socket.getaddrinfo` gives them.
 
-    A number is no question to anybody. A name is looked up by a thread, since a look-up cannot be
+    A number needs no look-up. A name is looked up by a thread, since a look-up cannot be
     stopped: it is waited for until the deadline, and ends by the resolver's own limit.
 
     Raises

@@ -184,7 +184,7 @@ def statement(
     shown: str = "",
     **details: Any,
 ) -> Finding:
-    """Judge by a predicate that `why` tells."""
+    """Judge by a predicate, with its reason `why`."""
     apart = {name: details.pop(name, None) for name in ("difference", "standard_error")}
     verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
     return Finding(verdict=verdict, why=why, number=number, shown=shown, details=details, **apart)

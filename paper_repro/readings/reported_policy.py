@@ -55,7 +55,7 @@ OUTSIDE = 1e-18  # probability that may be left out
 
 @dataclass(frozen=True, kw_only=True)
 class RankingChance:
-    """Probability that so many experiments rank the three policies as the paper found them."""
+    """Probability that this many experiments rank the three policies as the paper found them."""
 
     experiments: int
     normal: float  # with normal averages of the exact means and variances
@@ -152,7 +152,7 @@ class Sums:
 
 
 def sums(distribution: ReturnDistribution, runs: int) -> Sums:
-    """Return the law of the sum of so many independent returns.
+    """Return the law of the sum of this many independent returns.
 
     >>> import numpy as np
     >>> coin = ReturnDistribution(

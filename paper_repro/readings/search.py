@@ -283,7 +283,7 @@ def _ends_of(
 ) -> dict[int, dict[int, int]]:
     """Return which scenarios are the end of a longer one, so that one backward induction does both.
 
-    Keys are scenarios to evaluate; values say which scenarios are their last so many subtasks. The
+    Keys are scenarios to evaluate; values say which scenarios are their last k subtasks. The
     tasks [2] and [3] are the end of [6], [1] of [3, 1]; only where all other readings agree.
     """
     alike: dict[tuple[object, ...], list[tuple[list[bool], int]]] = {}

@@ -94,7 +94,7 @@ class Learned:
 
 
 def learn(mdp: MDP, schedule: str, *, runs: int, seed: int, folder: Path | None = None) -> Learned:
-    """Train with so many seeds; runs that the folder holds are not done again."""
+    """Train with this many seeds; runs that the folder holds are not done again."""
     source = child(seed, list(SETTINGS).index(schedule))
     trained = train_many(mdp, SETTINGS[schedule], runs, rng=source, n_jobs=None, out=folder)
     found = outcomes(mdp, trained, bound=False)

@@ -3,7 +3,7 @@
     primal   minimise α V     subject to   V(s) ≥ r(l) + γ P_l V     for every pair l of every s
     dual     maximise r y     subject to   Σ_{l of s} y(l) - γ Σ_l P(l, s) y(l) = α(s),   y ≥ 0
 
-over the states that are not terminal; those are worth 0. The weights α are positive and the same
+over the states that are not terminal; those have value 0. The weights α are positive and the same
 everywhere, so that the primal gives the value of every state (d'Epenoux, Management Science 10,
 1963; Puterman, Markov Decision Processes, 1994, section 6.9). What is returned as `occupancy` is
 the dual's solution at α = the model's start: the visits of the optimal policy.
@@ -67,7 +67,7 @@ AGREEMENT = 1e-5
 GENERATION = "constraint generation"
 MOST_OPERATIONS = 5e10  # for one factor; an optimiser makes about twenty, at 10^9 a second
 MOST_ENTRIES = 4e8  # 3.2 GB
-FREE_STATES = 2000  # so few are not worth an estimate
+FREE_STATES = 2000  # so few need no estimate
 FARTHEST = 100
 
 

@@ -156,7 +156,7 @@ def induce(
     Parameters
     ----------
     expect : function, optional
-        Applies a law to a vector; by compiled loops where that is worth while, unless given.
+        Applies a law to a vector; by compiled loops where that pays, unless given.
     choose : function, optional
         From the number of a layer's first state and (A, 2^n) action values to the values of a
         policy; those of the best actions unless given.

@@ -232,7 +232,7 @@ def optimal_values(
 ) -> None:
     """Solve draws `first` to `last`-1 of `draws` (D, Q).
 
-    `base` (P+2,) holds parameters, 0, discount; `positions` (Q,) tells which of them are drawn.
+    `base` (P+2,) holds parameters, 0, discount; `positions` (Q,) says which of them are drawn.
     `start`, `gaps` and `actions` are those of `solvers.care.CareValues`, empty where not wanted.
     """
     vectors, rows, number = care.bits.shape[0], care.step.shape[1], len(care.assist)

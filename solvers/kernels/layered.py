@@ -34,7 +34,7 @@ def policy_values(
     Parameters
     ----------
     order : (M,) int64
-        States to compute, each behind those that it leads to; all others are worth 0.
+        States to compute, each behind those that it leads to; all others have the value 0.
     pair : (S, A) int64
         Pair of each state and action; the only one of a state without choice.
     start : (S,)

@@ -198,7 +198,7 @@ def fill(
 
     Row i of L holds what is met on the way from each k < i of row i of the matrix up the
     elimination tree (Liu, SIAM J. Matrix Anal. Appl. 11, 1990). Counting stops, with -1, where
-    there are more than `most`, or where elimination takes more than so many operations.
+    there are more than `most`, or where elimination takes more than this many operations.
     """
     states = len(indptr) - 1
     total, work = 0, 0.0

@@ -6,7 +6,7 @@ it stands still where
 
     Σ_{l in (k,a)} n(l) [ r(l) + γ Σ_s' P(l, s') Q(k(s'), π(k(s'))) - Q(k, a) ] = 0    for all k, a,
 
-n being the exact visits of the ε-greedy policy, the end being worth 0: a linear equation. Where the
+n being the exact visits of the ε-greedy policy, with value 0 at the end: a linear equation. Where the
 greedy policy of its solution is π itself, this is a fixed point of Q-learning under state
 aggregation (Singh, Jaakkola and Jordan, NeurIPS 7, 1995). It need not be unique, nor exist.
 
@@ -240,7 +240,7 @@ def mean_field(
     moves = sp.csr_array((share[live], places), (entries, entries))
     earned = np.bincount(at, share * chain.gain[on], minlength=entries)[used]
     size = np.bincount(at, share * np.abs(chain.gain[on]), minlength=entries)[used]
-    # Everything is a ratio of sums of visits; their relative errors count as so many roundings.
+    # Everything is a ratio of sums of visits; their relative errors count as this many roundings.
     seen = visited > 0
     doubt = float((found.error[seen] / visited[seen]).max())
     roundings = int(2 * doubt / UNIT) + 2 * len(weight) + chain.roundings + 4

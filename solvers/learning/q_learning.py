@@ -67,11 +67,11 @@ class QLearning:
         Look beyond the end as if it went on there: the end of a scenario reads the row of status
         0000. Where columns are all read, this makes no difference at `initial` = 0.
     max_steps : int
-        Episodes are cut short after so many timesteps; `TrainingRun.cut_short` counts them.
+        Episodes are cut short after this many timesteps; `TrainingRun.cut_short` counts them.
     snapshot_episode : int
         The greedy policy after this episode of each epoch is kept; 0 keeps none.
     last : int
-        Greedy policies after each of so many last episodes are kept.
+        Number of last episodes after which the greedy policy is kept.
 
     Examples
     --------

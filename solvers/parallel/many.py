@@ -6,7 +6,7 @@ not at all, and is read instead of done again when the same work is called once 
 (`solvers.parallel.pieces`).
 
 A process, here or there, does a piece only where it has the code of the one that sent it, as
-`solvers.parallel.sources` tells: one that starts after a file changed is refused.
+`solvers.parallel.sources` checks: one that starts after a file changed is refused.
 
 Cores are processes of joblib (loky; another joblib backend where `joblib.parallel_config` says so),
 or its threads for compiled loops that need no interpreter lock. A cluster is a Dask scheduler; see
@@ -61,7 +61,7 @@ def many(
     pieces : sequence
         Anything that can be pickled.
     key : mapping
-        JSON values that tell what this work is: model, settings, seed. Not how many pieces, where
+        JSON values that say what this work is: model, settings, seed. Not how many pieces, where
         earlier pieces stay the same when more are asked for.
     n_jobs : int, optional
         Processes: 1 works in this one, None on all cores. With `scheduler="local"`, the workers.

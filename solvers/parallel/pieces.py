@@ -90,7 +90,7 @@ def read_piece(path: Path) -> Arrays | None:
 
 
 def _digest(arrays: Mapping[str, Numbers]) -> Numbers:
-    """Return (32,) bytes that tell names, types, shapes and numbers from all others."""
+    """Return (32,) bytes that differ where names, types, shapes or numbers differ."""
     digest = sha256()
     for name in sorted(arrays):
         array = np.asarray(arrays[name])

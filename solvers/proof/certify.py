@@ -143,7 +143,7 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
     """Return bounds that floats prove."""
     if solution is None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds tell what was reached
+            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say what was reached
             solution = solve(mdp, tol=None if tol is None else tol / 4)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError("the solution is of another model", where="certify", fix="solve this one")

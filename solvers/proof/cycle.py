@@ -43,7 +43,7 @@ STEPS = 100  # of policy iteration, before the exact ones
 PRECISE = 256  # bits of fixed-point values
 LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
 CHUNK = 64  # states whose pairs are multiplied together
-FILLED = 4  # one in so many entries of a matrix is not zero, at least
+FILLED = 4  # one in this many entries of a matrix is not zero, at least
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class Cycle:
         )
 
     def policy(self) -> Integers:
-        """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits tell."""
+        """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits can show."""
         return self._sharpened(self._rough())
 
     def _rough(self) -> Integers:
@@ -207,7 +207,7 @@ class Cycle:
             for _ in range(STEPS):
                 try:
                     value = linalg.splu((identity - chain[policy]).tocsc()).solve(earned[policy])
-                except RuntimeError:  # singular, as far as floats tell
+                except RuntimeError:  # singular, up to rounding
                     break
                 gain = earned + chain @ value - np.repeat(value, np.diff(self.offsets))
                 better = self._better(policy, gain, 1e-12 * np.abs(value).max())

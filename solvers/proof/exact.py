@@ -287,7 +287,7 @@ class _Solver:
         self.gap[state] = min(lost) * times if lost else None
 
     def _close(self, states: Collection[int], denominator: fmpz, *, lowest: bool) -> None:
-        """Give states their denominator; in lowest terms where it is worth the time."""
+        """Give states their denominator; in lowest terms where that saves time."""
         spare = denominator if lowest else self.denominator[0]
         for state in states:
             self.group[state] = len(self.denominator)

@@ -222,7 +222,7 @@ def _list_of(read: Read, length: int | None = None) -> Read:
 
 
 def _array_of(length: int) -> Read:
-    """Return a reader of so many integers from 0 up."""
+    """Return a reader of this many integers from 0 up."""
 
     def array(values: object) -> Integers:
         if not isinstance(values, list) or len(values) != length or set(map(type, values)) != {int}:

@@ -44,7 +44,7 @@ class Game:
     Attributes
     ----------
     against : bool
-        True where nature makes rows worth as little as it can.
+        True where nature makes the values of rows as low as it can.
     most : bool
         True where the agent takes the best pair, False where the least.
     weights : (L,), optional
@@ -100,7 +100,7 @@ class Game:
     def ask(self, value: Floats, *, delay: bool = False) -> Inner:
         """Return what nature makes of each of `pairs`, at values (S,).
 
-        With `delay` both sides are after steps: nature makes rows worth as much as it can, without
+        With `delay` both sides are after steps: nature makes rows as valuable as it can, without
         their rewards.
         """
         return inner(

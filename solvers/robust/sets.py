@@ -20,7 +20,7 @@ to rounding.
 
 Rows of about the same length are put side by side in one block (K, n), n a power of two, so that
 one call of NumPy asks nature about all of them. A row that is shorter is filled up with copies of
-its first outcome of probability 0, which are worth the same and so change nothing.
+its first outcome of probability 0, which have the same value and so change nothing.
 """
 
 from __future__ import annotations
@@ -303,9 +303,9 @@ def inner(
     against: bool,
     rewards: bool = True,
 ) -> Inner:
-    """Return what each row is worth at values (S,) once nature has chosen its law.
+    """Return the value of each row at values (S,) once nature has chosen its law.
 
-    Nature makes rows worth as little as it can where it is `against` the agent, and as much
+    Nature makes the values of rows as low as it can where it is `against` the agent, and as high
     elsewhere; without `rewards` the gains are left out.
     """
     count = sum(len(block.place) for block in blocks)

@@ -1,1 +1,1 @@
-"""What a policy is worth: expectations, visits, the law of its return, and samples of it."""
+"""The value of a policy: expectations, visits, the law of its return, and samples of it."""

@@ -1,4 +1,4 @@
-"""The return of a policy: its mean, its spread, what it is made of, and how it comes about.
+"""The return of a policy: its mean, its spread, what it is made of, and where it comes from.
 
     V(s)   = E[r + γ V(s')]
     Var(s) = E[(r + γ V(s') - V(s))²] + γ² E[Var(s')]
@@ -372,7 +372,7 @@ def evaluate(
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `mdp.policies.arrays`.
     horizon : int, optional
-        Stop after so many steps, without a further reward: what is found is that of
+        Stop after this many steps, without a further reward: what is found is that of
         `mdp.within(horizon)`. Policies over states are the same at every time there; those of
         `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
 

@@ -187,7 +187,7 @@ def return_distribution(
     max_sweeps : int
         How often states that lead back to each other are swept at most.
     horizon : int, optional
-        Stop after so many steps; see `evaluate`.
+        Stop after this many steps; see `evaluate`.
 
     Returns
     -------

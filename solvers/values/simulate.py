@@ -142,7 +142,7 @@ def simulate(
         number after which nothing above 10⁻¹² of the greatest return can follow; at discount 1
         episodes are never cut off, and an episode that takes longer is an error.
     horizon : int, optional
-        Stop every episode after so many steps, without a further reward, as the environments of a
+        Stop every episode after this many steps, without a further reward, as the environments of a
         time limit do; see `evaluate`.
 
     Returns

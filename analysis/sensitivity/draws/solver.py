@@ -258,7 +258,7 @@ class CareSolver:
         shape = (self.shape[0], self.sizes[1], *self.shape[2:])
         table = table[: mdp.space.regular].reshape(*shape, mdp.n_actions)
         numbers = [mdp.action(name) for name in self.scenario.actions]
-        # A last trial in which a skip is the only action is no trial of the loops.
+        # A last trial in which a skip is the only action is not a trial of the loops.
         return table[:, : self.shape[1]][..., numbers]
 
 

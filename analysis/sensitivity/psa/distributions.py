@@ -3,7 +3,7 @@
 A probability with mean m that is worth n observations is Beta(m n, (1 - m) n), of variance
 m (1 - m) / (n + 1); probabilities that make up one row of a model are Dirichlet with the same n
 (Briggs, Weinstein, Fenwick et al., Medical Decision Making 32, 2012). n is the *effective sample
-size*: as much as n patients would tell. A reward weight is normal with standard deviation c |m|, or
+size*: the information of n patients. A reward weight is normal with standard deviation c |m|, or
 gamma, which keeps the sign.
 
 A probability of 0 or 1 has no such distribution and stays as it is. Reward weights are preferences

@@ -1,4 +1,4 @@
-"""Intervals of what a sample tells: shares, quantiles, and the tolerances of acceptability curves.
+"""Intervals for what a sample shows: shares, quantiles, and the tolerances of acceptability curves.
 
 Shares have Wilson's interval (Wilson, Journal of the American Statistical Association 22, 1927),
 quantiles that of order statistics, which assumes nothing of the distribution's shape.

@@ -72,7 +72,7 @@ POOL = 24  # policies that are considered as candidates
 CANDIDATES = 6  # of them kept, beside the policy held and today's optimum
 LEAST_GAIN = 1e-2  # of what today's optimum loses, for a policy to be added
 HELD, TODAY = "policy", "optimum today"
-REGRESSED = 20_000  # draws of a regression: its error is far below that of so many draws
+REGRESSED = 20_000  # draws of a regression: its error is far below that of this many draws
 MISSING = "EVPI among the candidates is below the lower end of EVPI"
 
 

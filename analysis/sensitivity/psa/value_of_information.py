@@ -23,7 +23,7 @@ Where the fit cannot be relied on, the estimate says so (`doubts`): both estimat
 standard error apart, or the lower one is less than half of the other; the fit promises half a
 standard error more or less than its own choices earn; few draws carry the value; or the residuals
 of neighbours along a parameter add up. For the last, the largest sum over 8, 16, 32 … neighbouring
-draws is compared with what the greatest of so many normal sums may be: a step at the edge of a
+draws is compared with what the greatest of this many normal sums may be: a step at the edge of a
 parameter shows there, which splines round off. Where nothing is doubted, such a sum, the distance
 of the estimates, and twice what the fit promises too much or too little count as errors of their
 own in the standard error, root-sum-square: it is that of the draws and of what the fit may miss.

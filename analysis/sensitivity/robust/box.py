@@ -241,7 +241,7 @@ def box_extreme(
         All probabilities ± 20 % unless given.
     side : "worst" or "best"
     gap : float
-        Distance of the bounds at which to stop; the result tells which was reached.
+        Distance of the bounds at which to stop; the result says which was reached.
     parts : int
         Boxes to bound at most; fewer where a quarter of them brings the bounds no nearer.
     progress : bool
