@@ -331,7 +331,7 @@ def by_outcome(table: OutcomeTable) -> OutcomeTable:
     """Return a table whose rewards belong to outcomes beyond doubt.
 
     With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
-    unless a probability is only nearly 1; such outcomes are told as two exact halves. Other
+    unless a probability is only nearly 1; such outcomes are split into two exact halves. Other
     probabilities make no model, and stay as they are for the message that says so.
     """
     if len(table.next) != table.pairs or (table.weight == table.denominator).all():

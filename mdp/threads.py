@@ -21,7 +21,7 @@ IN_CACHE = 2**16  # entries of a few arrays that a core's cache holds, amply
 
 
 def cores() -> int:
-    """Return how many cores this process may use, two at most: memory feeds no more of them."""
+    """Return how many cores this process may use, two at most: memory is too slow for more."""
     if hasattr(os, "sched_getaffinity"):
         return min(2, len(os.sched_getaffinity(0)))
     return min(2, os.cpu_count() or 1)
@@ -31,8 +31,8 @@ def block_ends(work: Numbers, threads: int | None = None, most: int | None = Non
     """Return 0, …, N: where to cut N items into blocks of about the same work.
 
     `work` (N+1,) is that of all items before each, such as the transitions of all states before a
-    state; `threads` are as many as `cores` and as are worth it unless given; `most` is about the
-    most work of a block, so that what it reads stays in a cache.
+    state; `threads` are as many as `cores`, or fewer for little work, unless given; `most` is
+    about the most work of a block, so that what it reads stays in a cache.
 
     Examples
     --------

@@ -85,7 +85,7 @@ def _check_names(model: Parts) -> None:
 
 
 def counted(steps: object, where: str) -> int:
-    """Return a number of steps as an int, or raise ModelError where it is none.
+    """Return a number of steps as an int, or raise ModelError where it is not one.
 
     Examples
     --------

@@ -58,7 +58,7 @@ def perception(
     sets: tuple[str, ...],
     discount: str | None,
 ) -> Report:
-    """Tell what acting on a perceived status costs, and what memory or accuracy would save."""
+    """Report what acting on a perceived status costs, and what memory or accuracy would save."""
     asked = given(model, sets, discount)
     mdp, limits = asked.mdp, _limits(seconds, trials)
     tol = number_of(tolerance, "--tolerance", positive=True)
@@ -202,7 +202,7 @@ def _spread(spread: UncertainValue, seed: int) -> dict[str, Any]:
 
 def _ways(price: PriceOfPerception, spread: UncertainValue | None) -> Table:
     """Return the table of the values at the start, by how errors are dealt with."""
-    searched = ((price.filtering, "seen and done"), (price.unseeing, "done, unseeing"))
+    searched = ((price.filtering, "seen and done"), (price.unseeing, "done, seeing nothing"))
     rows: list[tuple[Any, ...]] = [
         ("the status is known", price.perfect, ""),
         *((f"memory of what was {what}", _shown(found), "bounds") for found, what in searched),

@@ -58,7 +58,7 @@ class Table:
         `format` takes it (".4g", ".1%") and possibly a sign before it ("± .2g"); or a function of
         the row that returns the value, alone or with such a format. Numbers stand to the right.
     first : int
-        So many rows are shown; the title says where there are more.
+        Number of rows shown; the title says where there are more.
 
     Examples
     --------
@@ -126,7 +126,7 @@ class Report:
     tables : sequence of Table
         A table without rows is left out.
     notes : sequence of str
-        Told on standard error.
+        Printed on standard error.
     status : int
         The exit status.
     """

@@ -27,7 +27,7 @@ KINDS = {"failure": "regret", "error": "error"}  # elements, and the types that 
 class Case:
     """One test case: what failed, or why there is no verdict, each on one line; None where neither.
 
-    `text` is all there is to say of it.
+    `text` is the full message.
     """
 
     name: str

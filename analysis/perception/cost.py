@@ -86,7 +86,7 @@ class PriceOfPerception(Result):
         rows = [
             ("the status is known", *self.perfect.interval),
             ("memory of what was seen and done", *self.filtering.interval),
-            ("memory of what was done, unseeing", *self.unseeing.interval),
+            ("memory of what was done, seeing nothing", *self.unseeing.interval),
             (f"best by {', '.join(placed.columns)} seen", placed.value.value, placed.upper_bound),
             (f"best by {', '.join(fixed.columns)} seen", fixed.value.value, fixed.upper_bound),
             ("seen taken for true", *self.taken_as_true.interval),

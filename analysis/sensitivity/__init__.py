@@ -1,4 +1,4 @@
-"""Which numbers decide: derivatives, one-way and two-way analyses, exact thresholds.
+"""Which numbers matter: derivatives, one-way and two-way analyses, exact thresholds.
 
 >>> from exact_mdp import Scenario
 >>> from exact_mdp.analysis.sensitivity import gradient

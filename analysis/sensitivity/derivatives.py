@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """An exact number that stands on the degree of a polynomial, which no proof shows.
+    """An exact number that relies on an unproven degree of a polynomial.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The care model without its matrix: states and rewards as ever, next statuses by their law.
+"""The care model without its matrix: states and rewards as usual, next statuses by their law.
 
     q(s, a) = const(a, s) + E[x(s') | s, a],    x(s') = gain(s') + γ V(next(s')),
 

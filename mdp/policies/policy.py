@@ -450,7 +450,7 @@ class Policy(NDArrayOperatorsMixin):
         Raises
         ------
         ModelError
-            For the name of no action.
+            For an unknown action.
 
         Examples
         --------
@@ -469,7 +469,7 @@ class Policy(NDArrayOperatorsMixin):
         Raises
         ------
         ModelError
-            For numbers of no action, or of another shape.
+            For numbers that are not actions, or of another shape.
 
         Examples
         --------
@@ -524,7 +524,7 @@ class Policy(NDArrayOperatorsMixin):
         Raises
         ------
         ModelError
-            For unknown columns, and for rows that are no distribution.
+            For unknown columns, and for rows that are not distributions.
 
         Examples
         --------
@@ -628,7 +628,7 @@ def _refuse_two_meanings(model: MDP, array: Numbers) -> None:
     """Raise ModelError where (N, S) action numbers may as well be (S, A) of something else."""
     try:
         numbers = Policy(**action_numbers(model, array)).weights(model)
-    except ModelError:  # these are no action numbers
+    except ModelError:  # these are not action numbers
         return
     if (numbers != Policy(**policy_of_array(model, array)).weights(model)).any():
         raise ModelError(

@@ -6,7 +6,7 @@ it stands still where
 
     Σ_{l in (k,a)} n(l) [ r(l) + γ Σ_s' P(l, s') Q(k(s'), π(k(s'))) - Q(k, a) ] = 0    for all k, a,
 
-n being the exact visits of the ε-greedy policy, with value 0 at the end: a linear equation. Where the
+n are the exact visits of the ε-greedy policy, the end has value 0: a linear equation. Where the
 greedy policy of its solution is π itself, this is a fixed point of Q-learning under state
 aggregation (Singh, Jaakkola and Jordan, NeurIPS 7, 1995). It need not be unique, nor exist.
 

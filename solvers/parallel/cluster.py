@@ -115,7 +115,7 @@ def _client(scheduler: str, n_jobs: int | None, within: float) -> Iterator[Any]:
     distributed = load("distributed")
     if scheduler == "local":
         # A free port for its status page: the usual one may be in use. Workers that are slow to
-        # end are no news: the results are all here by then.
+        # end do not matter: the results are all here by then.
         with (
             distributed.LocalCluster(
                 n_workers=n_jobs,
@@ -225,7 +225,7 @@ class _Crew:
             asked = self.client.run(eval, CODE, workers=[worker], on_error="return")
             try:
                 return (await asyncio.wait_for(asked, self.within))[worker]
-            except Exception as error:  # whatever it is, this worker is told by it
+            except Exception as error:  # whatever the error is, it speaks of this worker
                 return error
 
         async def each() -> dict[str, object]:

@@ -1,8 +1,8 @@
-"""Acting on perceptions with memory: bounds on the best that any controller can be worth.
+"""Acting on perceptions with memory: bounds on the value of the best controller.
 
 A controller that remembers what it saw and did needs no more than its belief b over the statuses
-(`mdp.care.process`). The optimal value V(x, b), after perceiving, is convex in b, and is
-closed in on from both sides by heuristic search (HSVI2: Smith and Simmons, Point-based POMDP
+(`mdp.care.process`). The optimal value V(x, b), after perceiving, is convex in b, and
+heuristic search bounds it from both sides (HSVI2: Smith and Simmons, Point-based POMDP
 algorithms: improved analysis and implementation, UAI 2005):
 
     lower    max over vectors α of place x of Σ_s α(s) b(s); each is the value of some controller

@@ -216,8 +216,8 @@ def _refuse_endless(mdp: MDP, chain: sp.csr_array) -> None:
 class RobustBounds:
     """value + low · weight ≤ V* ≤ value + high · weight, low ≤ 0 ≤ high.
 
-    The policy of `chosen` is worth no less than value + kept · weight where the agent maximises,
-    no more where it minimises.
+    The policy of `chosen` has no less than value + kept · weight where the agent maximises, no more
+    where it minimises.
 
     Attributes
     ----------

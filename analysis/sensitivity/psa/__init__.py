@@ -1,1 +1,1 @@
-"""Probabilistic sensitivity analysis: draws of the parameters, and what knowing them is worth."""
+"""Probabilistic sensitivity analysis: draws of the parameters, and the value of knowing them."""

@@ -1,6 +1,6 @@
 """Distributions of uncertain parameters: Beta, Dirichlet, normal or gamma around today's value.
 
-A probability with mean m that is worth n observations is Beta(m n, (1 - m) n), of variance
+A probability with mean m that rests on n observations is Beta(m n, (1 - m) n), of variance
 m (1 - m) / (n + 1); probabilities that make up one row of a model are Dirichlet with the same n
 (Briggs, Weinstein, Fenwick et al., Medical Decision Making 32, 2012). n is the *effective sample
 size*: the information of n patients. A reward weight is normal with standard deviation c |m|, or
