@@ -81,7 +81,7 @@ with style():
 print(f"{mdp.n_transitions} transitions, {mdp.n_transitions / mdp.transition.shape[0]:.1f} a row")
 
 # %% [markdown]
-# ## What pushes what
+# ## How statuses influence each other
 #
 # Without assistance one status makes another likelier (the paper's Table 3). On the right the
 # moves of the whole vector under directive assistance.

@@ -39,7 +39,7 @@ mdp = scenario.compile()
 #
 # Value iteration, Gauss-Seidel value iteration, modified policy iteration, policy iteration,
 # backward induction and a linear program find the answer in different ways, so that their agreement
-# is worth something. Each bound holds for every state, rounding errors included.
+# means something. Each bound holds for every state, rounding errors included.
 
 # %%
 rows = []

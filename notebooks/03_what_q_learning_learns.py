@@ -14,8 +14,8 @@
 # %% [markdown]
 # # 3. What Q-learning learns
 #
-# **After this notebook you can** train a Q-learner on the care model as the paper does, say exactly
-# what each learned policy is worth, and tell apart two kinds of loss: what a table over statuses
+# **After this notebook you can** train a Q-learner on the care model as the paper does, give the
+# exact value of each learned policy, and separate two kinds of loss: what a table over statuses
 # cannot express, and what was learned badly.
 #
 # The learner sees samples only. We know the model, so that nothing about its result has to be
@@ -113,7 +113,7 @@ with style():
 # %% [markdown]
 # ## An audit of one learned table
 #
-# `check` holds a policy or a Q-table against the exact optimum: what it loses, in which states, and
+# `check` compares a policy or a Q-table with the exact optimum: what it loses, in which states, and
 # whether a table over statuses could have done better. In a CI job the same is
 # `exact-mdp check yuan2025 q_table.npy --max-regret 0.5`.
 

@@ -19,7 +19,7 @@
 # entries are uncertain.
 #
 # The probabilities of the care model are judgements. A policy computed from them is only as good as
-# the entries it hangs on, so that a reader should ask: which ones are these?
+# the entries that it depends on. Which ones are these?
 
 # %%
 import warnings
@@ -54,8 +54,8 @@ print(ranked[columns].head(10).to_string(float_format="%.4f"))
 # %% [markdown]
 # ## Over ranges: a tornado diagram
 #
-# Each probability is moved by a fifth up and down, the policy re-optimised at both ends. `fixed`
-# instead of `optimal` holds the policy, and `regret` shows what holding it loses.
+# Each probability is moved by a fifth up and down. Both ends of a bar have three values: `optimal`
+# with the policy re-optimised, `fixed` with the policy held, and `regret`, what holding it loses.
 
 # %%
 names = [name for name in ranked.index if not name.startswith(("reward", "discount"))][:12]
@@ -118,7 +118,7 @@ with style():
 # it loses where it is not. These are estimates, with their intervals.
 #
 # In a few draws a sum of chances passes 1 and is cut off there. A `ScenarioWarning` says so, with
-# the sum and its terms; here it is known and left out.
+# the sum and its terms; here we know of it and silence it.
 
 # %%
 with warnings.catch_warnings():

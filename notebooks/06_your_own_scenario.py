@@ -120,7 +120,7 @@ for best in value_of_memory(mdp, ["status"]):
 #
 # How likely is frustration to appear by itself? Move the slider: the map of best actions changes
 # where a threshold is passed. The pictures are drawn beforehand, so that the slider also works in a
-# page that is only looked at.
+# page without a running notebook.
 
 # %%
 values = [Fraction(k, 20) for k in range(15)]
