@@ -66,7 +66,7 @@ def _work(
 ) -> bool:
     """Print one claim or all of them; say whether a number differs from the pinned one.
 
-    What this takes is loaded here, so that the help is not kept waiting for it.
+    What this takes is loaded here, so that the help does not wait for it.
     """
     from exact_mdp.paper_repro import run
     from exact_mdp.paper_repro.claims import chosen

@@ -64,8 +64,8 @@ class Policy(NDArrayOperatorsMixin):
         where the policy is one over all states.
     actions : tuple of str
     rule : (K,) int or (K, A) float
-        Action numbers of a deterministic policy, -1 where it says nothing; else probabilities of
-        actions. Rows sum to 1; a row of NaN says nothing, which is an error only where it is asked.
+        Action numbers of a deterministic policy, -1 where it gives none; else probabilities of
+        actions. Rows sum to 1; a row of NaN gives no action, an error only where one is needed.
         Exact numbers (Fractions, "p/q") are taken as well: they are rounded here and kept in
         `shares`.
     shares : (K, A) integers, optional

@@ -33,9 +33,9 @@ class Style:
     ----------
     temperature : float, or None to leave it to the model
     max_tokens : longest answer
-    shape : one of `SHAPES`: how the form of the answer is asked for; it is checked in any case
-    tries : how often a request is put before the run stops
-    send_seed : whether the request's seed goes along
+    shape : one of `SHAPES`: how the form of the answer is requested; it is checked in any case
+    tries : attempts for each request before the run stops
+    send_seed : whether the request's seed is sent
     longest : characters of a text, where a model is to be held shorter than the schema does
     """
 
@@ -74,7 +74,7 @@ def body(request: Request, style: Style, faults: list[str]) -> dict[str, Any]:
 
 
 def shortened(schema: Mapping[str, Any], longest: int | None) -> dict[str, Any]:
-    """Return a schema whose texts are at most so long; what fits it fits the given one."""
+    """Return a schema with shorter texts; what fits it fits the given one, too."""
     properties = {
         name: part | {"maxLength": min(part["maxLength"], longest)}
         if longest is not None and part["type"] == "string"
@@ -235,7 +235,7 @@ def _number(text: str) -> float:
 
 
 def _count(value: object) -> int:
-    """Return a count of tokens; 0, which stands for unknown, where it is none."""
+    """Return a count of tokens; 0, which stands for unknown, for anything else."""
     if not isinstance(value, int) or isinstance(value, bool):
         return 0
     return value if 0 < value < MOST_COUNTED else 0

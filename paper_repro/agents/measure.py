@@ -116,7 +116,7 @@ class Notebook:
             self._recorder.add(self.header)
 
     def _check(self) -> None:
-        """Hold that the entries are those of this measurement, in their order."""
+        """Check that the entries are those of this measurement, in their order."""
         size = 2 ** len(self.header["statuses"])
         for number, entry in enumerate(self.past):
             due = number % size

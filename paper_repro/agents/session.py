@@ -34,7 +34,7 @@ def hold(
     limit: int | None = None,
     progress: Progress = lambda step: None,
 ) -> Recording:
-    """Run a conversation into a folder, or go on with the one that it holds.
+    """Run a conversation into a folder, or continue the one that it holds.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def hold(
                 steps.append(step)
                 _append(path, views.block(header, step))
                 progress(step)
-    finally:  # what there is, whatever stopped the run
+    finally:  # write what was recorded, whatever stopped the run
         whole = Recording(header=header, steps=tuple(steps), end=end, whole=0)
         write_atomically(path.with_suffix(".html"), views.page(whole))
     return whole
@@ -132,7 +132,7 @@ class Recorded:
 
 
 def replayed(talk: Conversation, told: Recording) -> list[str]:
-    """Go through a recorded conversation again without a model; return what differs.
+    """Replay a recorded conversation without a model; return what differs.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def replayed(talk: Conversation, told: Recording) -> list[str]:
 
 
 def _follows(talk: Conversation, kept: Recording, path: Path) -> None:
-    """Hold that what is to be gone on with is what these settings and answers lead to."""
+    """Check that a recording to be continued follows from these settings and answers."""
     try:
         differences = replayed(replace(talk, backend=Recorded(kept)), kept)
     except BackendError as error:

@@ -4,7 +4,7 @@
     bytes received, headers and framing included     within one limit
 
 Every wait for the other side is as long as what is left until the deadline, so that a server
-that sends a byte now and then gains nothing by it. The connection is closed after the answer,
+cannot extend it by sending a byte now and then. The connection is closed after the answer,
 whatever happens. Nothing is taken from the environment, no redirect is followed, no cookie is
 kept and nothing is decompressed. httpcore reads the messages: HTTP/1.1, RFC 9112.
 """

@@ -1,9 +1,9 @@
 """Every claim of the paper as one entry: where it stands, what it says, what is true of it.
 
-    from paper_repro.claims import all_claims, judge
+    from exact_mdp.paper_repro.claims import all_claims, judge
 
-`all_claims()` lists them in the order of the paper; `judge` works some of them out and holds those
-that the text leaves open against other readings as well.
+`all_claims()` lists them in the order of the paper; `judge` works some of them out, and tries those
+that the text leaves open under other readings, too.
 
 How to add a claim. It is one entry in the module of its part of the paper (`model`, `learning`,
 `returns`, `policies`): a decorator on the function that works it out.
@@ -25,8 +25,8 @@ that the model has to hold exactly is an input, and shorter:
 
     CLAIMS.entry("table4.trial", "Table 4", "Weight trial.", -1, lambda reading: ...)
 
-Then `python -m paper_repro --claim policy.1100` works it out alone. What it comes to is pinned by
-an entry with a reason in `expected.toml`; `--candidates` prints the entry.
+Then `python -m paper_repro --claim policy.1100` works it out alone. The result is pinned by an
+entry with a reason in `expected.toml`; `--candidates` prints the entry.
 """
 
 from exact_mdp.paper_repro.claims.claim import Finding, PaperClaim, Verdict

@@ -56,7 +56,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What a claim comes to under one reading."""
+    """What is found about a claim under one reading."""
 
     verdict: Verdict
     why: str  # one line
@@ -191,7 +191,7 @@ def statement(
 
 
 def entry(paper: Fraction, exact: Fraction, why: str = "") -> Finding:
-    """Hold a number of the paper against the model's, both exact.
+    """Compare a number of the paper with the model's, both exact.
 
     >>> entry(Fraction(3, 10), Fraction(3, 10)).verdict.value
     'reproduced'
@@ -202,7 +202,7 @@ def entry(paper: Fraction, exact: Fraction, why: str = "") -> Finding:
 
 
 def plotted(paper: float, number: Bounded | Estimated, why: str = "", **details: Any) -> Finding:
-    """Hold a number that the authors read off a plot against ours.
+    """Compare a number that the authors read off a plot with ours.
 
     >>> plotted(140, Bounded(value=143.2, error=0)).verdict.value
     'reproduced'

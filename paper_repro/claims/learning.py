@@ -1,4 +1,4 @@
-"""Claims about learning (Sections 3.2.4, 3.2.5 and 4.1), held against many training runs.
+"""Claims about learning (Sections 3.2.4, 3.2.5 and 4.1), compared with many training runs.
 
 The paper trains once with each exploration schedule; here each is trained with many seeds, so that
 an outcome has a frequency. Final policies are judged by exact value. What the paper shows of its

@@ -300,7 +300,7 @@ CLAIMS.entry(
 def _equation_1(reading: Reading) -> Finding:
     """The immediate reward is the weighted sum of statuses, trial, completion, assistance, timestep
     and task completion."""
-    # Hold every visible outcome of the compiled model against Equation 1, written out anew.
+    # Compare every visible outcome of the compiled model with Equation 1, written out anew.
     w, last = reported.TABLE_4, np.cumsum(reading.scenario.tasks) - 1
     checked = wrong = 0
     for action, after, subtask, done, gain in _rewards(reading.mdp, reading.scenario.trials):

@@ -4,7 +4,7 @@ What the paper says there of language cannot be checked without its authors' mod
 from the decision model is computed (`paper_repro.agents.claims`). The figures show what perception
 is worth: the scripted agent's measured confusion, what its errors cost, and what is left of the
 optimum as perception worsens. The scripted agent misreads each status at a stated rate, so that its
-confusion is known and the measurement can be held against it.
+confusion is known and the measurement can be compared with it.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class _Upper:
         return np.asarray(found)
 
     def add(self, belief: Floats, value: float) -> None:
-        """Take in that `value` is an upper bound at a belief that sums to 1."""
+        """Record that `value` is an upper bound at a belief that sums to 1."""
         # Chances so small have no inverse that is safe. Without them the value is at most
         # LEAST Z max |V| higher, far below the slack that `Search.upper` adds.
         belief = np.where(belief < LEAST, 0.0, belief)

@@ -100,7 +100,7 @@ class Simulation(Result):
 
     @property
     def sd(self) -> float:
-        """Standard deviation of the returns; infinite for one episode, which says nothing of it."""
+        """Standard deviation of the returns; infinite for one episode, which does not show it."""
         scaled, power = self._scaled
         return times(scaled.std(ddof=1), power) if self.episodes > 1 else inf
 
