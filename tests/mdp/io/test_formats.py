@@ -181,7 +181,7 @@ def foreign(folder: Path) -> Path:
 def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
     """A file of another program has no discount: 1 is taken, and said; a given one is silent."""
     path = foreign(tmp_path)
-    with pytest.warns(UserWarning, match="no discount, so that 1 is taken"):
+    with pytest.warns(UserWarning, match="no discount, and 1 is used"):
         assert load(path).mdp.discount_exact == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")

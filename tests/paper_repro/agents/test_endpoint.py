@@ -209,11 +209,11 @@ def test_no_key_is_told_by_an_error_or_a_repr(request_: Request) -> None:
         ("http://example.invalid/v1", "unencrypted"),
         ("https://user:secret@example.invalid/v1", "credentials"),
         ("https://example.invalid/v1?key=secret", "credentials"),
-        ("ftp://example.invalid", "no http"),
-        ("example.invalid/v1", "no http"),
-        ("http://[::1/v1", "no http"),
-        ("http://127.0.0.1:99999/v1", "no http"),
-        ("http://127.0.0.1/\nv1", "no http"),
+        ("ftp://example.invalid", "not an http"),
+        ("example.invalid/v1", "not an http"),
+        ("http://[::1/v1", "not an http"),
+        ("http://127.0.0.1:99999/v1", "not an http"),
+        ("http://127.0.0.1/\nv1", "not an http"),
     ],
 )
 def test_addresses_that_would_tell_a_key_are_refused(url: str, what: str) -> None:
