@@ -212,12 +212,11 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 def _place(error: BaseException) -> str:
     """Return the last line of this project that an exception went through."""
-    found = "an unknown place"
+    found, here = "an unknown place", Path(__file__).resolve().parents[1]
     for frame in traceback.extract_tb(error.__traceback__):
-        parts = Path(frame.filename).parts
-        rooms = [place for place, part in enumerate(parts) if part in ROOMS]
-        if rooms:
-            found = f"{'/'.join(parts[rooms[-1] :])}, line {frame.lineno}"
+        file = Path(frame.filename).resolve()
+        if any(file.is_relative_to(here / room) for room in ROOMS):
+            found = f"{file.relative_to(here).as_posix()}, line {frame.lineno}"
     return found
 
 

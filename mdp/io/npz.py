@@ -156,7 +156,7 @@ def _weight(entry: object) -> tuple[int, Fraction]:
     return entry[0], _rational(entry[1], "start")
 
 
-WANTED = {dict: "an object", list: "a list", str: "a text", int: "a whole number"}
+WANTED = {dict: "an object", list: "a list", str: "a string", int: "a whole number"}
 
 
 def _of_kind(value: object, key: str, kind: type[T]) -> T:

@@ -107,9 +107,7 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     choices = np.add.reduceat(found.optimal_pairs.astype(np.int64), mdp.pair_offsets[:-1])
     reached = reachable(mdp, pairs=found.optimal_pairs) & ~ends
     if found.unique is not bool((choices[reached] == 1).all()):
-        wrong.append(
-            f"it calls the optimal policy {'' if found.unique else 'not '}unique, which is false"
-        )
+        wrong.append(f"it says wrongly that the optimum is {'' if found.unique else 'not '}unique")
     below = found.denominator
     if Fraction(*halves) != sum(
         weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start
