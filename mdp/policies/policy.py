@@ -616,6 +616,12 @@ def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:
         return policy_of_array(model, array, kind)
     if whole and array.ndim == 1:
         return action_numbers(model, array)
+    if array.ndim == 1 and array.dtype.kind == "f":
+        raise ModelError(
+            "action numbers are whole numbers, not floats",
+            where="policy",
+            fix="give them as integers: policy.astype(int)",
+        )
     raise ModelError(
         f"a policy of shape {array.shape} and type {array.dtype}",
         where="policy",

@@ -109,7 +109,7 @@ def test_the_care_model_from_its_own_optimum() -> None:
     ("start", "message"),
     [
         (np.zeros(3, int), r"shape \(3,\)"),
-        (np.zeros(241), "type float64"),
+        (np.zeros(241), "whole numbers, not floats"),
         (np.full(241, 9), "outside 0 … 3"),
         ("optimal", "unknown kind of policy"),
         ([[1, 2], [3]], "does not hold real numbers"),
