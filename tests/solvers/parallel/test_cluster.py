@@ -1,4 +1,4 @@
-"""A Dask cluster: the same bytes as here, whoever dies meanwhile, and a word where it cannot be."""
+"""A Dask cluster: the same bytes as here, by the same code, whoever dies; and what is refused."""
 
 from __future__ import annotations
 
@@ -6,37 +6,38 @@ import gc
 import json
 import logging
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cli_runner
+import dask
 import numpy as np
 import pytest
 from cli_runner import run
-from click.testing import CliRunner
 from pieces_of_work import KEY, WANTED, draws, failing, same
 
 from exact_mdp.analysis.readings import ReadingSpace
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.parametric import moving
-from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.readings import search as reading_search
-from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers import sources
 from exact_mdp.solvers.parallel import cluster as cluster_module
 from exact_mdp.solvers.parallel import many as many_module
 from exact_mdp.solvers.parallel.many import many
 
 pytestmark = pytest.mark.xdist_group("cluster")  # one cluster serves them all
+
+TESTS = Path(cli_runner.__file__).parent
 
 
 @contextmanager
@@ -196,20 +197,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(
 GIVES_UP = pytest.mark.parametrize("killer", [0], ids=["scheduler gives up"], indirect=True)
 
 
-@GIVES_UP
-def test_a_training_loses_nothing_with_a_worker(address: str, killer: Kill, tmp_path: Path) -> None:
-    mdp = Scenario.load("yuan2025").compile()
-    learner = QLearning(epochs=30)
-    wanted = train_many(mdp, learner, 24, rng=0, out=tmp_path / "here")
-    killer(many_module)
-    found = train_many(mdp, learner, 24, rng=0, scheduler=address, out=tmp_path / "there")
-    assert contents(tmp_path / "there") == contents(tmp_path / "here")
-    for a, b in zip(found, wanted, strict=True):
-        assert a.q.tobytes() == b.q.tobytes()
-        assert np.array_equal(a.policies, b.policies)
-        assert (a.steps, a.cut_short, a.space) == (b.steps, b.cut_short, b.space)
-
-
+@pytest.mark.slow
 @GIVES_UP
 def test_a_psa_loses_nothing_with_a_worker(address: str, killer: Kill, tmp_path: Path) -> None:
     rows = [(0, 0, [("3/10", 1, 1), ("7/10", 2, 0)]), (0, 1, [("2/5", 1, 1), ("3/5", 2, 0)])]
@@ -243,7 +231,7 @@ def test_a_piece_that_kills_whoever_does_it_is_named(
     for module in (cluster_module, many_module):
         monkeypatch.setattr(module, "ATTEMPTS", attempts)
     where = cluster.scheduler_address if scheduler else None
-    with pytest.raises(ModelError, match="worker processes died") as caught:
+    with pytest.raises(ModelError, match="processes at work died") as caught:
         many(deadly, range(2), key=KEY, n_jobs=2, scheduler=where, folder=tmp_path)
     assert "memory" in caught.value.fix
 
@@ -284,13 +272,6 @@ def test_the_readings_of_the_text_are_searched_on_a_cluster(
     assert there.mean.tobytes() == here.mean.tobytes()
 
 
-def test_the_reproduction_names_what_is_no_scheduler(tmp_path: Path) -> None:
-    words = ["--claim", "return.random", "--scheduler", "nonsense", "--out", str(tmp_path)]
-    done = CliRunner().invoke(reproduce, words)
-    assert done.exit_code == 2
-    assert "tcp://HOST:PORT" in done.output
-
-
 # ---- no cluster ----------------------------------------------------------------------------------
 
 
@@ -311,7 +292,7 @@ def programs(folder: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     import distributed
 
     file = folder / "scheduler.json"
-    found = os.pathsep.join([str(Path(cli_runner.__file__).parent), *sys.path])
+    found = os.pathsep.join([str(TESTS), *sys.path])
     started = []
     for name, words in (("scheduler", ["--port", "0"]), ("worker", ["--no-nanny"])):
         program = [sys.executable, "-m", f"distributed.cli.dask_{name}", "--host", "127.0.0.1"]
@@ -382,13 +363,6 @@ def test_what_is_no_address_is_refused_at_once(address: str) -> None:
     assert not [each for each in clients() if each.status != "closed"]
 
 
-def test_a_scheduler_without_workers_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    with workers(0) as empty:
-        monkeypatch.setattr(cluster_module, "ANSWER_WITHIN", 1.0)
-        with pytest.raises(ModelError, match="has no worker"):
-            many(partial(draws, 0), range(2), key=KEY, scheduler=empty.scheduler_address)
-
-
 @pytest.mark.parametrize("processes", [False, True])
 def test_a_cluster_for_the_call_alone(processes: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     import distributed
@@ -410,3 +384,270 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ModelError, match="not installed") as caught:
         many(partial(draws, 0), range(2), key=KEY, scheduler="tcp://127.0.0.1:8786")
     assert "cluster" in caught.value.fix
+
+
+# ---- workers with other code ---------------------------------------------------------------------
+
+ROOT = sources.ROOT
+
+Hire = Callable[..., str]
+
+
+@pytest.fixture
+def scheduler() -> Iterator[Any]:
+    """A scheduler on this machine's own address, without workers."""
+    with workers(0) as local:
+        yield local
+
+
+@pytest.fixture
+def pids() -> dict[str, int]:
+    """The processes of the workers, by name."""
+    return {}
+
+
+@pytest.fixture
+def hire(scheduler: Any, pids: dict[str, int], tmp_path: Path) -> Iterator[Hire]:
+    """Start a worker with the packages of a folder, which may load a script first."""
+    with ExitStack() as stack:
+
+        def start(name: str, packages: Path = ROOT, script: str = "") -> str:
+            words = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler_address]
+            words += ["--host", "127.0.0.1", "--no-dashboard", "--no-nanny", "--nthreads", "1"]
+            if script:
+                (tmp_path / f"{name}.py").write_text(script)
+                words += ["--preload", str(tmp_path / f"{name}.py")]
+            known = set(addresses())
+            worker = stack.enter_context(
+                subprocess.Popen(
+                    [*words, "--name", name],
+                    env=os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), str(TESTS)])},
+                    cwd=tmp_path,
+                    stderr=subprocess.DEVNULL,
+                )
+            )
+            stack.callback(worker.kill)
+            pids[name] = worker.pid
+            deadline = time.monotonic() + 120
+            while not (came := set(addresses()) - known):
+                assert worker.poll() is None, f"worker {name} has ended"
+                assert time.monotonic() < deadline, f"worker {name} does not come"
+                time.sleep(0.05)
+            return str(came.pop())
+
+        def addresses() -> list[str]:
+            return list(scheduler.scheduler.workers)
+
+        scheduler_address = str(scheduler.scheduler_address)
+        yield start
+
+
+@contextmanager
+def timeout(seconds: float) -> Iterator[None]:
+    with dask.config.set({"exact-mdp.timeout": seconds}):
+        yield
+
+
+def changed(folder: Path) -> Path:
+    """Return a copy of the packages, one of which has a line more."""
+    for package in sources.PACKAGES:
+        shutil.copytree(ROOT / package, folder / package)
+    shutil.copytree(ROOT / "exact_mdp", folder / "exact_mdp", symlinks=True)
+    with (folder / "mdp" / "model.py").open("a") as file:
+        file.write("\n# another line\n")
+    return folder
+
+
+def refused(address: str, **how: Any) -> ModelError:
+    with pytest.raises(ModelError) as caught:
+        many(partial(draws, 0), range(4), key=KEY, scheduler=address, **how)
+    return caught.value
+
+
+NUMPY = """
+import importlib.metadata as metadata
+def version(name, true=metadata.version):
+    return "1.99.0" if name == "numpy" else true(name)
+metadata.version = version
+"""
+SILENT = """
+import time
+import solvers.parallel.sources
+solvers.parallel.sources.here = lambda: time.sleep(30)
+"""
+
+
+def test_a_worker_with_other_sources_is_refused(scheduler: Any, hire: Hire, tmp_path: Path) -> None:
+    """A worker whose code differs changes no result: it is refused, and named; no other is."""
+    good = hire("good")
+    assert same(
+        many(partial(draws, 0), range(12), key=KEY, scheduler=scheduler.scheduler_address), WANTED
+    )
+    bad = hire("bad", changed(tmp_path / "copy"))
+    folder = tmp_path / "kept"
+    error = refused(scheduler.scheduler_address, folder=folder)
+    mine = sources.source_digest()[: sources.SHORT]
+    assert f"{bad}: sources " in error.what
+    assert f"{mine} here" in error.what
+    assert good not in error.what
+    assert "1 of 2 workers" in error.where
+    assert not list(folder.glob("*.npz"))
+    # The command says the same, with the status of what it cannot use.
+    words = ("train", "yuan2025", "--epochs", 1, "--seeds", 2)
+    done = run(*words, "--scheduler", scheduler.scheduler_address)
+    assert (done.status, done.out) == (2, "")
+    assert f"{bad}: sources " in done.err
+
+
+def test_a_worker_with_another_version_is_refused(scheduler: Any, hire: Hire) -> None:
+    """A worker with another NumPy is refused, and the message names it and both versions."""
+    from importlib.metadata import version
+
+    bad = hire("bad", script=NUMPY)
+    error = refused(scheduler.scheduler_address)
+    assert f"{bad}: numpy 1.99.0 there, {version('numpy')} here" in error.what
+    assert "sources" not in error.what
+
+
+def test_a_worker_without_the_packages_is_refused(
+    scheduler: Any, hire: Hire, tmp_path: Path
+) -> None:
+    """A worker on which the packages cannot be imported is refused with the reason."""
+    (tmp_path / "empty" / "exact_mdp").mkdir(parents=True)
+    (tmp_path / "empty" / "exact_mdp" / "__init__.py").write_text("")
+    bad = hire("bad", tmp_path / "empty")
+    error = refused(scheduler.scheduler_address)
+    assert f"{bad}: ModuleNotFoundError: No module named 'exact_mdp.solvers'" in error.what
+
+
+def test_a_worker_that_does_not_answer_is_refused(scheduler: Any, hire: Hire) -> None:
+    """A worker that never answers, as one with another Dask may not, ends the call by name."""
+    bad = hire("bad", script=SILENT)
+    begun = time.monotonic()
+    with timeout(1.5):
+        error = refused(scheduler.scheduler_address)
+    assert f"{bad}: no answer within 1.5 seconds" in error.what
+    assert time.monotonic() - begun < 20
+
+
+def test_no_workers_at_all(scheduler: Any) -> None:
+    """Without workers the call ends after the time that Dask's setting gives."""
+    with timeout(0.5):
+        assert "has no worker" in refused(scheduler.scheduler_address).what
+
+
+@pytest.mark.parametrize("value", [0, -1, float("nan"), float("inf"), "soon", True, [1]])
+def test_a_timeout_that_is_none_is_refused(value: Any) -> None:
+    """What is no time to wait for is refused before anything is sent."""
+    with dask.config.set({"exact-mdp.timeout": value}):
+        error = refused("tcp://127.0.0.1:1")
+    assert "the timeout is" in error.what
+    assert "exact-mdp.timeout" in error.where
+
+
+def test_workers_that_never_come_back(
+    scheduler: Any,
+    hire: Hire,
+    pids: dict[str, int],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """Where all workers die and none comes, the call ends; what is finished is kept."""
+    hire("only")
+    write = many_module.write_piece
+
+    def writing(path: Path, arrays: Any) -> None:
+        write(path, arrays)
+        os.kill(pids["only"], signal.SIGKILL)
+
+    monkeypatch.setattr(many_module, "write_piece", writing)
+    monkeypatch.setattr(cluster_module, "LOOK_AFTER", 0.2)
+    address, folder = scheduler.scheduler_address, tmp_path / "kept"
+    many(partial(draws, 0), range(1), key=KEY, scheduler=address)  # the worker imports by now
+    with timeout(3), pytest.raises(ModelError, match="no worker has been there") as caught:
+        many(partial(waiting, str(tmp_path)), range(4), key=KEY, scheduler=address, folder=folder)
+    assert "DASK_EXACT_MDP__TIMEOUT" in caught.value.fix
+    assert len(list(folder.glob("*.npz"))) == 1
+
+
+def test_a_worker_that_comes_later_is_asked_too(
+    scheduler: Any, hire: Hire, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A worker that joins while the pieces are done is refused as the first ones are."""
+    good = hire("good")
+    write = many_module.write_piece
+
+    def writing(path: Path, arrays: Any) -> None:
+        write(path, arrays)
+        hire("bad", script=NUMPY)
+
+    monkeypatch.setattr(many_module, "write_piece", writing)
+    monkeypatch.setattr(cluster_module, "LOOK_AFTER", 0.2)
+    address = scheduler.scheduler_address
+    with pytest.raises(ModelError, match=r"numpy 1\.99\.0 there") as caught:
+        many(
+            partial(waiting, str(tmp_path)),
+            range(4),
+            key=KEY,
+            scheduler=address,
+            folder=tmp_path / "kept",
+        )
+    (tmp_path / "end").touch()
+    assert good not in str(caught.value)
+
+
+def test_each_piece_says_what_it_must_be_done_with() -> None:
+    """A piece that reaches a process with other code is refused there, before it is done."""
+    wanted = sources.here() | {"sources": "0" * sources.SHORT, "scipy": "1.0"}
+    with pytest.raises(ModelError, match=r"scipy .* there, 1\.0 here; sources") as caught:
+        many_module._guarded(wanted, partial(draws, 0), 0, 0)
+    assert f"process {os.getpid()}" in caught.value.where
+
+
+EDITED = """
+import sys
+from functools import partial
+from pathlib import Path
+from pieces_of_work import KEY, draws
+from solvers.parallel.many import many
+from mdp import ModelError, model
+
+if __name__ == "__main__":
+    many(partial(draws, 0), range(2), key=KEY, n_jobs=1)
+    with open(model.__file__, "a") as file:
+        file.write("# one more line")
+    try:
+        many(partial(draws, 0), range(4), key=KEY, n_jobs=2)
+    except ModelError as error:
+        print(error)
+"""
+
+
+def test_a_file_that_changes_while_a_process_runs(tmp_path: Path) -> None:
+    """New processes would import new code beside the old: that is refused, and the file named."""
+    script = tmp_path / "edited.py"
+    script.write_text(EDITED)
+    found = os.pathsep.join([str(changed(tmp_path / "copy")), str(TESTS)])
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env=os.environ | {"PYTHONPATH": found},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.stdout.startswith("the source changed since this process began"), done.stderr
+    assert str(Path("mdp") / "model.py") in done.stdout
+    assert "start it again" in done.stdout
+
+
+def test_the_digest_covers_every_module() -> None:
+    """A change of one byte of any module or scenario is a change of the digest's files."""
+    listed = {path.relative_to(ROOT) for path in map(Path, sources._stamps())}
+    wanted = {
+        path.relative_to(ROOT)
+        for package in sources.PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.suffix in {".py", ".toml"}
+    }
+    assert listed == wanted
+    assert Path("solvers/parallel/many.py") in listed
