@@ -102,7 +102,7 @@ def test_scenario_files_refuse_them(character: str) -> None:
 def test_saved_models_refuse_them(tmp_path: Path) -> None:
     """A file made elsewhere is no way around the rule."""
     import umbi
-    from test_interop_umb import read_by_umbi
+    from umb_files import read_by_umbi
 
     mdp = MDP.from_outcomes(ROWS, "1/2", actions=["go"], name="m")
     npz.save(mdp, tmp_path / "m.npz")

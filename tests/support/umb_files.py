@@ -6,6 +6,10 @@ import io
 import tarfile
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
+
+import umbi
+from umbi.umb.umb_to_tar import UmbDecoder
 
 from exact_mdp.mdp import MDP, Scenario
 
@@ -42,3 +46,13 @@ def archive_of(members: dict[str, bytes]) -> bytes:
             member.size = len(data)
             archive.addfile(member, io.BytesIO(data))
     return stream.getvalue()
+
+
+def read_by_umbi(path: Path) -> Any:
+    """Read all but the states' valuations, which some releases of umbi cannot read at all."""
+    decoder, content = UmbDecoder(umbpath=path), umbi.umb.ExplicitUmb()
+    decoder.read_index_file(content)
+    decoder.read_state_files(content)
+    decoder.read_transition_files(content)
+    decoder.read_annotation_files(content)
+    return content

@@ -190,7 +190,7 @@ def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
 
 def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
     """A header that no longer fits the numbers is refused, not taken for some other model."""
-    from test_interop_umb import read_by_umbi
+    from umb_files import read_by_umbi
 
     for change, message in (
         (lambda c: c.choice_action_to_string.__setitem__(0, "x"), "the names of the actions"),

@@ -13,8 +13,7 @@ import umbi.ats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import laws
-from umb_files import MODELS, members_of
-from umbi.umb.umb_to_tar import UmbDecoder
+from umb_files import MODELS, members_of, read_by_umbi
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.io import umb
@@ -88,16 +87,6 @@ def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
     values = np.frombuffer(members_of(path)["valuations/states/valuations.bin"], "<i4")
     columns = [mdp.space.values(name) for name in mdp.space.names]
     assert values.reshape(mdp.n_states, -1).tolist() == np.stack(columns, axis=1).tolist()
-
-
-def read_by_umbi(path: Path) -> Any:
-    """Read all but the states' valuations, which some releases of umbi cannot read at all."""
-    decoder, content = UmbDecoder(umbpath=path), umbi.umb.ExplicitUmb()
-    decoder.read_index_file(content)
-    decoder.read_state_files(content)
-    decoder.read_transition_files(content)
-    decoder.read_annotation_files(content)
-    return content
 
 
 def test_components_whose_names_differ_by_signs_alone(tmp_path: Path) -> None:
