@@ -199,7 +199,7 @@ def test_a_learner_from_elsewhere_learns_in_it() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # those of the library are not ours to mend
+@pytest.mark.filterwarnings("default")  # those of the library are not ours to correct
 def test_ppo_learns_to_assist() -> None:
     """An agent of a well-known library: Raffin et al., JMLR 22, 2021, which no lock file holds."""
     library = pytest.importorskip("stable_baselines3")
