@@ -182,7 +182,29 @@ class StateSpace:
 
     @classmethod
     def plain(cls, size: int, labels: Iterable[str] = ()) -> StateSpace:
-        """Return a space of one column `state`, numbered or with a word for each state."""
+        """Return a space of one column `state`, numbered or with a word for each state.
+
+        Parameters
+        ----------
+        size : int
+            How many states there are.
+        labels : iterable of str
+            A word for each state; numbers unless given.
+
+        Returns
+        -------
+        StateSpace
+
+        Raises
+        ------
+        ModelError
+            Where there are labels, and not one for each state.
+
+        Examples
+        --------
+        >>> StateSpace.plain(2, ["low", "high"]).label(1)
+        'state high'
+        """
         words = tuple(str(label) for label in labels)
         if words and len(words) != size:
             raise ModelError(

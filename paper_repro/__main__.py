@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -52,45 +53,14 @@ def main(
             fix="give one, such as return.random; claims.json and the report list them",
         )
     try:
-        failed = _work(quick, out, scheduler, name, candidates)
+        work = import_module("exact_mdp.paper_repro.run")  # the help does not wait for it
+        failed = work.reproduce(out, quick, scheduler, name, candidates)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):
             stop.add_note(f"what is finished is kept in {out}, and the same command goes on")
         raise
     click.echo(f"done in {time.perf_counter() - started:.1f} s", err=True)
     return FAILED if failed else None
-
-
-def _work(
-    quick: bool, out: Path, scheduler: str | None, name: str | None, candidates: bool
-) -> bool:
-    """Print one claim or all of them; say whether a number differs from the pinned one.
-
-    What this takes is loaded here, so that the help does not wait for it.
-    """
-    from exact_mdp.paper_repro import run
-    from exact_mdp.paper_repro.claims import chosen
-    from exact_mdp.paper_repro.claims.judge import candidates as entries
-    from exact_mdp.paper_repro.reading import FULL, QUICK, Store
-    from exact_mdp.paper_repro.report import output
-
-    sizes = QUICK if quick else FULL
-    if name is not None:
-        claim = chosen(name)
-        (found,) = run.run_claims(
-            [claim], sizes, Store.under(out), quick=quick, scheduler=scheduler
-        )
-        output.print_claim(found)
-        return False
-    judged, off = run.run(out, sizes=sizes, quick=quick, scheduler=scheduler)
-    if candidates:
-        click.echo(entries(judged))
-        return False
-    output.print_table(judged)
-    output.print_places(out)
-    for line in off:
-        click.echo(f"differs from expected.toml: {line}", err=True)
-    return bool(off)
 
 
 if __name__ == "__main__":

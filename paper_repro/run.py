@@ -13,22 +13,34 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import click
+
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.lazy import later
-from exact_mdp.paper_repro.claims import Judged, PaperClaim, all_claims, judge
+from exact_mdp.paper_repro.claims import Judged, PaperClaim, all_claims, chosen, judge
 from exact_mdp.paper_repro.claims.judge import (
     best_supported,
+    candidates,
     disagreements,
     expected,
     tried_again,
     verdicts,
 )
-from exact_mdp.paper_repro.reading import SEED, Reading, Sizes, Store, alternatives, default
+from exact_mdp.paper_repro.reading import (
+    FULL,
+    QUICK,
+    SEED,
+    Reading,
+    Sizes,
+    Store,
+    alternatives,
+    default,
+)
 from exact_mdp.paper_repro.readings.evidence import Evidence, evidence
 from exact_mdp.paper_repro.readings.findings import reading_study
 from exact_mdp.paper_repro.readings.search import search
-from exact_mdp.paper_repro.report import agents, readings
+from exact_mdp.paper_repro.report import agents, output, readings
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import entry_of
 from exact_mdp.paper_repro.report.report import render
@@ -37,6 +49,28 @@ from exact_mdp.paper_repro.report.tables import all_tables
 joblib = later("joblib")
 tqdm = later("tqdm")
 Work = Callable[[], object]
+
+
+def reproduce(out: Path, quick: bool, scheduler: str | None, name: str | None, form: bool) -> bool:
+    """Print one claim or all of them, perhaps in the `form` of expected.toml.
+
+    Returns whether a number differs from the pinned one.
+    """
+    sizes = QUICK if quick else FULL
+    if name is not None:
+        store = Store.under(out)
+        (found,) = run_claims([chosen(name)], sizes, store, quick=quick, scheduler=scheduler)
+        output.print_claim(found)
+        return False
+    judged, off = run(out, sizes=sizes, quick=quick, scheduler=scheduler)
+    if form:
+        click.echo(candidates(judged))
+        return False
+    output.print_table(judged)
+    output.print_places(out)
+    for line in off:
+        click.echo(f"differs from expected.toml: {line}", err=True)
+    return bool(off)
 
 
 def run(

@@ -28,6 +28,13 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> ax = plot_influence(Scenario.load("yuan2025"))
+    >>> ax.texts[0].get_text().splitlines()[0]
+    'forgetfulness'
     """
     ax, graph = axes_or_new(ax), nx.DiGraph()
     graph.add_nodes_from(scenario.statuses)
@@ -96,6 +103,12 @@ def plot_status_transitions(
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> ax = plot_status_transitions(np.eye(4), ["anger", "confusion"])
+    >>> [text.get_text() for text in ax.texts]
+    ['00', '01', '10', '11']
     """
     ax, bits, graph = axes_or_new(ax), len(statuses), nx.DiGraph()
     graph.add_nodes_from(range(2**bits))

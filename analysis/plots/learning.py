@@ -42,6 +42,16 @@ def plot_learning_curves(
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.analysis.learning.curves import learning_curve
+    >>> from exact_mdp.solvers.learning.q_learning import QLearning
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> curve = learning_curve(mdp, QLearning(epochs=20).train(mdp, rng=0), rng=1)
+    >>> plot_learning_curves(curve, window=5).get_xlabel()
+    'epoch'
     """
     ax = axes_or_new(ax)
     every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
@@ -75,6 +85,12 @@ def plot_value_bands(
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> values = np.linspace(0, 1, 40).reshape(2, 20)  # of two runs
+    >>> plot_value_bands({"two runs": values}, window=5).get_xlabel()
+    'epoch'
     """
     ax = axes_or_new(ax)
     for number, (label, curves) in enumerate(values.items()):
@@ -107,6 +123,17 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.analysis.learning.outcomes import outcomes
+    >>> from exact_mdp.solvers.learning.q_learning import QLearning
+    >>> from exact_mdp.solvers.learning.training import train_many
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> plot_regrets(found).get_xlabel()
+    'exact regret of the final policy'
     """
     ax = axes_or_new(ax)
     every = found if isinstance(found, Mapping) else {"all runs": found}
@@ -138,6 +165,17 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.analysis.learning.outcomes import outcomes
+    >>> from exact_mdp.solvers.learning.q_learning import QLearning
+    >>> from exact_mdp.solvers.learning.training import train_many
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> plot_distinct({"20 epochs": found}).get_ylabel()
+    'share of runs'
     """
     ax = axes_or_new(ax)
     width = 0.8 / max(len(found), 1)

@@ -95,6 +95,16 @@ def plot_prices(
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> from exact_mdp.analysis.perception.cost import price_of_perception
+    >>> from exact_mdp.mdp.care.perception import independent
+    >>> mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
+    >>> price = price_of_perception(mdp, independent([0.9] * 4, [0.9] * 4), tol=0.05)
+    >>> plot_prices([0.9], [price]).get_xlabel()
+    'accuracy of perception, all statuses (sensitivity = specificity)'
     """
     ax = axes_or_new(ax)
     x, perfect = np.asarray(levels), prices[0].perfect.value
@@ -190,6 +200,11 @@ def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> plot_confusion(np.eye(4)).get_xlabel()
+    'perceived status'
     """
     ax, size = axes_or_new(ax), len(confusion)
     ax.imshow(np.sqrt(confusion), cmap="Greys", vmin=0, vmax=1)

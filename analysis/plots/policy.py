@@ -27,7 +27,26 @@ if TYPE_CHECKING:
 def plot_return_distribution(
     distribution: ReturnDistribution, *, label: str = "", ax: Axes | None = None
 ) -> Axes:
-    """Draw the probability of each return, with the mean as a line."""
+    """Draw the probability of each return, with the mean as a line.
+
+    Parameters
+    ----------
+    distribution : ReturnDistribution
+    label : str
+        What stands before the mean in the title.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import return_distribution
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0])
+    >>> plot_return_distribution(return_distribution(mdp, "optimal"), label="step").get_title()
+    'step: mean 1.00, standard deviation 0.00'
+    """
     ax = axes_or_new(ax)
     values = np.array([float(value) for value in distribution.values])
     ax.vlines(values, 0, distribution.probabilities, color="0.25", linewidth=1.3)
@@ -67,6 +86,15 @@ def plot_policy_map(
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, solve
+    >>> scenario = Scenario.load("yuan2025")
+    >>> mdp = scenario.compile()
+    >>> ax = plot_policy_map(mdp, solve(mdp).policy, statuses=scenario.statuses, trial=1)
+    >>> ax.get_xlabel()
+    'anger, disengagement'
     """
     ax, styles = axes_or_new(ax), action_styles(model.actions)
     used = set()

@@ -126,7 +126,14 @@ def _as_written(drawn: Axes | Figure) -> None:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw with the project's settings inside a `with` block."""
+    """Draw with the project's settings inside a `with` block.
+
+    Examples
+    --------
+    >>> with style():
+    ...     mpl.rcParams["svg.fonttype"]
+    'none'
+    """
     with mpl.rc_context(SETTINGS):
         yield
 
@@ -268,7 +275,28 @@ def status_grid(ax: Axes, statuses: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as SVG and PNG, each whole or not at all; return the paths."""
+    """Write a figure as SVG and PNG, each whole or not at all.
+
+    Parameters
+    ----------
+    figure : Figure
+    folder : path
+        An existing one.
+    name : str
+        Of the files, without an ending.
+
+    Returns
+    -------
+    list of path
+        Where the two files are.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     [path.name for path in save(Figure(), Path(folder), "empty")]
+    ['empty.svg', 'empty.png']
+    """
     _as_written(figure)
     paths = []
     for kind, metadata in (("svg", {"Date": None}), ("png", {})):

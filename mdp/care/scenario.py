@@ -45,10 +45,24 @@ class Scenario(Tables):
     def load(cls, name: str | Path) -> Scenario:
         """Read a shipped scenario by name, or any scenario from a `.toml` file.
 
+        Parameters
+        ----------
+        name : str or path
+            Of a shipped scenario (yuan2025, tea), or of a file.
+
+        Returns
+        -------
+        Scenario
+
         Raises
         ------
         ModelError
             For an unknown name, or a file with a number or a name that does not belong there.
+
+        Examples
+        --------
+        >>> Scenario.load("tea").name
+        'tea'
         """
         return toml.load(name, cls)
 

@@ -432,6 +432,14 @@ class Policy(NDArrayOperatorsMixin):
     def uniform(cls, model: MDP) -> Policy:
         """Return the policy that draws one of each state's actions uniformly.
 
+        Parameters
+        ----------
+        model : MDP
+
+        Returns
+        -------
+        Policy
+
         Examples
         --------
         >>> Policy.uniform(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]))
@@ -446,6 +454,16 @@ class Policy(NDArrayOperatorsMixin):
     @classmethod
     def always(cls, model: MDP, action: str) -> Policy:
         """Return the policy that takes one action wherever there is a choice.
+
+        Parameters
+        ----------
+        model : MDP
+        action : str
+            Its name.
+
+        Returns
+        -------
+        Policy
 
         Raises
         ------
@@ -465,6 +483,16 @@ class Policy(NDArrayOperatorsMixin):
         """Return the policy of (S,) action numbers; a forced end may be left out.
 
         Where the model stops after N steps, (S,) without the time and (N, S) are taken as well.
+
+        Parameters
+        ----------
+        model : MDP
+        choices : (S,) or (N, S) ints
+            Action numbers.
+
+        Returns
+        -------
+        Policy
 
         Raises
         ------
@@ -562,6 +590,15 @@ class Policy(NDArrayOperatorsMixin):
         ------
         ModelError
             Where the file cannot be read, or does not fit the model.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
+        >>> with TemporaryDirectory() as folder:
+        ...     np.save(f"{folder}/policy.npy", [1, 0])
+        ...     Policy.read(f"{folder}/policy.npy", mdp).tolist()
+        [1, 0]
         """
         return cls.of(model, Path(path), kind=kind)
 

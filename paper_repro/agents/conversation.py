@@ -31,6 +31,7 @@ from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.policies.arrays import check_action
+from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.agents import DISCLAIMER
 from exact_mdp.paper_repro.agents.prompts import (
     FOLDER,
@@ -44,6 +45,8 @@ from exact_mdp.paper_repro.agents.prompts import (
 )
 from exact_mdp.paper_repro.agents.protocol import PURPOSES, Backend, Reply, Request
 from exact_mdp.paper_repro.agents.recording import FORMAT
+from exact_mdp.paper_repro.readings.search import averages
+from exact_mdp.solvers import solve
 
 DRAWS = ("start", "policy", "transition", *PURPOSES)
 
@@ -154,14 +157,9 @@ class World:
 
 def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
     """Return a policy by name: optimal, random, reported:START, always:ACTION or a file."""
-    from exact_mdp.solvers import solve
-
     if name == "optimal":
         return Policy.from_choices(mdp, solve(mdp).policy)
     if name.startswith("reported:"):
-        from exact_mdp.paper_repro import reported
-        from exact_mdp.paper_repro.readings.search import averages
-
         start = name.removeprefix("reported:")
         check_action(start, tuple(reported.AVERAGE_RETURN), "policy reported")
         if scenario.statuses != tuple(reported.TABLE_3):

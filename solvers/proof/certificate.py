@@ -142,7 +142,30 @@ class Certificate(ExactClaims, Result):
 
     @classmethod
     def load(cls, path: str | Path) -> Certificate:
-        """Read a certificate; raises ModelError where the file is not an exact certificate."""
+        """Read a certificate from a file.
+
+        Parameters
+        ----------
+        path : str or path
+
+        Returns
+        -------
+        Certificate
+
+        Raises
+        ------
+        ModelError
+            Where the file is not an exact certificate.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> from exact_mdp.solvers import certify
+        >>> with TemporaryDirectory() as folder:
+        ...     certify(MDP.from_arrays([[[1]]], [1], "1/2")).save(f"{folder}/proof.json")
+        ...     Certificate.load(f"{folder}/proof.json").value
+        array([Fraction(2, 1)], dtype=object)
+        """
         return cls(**exact_fields(path))
 
 
@@ -211,7 +234,31 @@ class BoundedCertificate(BoundedClaims, Result):
 
     @classmethod
     def load(cls, path: str | Path) -> BoundedCertificate:
-        """Read a certificate; raises ModelError where the file is not a bounded certificate."""
+        """Read a certificate from a file.
+
+        Parameters
+        ----------
+        path : str or path
+
+        Returns
+        -------
+        BoundedCertificate
+
+        Raises
+        ------
+        ModelError
+            Where the file is not a certificate of bounds.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> from exact_mdp.solvers import certify
+        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2")
+        >>> with TemporaryDirectory() as folder:
+        ...     certify(mdp, bounded=True).save(f"{folder}/bounds.json")
+        ...     BoundedCertificate.load(f"{folder}/bounds.json").violations(mdp)
+        []
+        """
         return cls(**bounded_fields(path))
 
 

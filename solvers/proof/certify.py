@@ -62,6 +62,10 @@ def certify(
     solution : Solution, optional
         Only with `bounded`: a solution of this model to prove bounds around; solved unless given.
 
+    Returns
+    -------
+    Certificate or BoundedCertificate
+
     Raises
     ------
     ModelError

@@ -197,6 +197,52 @@ def test_heavy_packages_are_imported_when_used() -> None:
     assert too_early(all_imports()) == []
 
 
+# The modules that import another one by its name when they need it; everything else is imported at
+# the top of a module, packages that are heavy or optional by `later` or `load`.
+BY_NAME = {
+    "mdp/lazy.py": "the one loader of heavy and optional packages, and of a package's own names",
+    "analysis/cli/__init__.py": "JUnit files are written by one command",
+    "analysis/cli/commands.py": "a command loads its own work, so that help comes at once",
+    "analysis/cli/sensitivity/run.py": "a kind loads its own analysis",
+    "analysis/pytest_plugin.py": "a plugin costs the tests of others nothing",
+    "paper_repro/__main__.py": "help comes at once",
+}
+
+
+def inside_functions(source: str) -> list[str]:
+    """Return the imports in the functions of a source, as they are written."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
+    return [
+        ast.unparse(node)
+        for function in ast.walk(ast.parse(source))
+        if isinstance(function, functions)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    ]
+
+
+def test_no_function_imports() -> None:
+    sources = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in modules()}
+    found = {path: inside_functions(source) for path, source in sources.items()}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+def test_modules_that_import_by_name_are_listed_with_a_reason() -> None:
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for path in modules()
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Name | ast.Attribute)
+        and getattr(node, "id", getattr(node, "attr", "")) in ("import_module", "__import__")
+    }
+    assert found == set(BY_NAME)
+
+
+def test_imports_in_functions_are_found() -> None:
+    source = "import a\ndef f():\n    from b import c\n    g = lambda: a"
+    assert inside_functions(source) == ["from b import c"]
+
+
 @pytest.mark.parametrize("layer", LAYERS)
 def test_importing_a_package_loads_no_heavy_package(layer: str) -> None:
     code = f"import sys, exact_mdp.{layer}; print(*sorted(set(sys.modules) & {set(LAZY)!r}))"

@@ -433,6 +433,15 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     ------
     ModelError
         For broken TOML, a setting that is not known, and a file that states nothing.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "stated.toml")
+    ...     _ = file.write_text('"base.anger" = {effective_sample_size = 50}')
+    ...     load_uncertainty(file)
+    ({'base.anger': {'effective_sample_size': 50}}, None)
     """
     found: dict[str, dict[str, object]] = {}
     _visit("", toml_of(read_text(path, most=SMALL), str(path), number=float), found, str(path))
