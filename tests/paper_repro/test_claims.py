@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracle import ACTIONS, CLEAR, Oracle
+from oracle import ACTIONS, CLEAR, Oracle, acting
 
-from exact_mdp.mdp import ModelError, Policy, Scenario
+from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, chosen, judge
 from exact_mdp.paper_repro.claims.claim import RULES, event, usual
@@ -131,9 +131,7 @@ def test_reported_policies_against_the_independent_model(
     view: Reading, judged: dict[str, Judged], oracle: Oracle, start: str
 ) -> None:
     actions = reported.policy(start, view.completion)
-    exact = oracle.evaluate(
-        lambda state: {actions["".join(map(str, state[3]))]: Fraction(1)}, distribution=False
-    )
+    exact = oracle.evaluate(acting(actions), distribution=False)
     found = judged[f"return.reported.{start}"].finding
     assert abs(Fraction(found.exact) - exact["mean"]) <= Fraction(found.number.error)
     assert found.details["simulated_standard_error"] > 0
@@ -148,9 +146,7 @@ def test_optimum_random_and_regret_against_the_independent_model(
     quarter = dict.fromkeys(ACTIONS, Fraction(1, 4))
     random = oracle.evaluate(lambda state: quarter, distribution=False)["mean"]
     final = reported.policy("non-directive", view.completion)
-    worth = oracle.evaluate(
-        lambda state: {final["".join(map(str, state[3]))]: Fraction(1)}, distribution=False
-    )["mean"]
+    worth = oracle.evaluate(acting(final), distribution=False)["mean"]
     for name, exact in (("optimal", best), ("random", random)):
         found = judged[f"return.{name}"].finding
         assert abs(Fraction(found.exact) - exact) <= Fraction(found.number.error)
@@ -360,14 +356,6 @@ def test_finished_parts_are_read_again_and_a_damaged_one_is_named(tmp_path: Path
     (store.root / "part.json").write_text("[1,")
     with pytest.raises(ModelError, match="damaged"):
         store.json("part", work)
-
-
-def test_a_policy_by_status_is_complete(view: Reading) -> None:
-    policy = reported.policy("directive", COMPLETIONS[0])
-    assert len(policy) == 16
-    assert policy["0000"] == "directive"
-    assert policy["1111"] == "supportive"
-    assert Policy.of(view.mdp, policy).deterministic
 
 
 def test_losses_of_choices_are_those_of_single_changes(view: Reading) -> None:

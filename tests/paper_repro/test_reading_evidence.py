@@ -9,11 +9,10 @@ from math import exp, log, sqrt
 import numpy as np
 import pytest
 from reading_cases import SMALL, small_search
-from reading_twin import moments
+from reading_twin import moments_of
 from scipy.stats import norm
 
 from exact_mdp.mdp import ModelError
-from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import (
     STATEMENTS,
@@ -87,20 +86,11 @@ def test_the_best_completion_is_the_likeliest_and_marginal_the_average() -> None
 def test_the_ranking_is_that_of_the_twin() -> None:
     """Readings evaluated by matrices of their own, scored by SciPy's normal distribution."""
     search = small_search()
-    filled = policies()
     found = evidence(search)
     chosen = [*found.ranking[:6].tolist(), *found.ranking[20:60:13].tolist()]
     logs = []
     for number in chosen:
-        settings = SMALL.settings(number)
-        readings = {name: str(settings.get(name, options[0])) for name, options in READINGS.items()}
-        mean, variance = moments(
-            readings,
-            settings["tasks"],
-            settings["evaluation_discount"],
-            filled,
-        )
-        mean, variance = mean.reshape(-1, 3), variance.reshape(-1, 3)
+        mean, variance = (m.reshape(-1, 3) for m in moments_of(SMALL.settings(number), policies()))
         x = np.array([reported.AVERAGE_RETURN[start] for start in STARTS])
         s = np.sqrt(variance / 1_000)
         mass = norm.sf((np.abs(x - mean) - 0.05) / s) - norm.sf((np.abs(x - mean) + 0.05) / s)

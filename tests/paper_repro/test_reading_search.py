@@ -8,20 +8,15 @@ from random import Random
 
 import numpy as np
 import pytest
-from oracle import ACTIONS, Oracle, State
+from oracle import ACTIONS, Oracle, acting
 from reading_cases import SMALL, small_search
-from reading_twin import moments
+from reading_twin import moments_of
 
 from exact_mdp.analysis.readings import ReadingSpace
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.paper_repro import reported
-from exact_mdp.paper_repro.readings.search import (
-    ARRAYS,
-    PAPER_READINGS,
-    _evaluate,
-    search,
-)
+from exact_mdp.paper_repro.readings.search import ARRAYS, PAPER_READINGS, _evaluate, search
 from exact_mdp.paper_repro.reported import COMPLETIONS, STARTS, policies
 
 BASE = Scenario.load("yuan2025")
@@ -71,20 +66,14 @@ FAST = (3, 4, 6)  # small models: fractions are quick
 
 
 @pytest.mark.parametrize(
-    "case",
-    [k if k in FAST else pytest.param(k, marks=pytest.mark.slow) for k in range(20)],
+    "case", [k if k in FAST else pytest.param(k, marks=pytest.mark.slow) for k in range(20)]
 )
 def test_random_readings_agree_with_exact_fractions(case: int) -> None:
     rng = Random(case)
     number = rng.randrange(len(PAPER_READINGS))
     chosen = ALL[[rng.randrange(len(ALL))]]
     found = evaluated([number], chosen)
-
-    def policy(state: State) -> dict[str, Fraction]:
-        assert not isinstance(state, str)
-        status = int("".join(map(str, state[3])), 2)
-        return {ACTIONS[chosen[0, status]]: Fraction(1)}
-
+    policy = acting({format(s, "04b"): ACTIONS[chosen[0, s]] for s in range(16)})
     model = oracle_of(number)
     exact = model.evaluate(policy, distribution=False)
     assert abs(Fraction(found["mean"][0, 0]) - exact["mean"]) <= Fraction(found["error"][0])
@@ -119,14 +108,7 @@ def test_all_policies_of_random_readings_agree_with_the_twin() -> None:
     numbers = [rng.randrange(len(PAPER_READINGS)) for _ in range(12)]
     found = evaluated(numbers, ALL)
     for place, number in enumerate(numbers):
-        settings = PAPER_READINGS.settings(number)
-        readings = {name: str(settings[name]) for name in READINGS}
-        mean, variance = moments(
-            readings,
-            settings["tasks"],
-            settings["evaluation_discount"],
-            ALL,
-        )
+        mean, variance = moments_of(PAPER_READINGS.settings(number), ALL)
         assert np.abs(found["mean"][place] - mean).max() < 1e-11
         assert np.abs(found["variance"][place] - variance).max() < 1e-8
 
@@ -169,10 +151,7 @@ def test_the_same_figures_mean_equivalent_readings_and_no_others() -> None:
         assert int(first[number]) == SMALL.number(**expected)
     assert len(same) == 21
 
-    def policy(state: State) -> dict[str, Fraction]:
-        assert not isinstance(state, str)
-        return {ACTIONS[ALL[777, int("".join(map(str, state[3])), 2)]]: Fraction(1)}
-
+    policy = acting({format(s, "04b"): ACTIONS[ALL[777, s]] for s in range(16)})
     for number in list(same)[::10]:
         results = []
         for each in (number, same[number]):
@@ -223,15 +202,8 @@ def test_the_top_of_the_whole_ranking_is_that_of_the_twin() -> None:
     drawn = [rng.randrange(len(PAPER_READINGS)) for _ in range(40)]
     logs = []
     for number in [*top, *drawn]:
-        settings = PAPER_READINGS.settings(number)
-        readings = {name: str(settings[name]) for name in READINGS}
-        mean, variance = moments(
-            readings,
-            settings["tasks"],
-            settings["evaluation_discount"],
-            ALL,
-        )
-        mean, variance = mean.reshape(-1, 3), variance.reshape(-1, 3)
+        both = moments_of(PAPER_READINGS.settings(number), ALL)
+        mean, variance = (each.reshape(-1, 3) for each in both)
         x = np.array([reported.AVERAGE_RETURN[start] for start in STARTS])
         total = norm.logpdf(x, mean, np.sqrt(variance / 1_000 + 0.01 / 12)).sum(axis=1)
         total += norm.logpdf(140, mean.mean(axis=1), 5)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from exact_mdp.analysis.readings import (
     credible,
     effective_number,
     equivalent,
-    option_label,
     posterior,
     support,
 )
@@ -35,12 +32,6 @@ def test_the_last_reading_moves_fastest_and_the_first_is_the_default() -> None:
         assert SPACE.number(**SPACE.settings(number)) == number
 
 
-def test_labels_say_what_changes() -> None:
-    assert SPACE.label(0) == "default"
-    assert SPACE.label(SPACE.number(tasks=(6,), discount=0.9)) == "tasks [6], discount 0.9"
-    assert option_label("base") == "base"
-
-
 def test_a_reading_is_applied_to_a_scenario() -> None:
     base = Scenario.load("yuan2025")
     space = ReadingSpace(
@@ -51,10 +42,6 @@ def test_a_reading_is_applied_to_a_scenario() -> None:
     assert last.tasks == (6,)
     assert float(last.discount) == 0.95
     assert space.apply(base, 0) == base
-
-
-def test_a_space_survives_pickling() -> None:
-    assert pickle.loads(pickle.dumps(SPACE)).label(5) == SPACE.label(5)
 
 
 @pytest.mark.parametrize("wrong", [-1, 12])

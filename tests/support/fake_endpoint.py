@@ -42,10 +42,10 @@ class Quiet(ThreadingHTTPServer):
 class FakeEndpoint:
     """Answers well unless `faults` names something else for the next request, oldest first.
 
-    A fault is a number (an HTTP status), or one of: slow, drip, drop, not-json, not-object,
-    no-choice, malformed, wrong-schema, fenced, cut, refusal, filtered, echo-key and echo- with a
-    disguise of `disguises`, say- with one, bomb, redirect, and count, digits, twice, deep, nan
-    and infinite, which are numbers and forms that no reader should take.
+    A fault is a number (an HTTP status), or one of: slow, drop, not-json, not-object,
+    no-choice, malformed, wrong-schema, fenced, cut, refusal, filtered, echo- with a disguise of
+    `disguises`, say- with one, bomb, and count, digits, twice, deep, nan and infinite, which are
+    numbers and forms that no reader should take.
     """
 
     faults: list[int | str] = field(default_factory=list)
@@ -103,8 +103,6 @@ def _answer(fault: int | str, body: dict[str, Any], key: str) -> tuple[int, byte
     good = json.dumps(GOOD[_purpose(body)])
     if isinstance(fault, int):
         return fault, b'{"error": {"message": "told to fail"}}'
-    if fault == "echo-key":
-        return 401, json.dumps({"error": {"message": f"Incorrect key provided: {key}"}}).encode()
     if fault.startswith("echo-"):
         told = {"error": {"message": f"Incorrect: {disguises(key)[fault[5:]]}"}}
         return 401, json.dumps(told).encode()
@@ -113,8 +111,6 @@ def _answer(fault: int | str, body: dict[str, Any], key: str) -> tuple[int, byte
         return 200, json.dumps(_completion(json.dumps(said))).encode()
     if fault == "bomb":
         return 200, gzip.compress(gzip.compress(good.encode() + b" " * 30_000_000))
-    if fault == "redirect":
-        return 307, b""
     if fault in ("count", "digits", "twice", "deep", "nan", "infinite"):
         return 200, _odd(fault, good).encode()
     if fault == "not-json":
@@ -165,15 +161,7 @@ def fake_endpoint(*faults: int | str, tls: bool = False, **headers: str) -> Iter
             self.send_header("Content-Length", str(len(data)))
             self.end_headers()
             try:
-                if fault == "drip":
-                    for number in range(len(data)):
-                        self.wfile.write(data[number : number + 1])
-                        self.wfile.flush()
-                        time.sleep(0.02)
-                        if state.halt.is_set():
-                            return
-                else:
-                    self.wfile.write(data)
+                self.wfile.write(data)
             except OSError:
                 return
 

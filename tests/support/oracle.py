@@ -408,3 +408,20 @@ def draw_bits(chances: Sequence[float], rng: Random) -> Status:
 def draw_action(choices: Mapping[str, Fraction], rng: Random) -> str:
     """One action, drawn with the given probabilities."""
     return rng.choices(list(choices), [float(p) for p in choices.values()])[0]
+
+
+def oracle_of(scenario: Any, changes: Mapping[str, Fraction] = {}) -> Oracle:
+    """Return the independent model of a scenario's settings, some of its numbers changed."""
+    values = {**scenario.values(), "discount": scenario.discount, **changes}
+    discount = values.pop("discount")
+    return Oracle(dict(scenario.readings), scenario.tasks, scenario.max_trial, discount, values)
+
+
+def acting(actions: Mapping[str, str]) -> Callable[[State], dict[str, Fraction]]:
+    """Return the policy that takes the action of a status, such as 0110, in all its states."""
+
+    def policy(state: State) -> dict[str, Fraction]:
+        assert not isinstance(state, str)
+        return {actions["".join(map(str, state[3]))]: Fraction(1)}
+
+    return policy

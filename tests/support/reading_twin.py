@@ -10,10 +10,13 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from oracle import ACTIONS, TABLE_4, Oracle, Status
+
+from exact_mdp.mdp.care.tables import READINGS
 
 Array = NDArray[np.float64]
 STATUSES: list[Status] = [(a, b, c, d) for a, b, c, d in product((0, 1), repeat=4)]
@@ -113,3 +116,10 @@ def skip_moments(
         x = shifted(nexts, W["timestep"] + earned + after, g)
         return shifted(x @ skip.T, before, 1.0)
     return shifted(nexts, earned, g) @ skip.T
+
+
+def moments_of(settings: Mapping[str, Any], policies: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return mean and variance of a reading's policies; what it does not set is the default."""
+    readings = {name: str(settings.get(name, options[0])) for name, options in READINGS.items()}
+    mean, variance = moments(readings, settings["tasks"], settings["evaluation_discount"], policies)
+    return mean, variance

@@ -1,4 +1,4 @@
-"""The commands: what they compute and write, against an independent model."""
+"""The commands: what they compute and write, against an independent model; proofs as files."""
 
 import json
 import re
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runner import run
-from oracle import ACTIONS, END, Oracle, State
+from oracle import ACTIONS, END, Oracle, State, oracle_of
 
 from exact_mdp.mdp import Policy, Scenario
 from exact_mdp.mdp.exact import fingerprint
@@ -84,7 +84,7 @@ def test_settings_change_the_model() -> None:
     ],
 )
 def test_solve_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
-    oracle = oracle_of(words)
+    oracle = described(words)
     plain = run("solve", "yuan2025", *words, "--json").result
     best = oracle.value(oracle.start)
     assert abs(Fraction(plain["start_value"]) - best) <= Fraction(plain["error_bound"])
@@ -109,18 +109,12 @@ def test_solve_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
     assert exact["unique"] == (words != TWINS)
 
 
-def oracle_of(words: tuple[str, ...]) -> Oracle:
+def described(words: tuple[str, ...]) -> Oracle:
     """Return the oracle's model of the same settings."""
     scenario = Scenario.load("yuan2025")
     for flag, word in zip(words[::2], words[1::2], strict=True):
         scenario = scenario.set(word if flag == "--set" else f"discount={word}")
-    return Oracle(
-        dict(scenario.readings),
-        scenario.tasks,
-        scenario.max_trial,
-        scenario.discount,
-        scenario.values(),
-    )
+    return oracle_of(scenario)
 
 
 def is_stationary(oracle: Oracle) -> bool:
@@ -215,7 +209,7 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("words", [SMALL, (*SMALL, *COLUMN_TO_ROW, "--discount", "19/20")])
 def test_evaluate_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
-    oracle = oracle_of(words)
+    oracle = described(words)
     exact = oracle.evaluate(uniformly, distribution=False)
     found = run("evaluate", "yuan2025", "random", *words, "--json").result
     assert found["claim"] == "bounded"
@@ -227,14 +221,6 @@ def test_evaluate_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
     for name, total in exact["components"].items():
         assert found["components"][name] == pytest.approx(float(total), abs=1e-12)
     assert (found["quantiles"] is None) == ("--discount" in words)
-
-
-def test_evaluate_the_optimum() -> None:
-    oracle = Oracle(tasks=[2], max_trial=2)
-    found = run("evaluate", "yuan2025", "optimal", *SMALL, "--json").result
-    assert abs(found["mean"] - oracle.value(oracle.start)) <= found["error_bound"]
-    always = run("evaluate", "yuan2025", "always:directive", *SMALL, "--json").result
-    assert always["mean"] < found["mean"]
 
 
 def test_a_policy_that_may_never_end_has_no_number_of_steps() -> None:
@@ -267,7 +253,7 @@ def test_quantiles_can_be_left_out() -> None:
 
 def test_returns_agree_with_the_oracle() -> None:
     words = ("--set", "tasks=[1]", "--set", "reward.timestep=-1/2", "--set", "reward.trial=1/3")
-    exact = oracle_of(words).evaluate(uniformly)["distribution"]
+    exact = described(words).evaluate(uniformly)["distribution"]
     found = run("returns", "yuan2025", "random", *words, "--exact", "--json").result
     assert {Fraction(value) for value in found["distribution"]} == set(exact)
     for value, chance in found["distribution"].items():
@@ -299,3 +285,54 @@ def test_simulate_agrees_with_evaluate() -> None:
     assert same.result == found
     other = run("simulate", *words, "--episodes", 20_000, "--seed", 1, "--json").result
     assert other["mean"] != found["mean"]
+
+
+def test_convert_keeps_the_model(tmp_path: Path) -> None:
+    path = tmp_path / "tea.npz"
+    found = run("convert", "tea", path, "--set", "max_trial=2", "--json").result
+    assert found["written"] == str(path)
+    saved = load_model("tea", sets=["max_trial=2"])
+    assert fingerprint(load_model(path)) == fingerprint(saved)
+    first = run("solve", "tea", "--set", "max_trial=2", "--json", "--certify").result
+    again = run("solve", path, "--json", "--certify").result
+    for key in ("exact_start_value", "policy", "stationary", "unique"):
+        assert again[key] == first[key]
+
+
+def test_verify_tells_proofs_from_what_is_none(tmp_path: Path) -> None:
+    exact, bounds = tmp_path / "exact.json", tmp_path / "bounds.json"
+    solved = run("solve", "yuan2025", "--certify", "--certificate", exact, "--json").result
+    run("solve", "yuan2025", "--certificate", bounds, "--json")
+    done = run("verify", exact, "yuan2025", "--json")
+    assert (done.status, done.result["passed"], done.result["claim"]) == (0, True, "certified")
+    for key in ("exact_start_value", "unique", "start_value"):
+        assert done.result[key] == solved[key]
+    done = run("verify", bounds, "yuan2025", "--json")
+    assert (done.status, done.result["passed"], done.result["claim"]) == (0, True, "bounded")
+    value = Fraction(solved["exact_start_value"])
+    assert abs(Fraction(done.result["start_value"]) - value) <= done.result["error_bound"]
+
+    for path in (exact, bounds):
+        done = run("verify", path, "yuan2025", "--set", "base.anger=0.06", "--json")
+        assert (done.status, done.result["passed"]) == (1, False)
+        assert done.result["violations"]
+    assert "does not hold" in run("verify", exact, "yuan2025", "--discount", "0.9").out
+
+    content = json.loads(exact.read_text("utf-8"))
+    top = content["start_value"][0]
+    content["start_value"][0] = format(int(top, 16) + 1, "x")
+    exact.write_text(json.dumps(content), "utf-8")
+    done = run("verify", exact, "yuan2025", "--json")
+    assert (done.status, done.result["passed"]) == (1, False)
+
+
+def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:
+    """Here the best action of a status changes with the trial: bounds may not deny it."""
+    model = ["solve", "yuan2025", "--set", "readings.influence_orientation=column-to-row", "--json"]
+    found = [
+        run(*model, *more).result["stationary"]
+        for more in (["--certify"], [], ["--method", "value-iteration", "--tol", "50"])
+    ]
+    assert found == [False, False, None]
+    usual = run("solve", "yuan2025", "--json").result["stationary"]
+    assert usual is True

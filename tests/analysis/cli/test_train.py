@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import launch, run, strict
+from cli_runner import run, strict
 
 from exact_mdp.mdp import Policy, Scenario
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.sampler import child
+from exact_mdp.solvers.parallel.pieces import write_piece
 
 QUICK = ("train", "yuan2025", "--epochs", "60", "--seeds", "20", "--json")
 
@@ -177,7 +178,23 @@ def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path) -> None:
     assert "differs in seed" in done.err
 
 
-def test_the_installed_program_prints_json_alone() -> None:
-    done = launch(*QUICK, "--seeds", 1)
-    assert (done.status, done.err) == (0, "")
-    assert strict(done.out)["seeds"] == 1
+def test_a_piece_whose_numbers_were_changed_is_damaged(tmp_path) -> None:
+    """A changed policy was read from beyond an array; others were taken as they were."""
+    words = ("train", "tea", "--seeds", "1", "--epochs", "3", "--jobs", "1", "--out", tmp_path)
+    assert run(*words).status == 0
+    path = tmp_path / "runs-000000.npz"
+    good = path.read_bytes()
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    changes = {"policies": 32767, "last": 32767, "snapshots": -1, "q": 3}
+    for name, value in changes.items():
+        np.savez(path, **arrays | {name: np.full_like(arrays[name], value)})
+        done = run(*words)
+        assert (done.status, done.out) == (2, "")
+        assert done.err.startswith("ModelError: the file is damaged\n")
+    arrays.pop("sha256")
+    for name in ("policies", "last"):  # with a digest that agrees
+        write_piece(path, arrays | {name: np.full_like(arrays[name], 32767)})
+        assert run(*words).status == 2
+    path.write_bytes(good)
+    assert run(*words).status == 0

@@ -1,8 +1,9 @@
-"""One array, one meaning: how arrays of policies are read, in memory and in files."""
+"""One array, one meaning: every form of a policy or Q-table, in memory and in files."""
 
 import warnings
 from fractions import Fraction as F
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 from cli_runner import run
 
 from exact_mdp.analysis import assert_policy_optimal, check
-from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.io.load import save_model
-from exact_mdp.solvers import evaluate
+from exact_mdp.solvers import certify, evaluate, solve
 from exact_mdp.solvers.values.returns import return_distribution
 from exact_mdp.solvers.values.simulate import simulate
 
+SMALL = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2)
 BOTH = np.array([[0.5, 0.5], [0.1, 0.9]])
 
 
@@ -223,3 +225,78 @@ def test_action_numbers_by_time_are_told_from_tables() -> None:
             check(mdp, np.array(given))
         assert check(mdp, np.array(given), kind="q").read_as == "q"
     assert check(mdp, np.array([[5, 6], [3, 9]])).read_as == "q"
+
+
+def test_every_form_of_a_policy_and_of_a_q_table(tmp_path: Path) -> None:
+    mdp = SMALL.compile()
+    q = np.random.default_rng(5).normal(size=(16, 4))
+    greedy = q.argmax(axis=1)
+    by_name = {format(s, "04b"): mdp.actions[a] for s, a in enumerate(greedy)}
+    keys = mdp.space.values("status")
+    whole = q[keys]  # the end reads the last row, which does not matter
+    np.save(tmp_path / "q.npy", q)
+    np.savez(tmp_path / "q.npz", q=whole, other=np.zeros(3))
+    np.save(tmp_path / "regular.npy", whole[:-1])
+    Policy.of(mdp, by_name).write(tmp_path / "policy.json")
+    Policy.of(mdp, by_name).write(tmp_path / "policy.csv")
+    tables = [q, q.tolist(), whole, whole[:-1], (1000 * q).astype(int)]
+    tables += [tmp_path / "q.npy", str(tmp_path / "q.npz"), tmp_path / "regular.npy"]
+    others = [by_name, Policy.of(mdp, by_name), greedy[keys], np.eye(4)[greedy[keys]]]
+    others += [tmp_path / "policy.json", str(tmp_path / "policy.csv")]
+    others += [np.eye(4, dtype=int)[greedy[keys]]]
+    run = SimpleNamespace(q=q, policy=lambda mdp: Policy.from_q(mdp, q))
+    expected = check(mdp, by_name).regret.at_start
+    for learned in (*tables, run, Policy.from_q(mdp, q)):  # which knows its Q-table
+        audit = check(mdp, learned)
+        assert audit.regret.at_start == expected
+        assert audit.q_error is not None
+    for learned in others:
+        audit = check(mdp, learned)
+        assert (audit.regret.at_start, audit.q_error) == (expected, None)
+    for solved in (solve(mdp), certify(mdp)):
+        assert check(mdp, solved).passed
+    assert check(mdp, "always:none").regret.learned.value == pytest.approx(
+        evaluate(mdp, "always:none").mean
+    )
+
+
+@pytest.mark.parametrize(
+    "learned",
+    [
+        np.full((16, 4), np.nan),
+        np.zeros((15, 4)),
+        np.zeros((16, 5)),
+        np.zeros(16),
+        np.array([["a"]]),
+        {"0000": "none"},
+        {"0000": "nothing"},
+        "always:nothing",
+        "missing.npy",
+        3,
+        None,
+    ],
+)
+def test_what_does_not_fit_the_model_is_refused(learned: object) -> None:
+    with pytest.raises(ModelError):
+        check(SMALL.compile(), learned)
+
+
+def test_probabilities_say_nothing_of_the_end() -> None:
+    mdp = SMALL.compile()
+    table = np.full((mdp.n_states, 4), 0.25)
+    table[-1] = 0.0  # the end, where nothing is chosen
+    uniform = check(mdp, "random").regret.at_start
+    assert check(mdp, table, kind="policy").regret.at_start == uniform
+    with pytest.raises(ModelError, match="may be probabilities or action values"):
+        check(mdp, table)
+    table[0] = 0.3
+    with pytest.raises(ModelError, match="not a distribution"):
+        check(mdp, table, kind="policy")
+
+
+def test_action_numbers_that_are_not_whole_are_refused() -> None:
+    """0.9 is not action 0."""
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    with pytest.raises(ModelError, match="not whole"):
+        Policy.by(mdp, ("state",), [0.9, 0.0])
+    assert Policy.by(mdp, ("state",), [1, 0]).weights(mdp).tolist() == [0.0, 1.0, 1.0]

@@ -6,13 +6,12 @@ import json
 from fractions import Fraction
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from exact_mdp.analysis.perception.accuracy import Hedging, accuracy_curves, hedging, prices
+from exact_mdp.analysis.perception.accuracy import accuracy_curves
 from exact_mdp.analysis.perception.cost import price_of_perception
 from exact_mdp.analysis.perception.errors import error_costs
 from exact_mdp.analysis.perception.needed import accuracy_needed, confusion_at
@@ -170,67 +169,6 @@ def test_a_limit_on_nodes_is_sound(care: MDP) -> None:
     assert early.value.value <= whole.value.interval[1]
 
 
-def test_figures_are_drawn(care: MDP) -> None:
-    import matplotlib.pyplot as plt
-
-    from exact_mdp.analysis.plots.perception import (
-        plot_accuracy_curves,
-        plot_confusion,
-        plot_error_costs,
-        plot_hedging,
-        plot_prices,
-    )
-
-    mpl.use("Agg")
-    levels = [1.0, 0.9]
-    priced = prices(care, levels, tol=0.5, node_limit=200)
-    drawn = [
-        plot_accuracy_curves(accuracy_curves(care, levels=levels), needed=accuracy_needed(care)),
-        plot_prices(levels, priced),
-        plot_error_costs(error_costs(care, POLICY, ROUGH)),
-        plot_hedging(Hedging.of(care, levels, priced)),
-        plot_confusion(ROUGH),
-    ]
-    assert all(ax.get_xlabel() for ax in drawn)
-    bars = sorted(round(bar.get_width(), 9) for bar in drawn[2].patches)
-    losses = error_costs(care, POLICY, ROUGH).by_status.values()
-    assert bars == sorted(round(loss, 9) for both in losses for loss in both)
-    plt.close("all")
-
-
-def test_figures_mark_what_is_not_proven(care: MDP) -> None:
-    from dataclasses import replace
-
-    import matplotlib.pyplot as plt
-
-    from exact_mdp.analysis.plots.perception import plot_accuracy_curves, plot_hedging
-    from exact_mdp.analysis.plots.style import style, titled
-
-    mpl.use("Agg")
-    found = hedging(care, levels=[1.0, 0.9])
-    open_ = replace(found.best[1], proven=False)
-    ax = plot_hedging(replace(found, best=(found.best[0], open_)))
-    sure, pale = ax.patches[:16], ax.patches[16:32]
-    assert min(sum(cell.get_facecolor()[:3]) for cell in pale) > 2.2
-    assert min(sum(cell.get_facecolor()[:3]) for cell in sure) < 2
-    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["1", "0.9*"]
-    assert "not proven" in ax.get_xlabel()
-    assert "*" not in plot_hedging(found).get_xlabel()
-    curves = accuracy_curves(care, levels=[0.5, 1.0])
-    drawn = plot_accuracy_curves(curves, needed=accuracy_needed(care))
-    (label,) = (text for text in drawn.texts if text.get_text().startswith("95%"))
-    assert label.xy[0] > 1  # beside the axes, where there are no curves
-    with style():
-        _, ax = plt.subplots(figsize=(4, 3))
-        words = "What these errors cost the optimal policy by the posterior of all counts"
-        title = titled(ax, f"{words}\nTwo")
-        assert title.get_window_extent().width <= ax.get_window_extent().width
-        assert ax.get_title(loc="left") == title.get_text()
-        *first, last = title.get_text().splitlines()
-        assert (" ".join(first), last, len(first)) == (words, "Two", 2)
-    plt.close("all")
-
-
 def test_trials_make_the_output_the_same() -> None:
     words = ("yuan2025", "--set", "tasks=[2]", "--set", "max_trial=2", "--accuracy", "0.8")
     words += ("--tolerance", "1e-9", "--trials")
@@ -247,12 +185,6 @@ def test_the_text_tells_the_best_reading() -> None:
     assert "best action by the status seen alone (proven the best)" in text
     for status, action in found.items():
         assert [status, action] in [line.split() for line in text.splitlines()]
-
-
-def test_the_help_says_what_varies() -> None:
-    text = " ".join(run("perception", "--help").out.split())
-    assert "bounds vary a little with the load" in text
-    assert "identical output in every run" in text
 
 
 def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
@@ -299,27 +231,3 @@ def test_the_command_refuses(words: tuple[str, ...], what: str) -> None:
     done = run("perception", "yuan2025", *words)
     assert (done.status, done.out) == (2, "")
     assert what in done.err
-
-
-def test_derivatives_under_a_perception(tmp_path: Path) -> None:
-    """The command differentiates the mixed policy that perception makes of the optimum."""
-    names = ("forgetfulness", "confusion", "anger", "disengagement")
-    lines = [f"[{table}]\n" + "".join(f"{n} = 0.9\n" for n in names)
-             for table in ("sensitivity", "specificity")]  # fmt: skip
-    (tmp_path / "seen.toml").write_text("\n".join(lines))
-    words = ("yuan2025", "gradient", "--set", "tasks=[1]", "--set", "max_trial=2")
-    seen = ("--perception", tmp_path / "seen.toml", "--parameter", "base.anger", "--json")
-    found = json.loads(run("sensitivity", *words, *seen).out)
-    scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    from exact_mdp.solvers import solve
-
-    mdp = scenario.compile()
-    policy = perceived(mdp, solve(mdp).policy, confusion_at(mdp, 0.9))
-    assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
-    ends = [
-        evaluate(scenario.with_(parameters={"base.anger": x}).compile(), policy).mean
-        for x in ("49999/1000000", "50001/1000000")
-    ]
-    assert found["derivatives"]["base.anger"] == pytest.approx((ends[1] - ends[0]) / 2e-6, rel=1e-6)
-    refused = run("sensitivity", "yuan2025", "threshold", *seen)
-    assert refused.status == 2

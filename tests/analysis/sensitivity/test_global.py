@@ -141,9 +141,7 @@ def same(a: Sobol | Morris, b: Sobol | Morris) -> bool:
 
 
 @pytest.mark.parametrize(
-    "method, size",
-    [(sobol, {"n": 16}), (morris, {"n": 8})],
-    ids=["sobol", "morris"],
+    "method, size", [(sobol, {"n": 16}), (morris, {"n": 8})], ids=["sobol", "morris"]
 )
 def test_seed_zero_is_a_seed_and_workers_change_nothing(
     method: Any, size: dict[str, int], tmp_path: Path
@@ -282,28 +280,33 @@ def test_an_index_that_is_not_there_is_not_a_number(of_chain: Sobol) -> None:
         of_chain.frame("loss")
 
 
+BOTH = (sobol, morris)
+
+
 @pytest.mark.parametrize(
-    "change, message",
+    "methods, change, message",
     [
-        ({"n": 0}, "0 samples"),
-        ({"n": 100}, "not a power of 2"),
-        ({"n": True}, "True samples"),
-        ({"rng": -1}, "-1 is not a source"),
-        ({"names": ["x"]}, "unknown parameter 'x'"),
-        ({"ranges": {"p": (HALF, HALF)}}, "empty"),
-        ({"ranges": {"p": (0, 2)}}, "outside"),
-        ({"confidence": 1.0}, "confidence"),
-        ({"relative": F(0)}, "share of 0"),
-        ({"policy": "nobody"}, "nobody"),
-        ({"n_jobs": 0}, "n_jobs"),
+        ((sobol,), {"n": 0}, "0 samples"),
+        ((sobol,), {"n": 100}, "not a power of 2"),
+        ((sobol,), {"n": True}, "True samples"),
+        ((morris,), {"n": 0}, "0 trajectories"),
+        ((morris,), {"levels": 5}, "5 levels"),
+        (BOTH, {"rng": -1}, "-1 is not a source"),
+        (BOTH, {"names": ["x"]}, "unknown parameter 'x'"),
+        (BOTH, {"ranges": {"p": (HALF, HALF)}}, "empty"),
+        (BOTH, {"ranges": {"p": (0, 2)}}, "outside"),
+        (BOTH, {"confidence": 1.0}, "confidence"),
+        (BOTH, {"relative": F(0)}, "share of 0"),
+        (BOTH, {"policy": "nobody"}, "nobody"),
+        (BOTH, {"n_jobs": 0}, "n_jobs"),
     ],
 )
-def test_bad_requests_are_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        sobol(choice(), **({"n": 4, "rng": 0} | change))
-    if "n" not in change:
+def test_bad_requests_are_refused(
+    methods: tuple[Any, ...], change: dict[str, Any], message: str
+) -> None:
+    for method in methods:
         with pytest.raises(ModelError, match=message):
-            morris(choice(), **({"n": 4, "rng": 0} | change))
+            method(choice(), **({"n": 4, "rng": 0} | change))
 
 
 @pytest.mark.parametrize("method", [sobol, morris])
@@ -316,14 +319,6 @@ def test_a_missing_package_is_named(method: Any, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(ModelError, match="not installed") as caught:
         method(choice(), rng=0)
     assert "exact-mdp[sensitivity]" in caught.value.fix
-
-
-@pytest.mark.parametrize(
-    "change, message", [({"n": 0}, "0 trajectories"), ({"levels": 5}, "5 levels")]
-)
-def test_bad_screenings_are_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        morris(choice(), **({"n": 4, "rng": 0} | change))
 
 
 def test_probabilities_that_sum_to_more_than_one_name_the_draw() -> None:
@@ -341,3 +336,15 @@ def test_probabilities_that_sum_to_more_than_one_name_the_draw() -> None:
     ):
         with pytest.raises(ModelError, match=message):
             sampled(model, ["a", "b"], draws)
+
+
+def test_the_spread_of_small_rewards_is_a_spread() -> None:
+    """Shares of variance do not depend on the unit of reward."""
+    half, found = HALF, []
+    for unit in (F(1), F(1, 2**40)):
+        rows = [(0, 0, [(half, 1, 5 * unit), (half, 2, 0)]), (1, 0, [(1, 3, unit)])]
+        rows += [(2, 0, [(F(1, 3), 3, 0), (F(2, 3), 1, 2 * unit)]), (3, 0, [(1, 3, 0)])]
+        model = moving(MDP.from_outcomes(rows), {"p": [(0, 1)], "q": [(2, 1)]})
+        found.append(sobol(model, n=32, rng=1).optimal)
+    assert found[1].sd == pytest.approx(found[0].sd / 2**40, rel=1e-9, abs=0)
+    assert found[1].total == pytest.approx(found[0].total)

@@ -92,8 +92,15 @@ def test_bars_are_sorted_by_what_is_shown(seen: Path) -> None:
     )
 
 
-def test_a_gradient_says_what_is_certified(seen: Path) -> None:
+def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified(
+    mdp: MDP, seen: Path
+) -> None:
     found = ask("gradient", seen, *ANGER)
+    policy = perceived(mdp, solve(mdp).policy, ROUGH)
+    assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
+    ends = ("49999/1000000", "50001/1000000")
+    below, above = (evaluate(at(**{"base.anger": x}), policy).mean for x in ends)
+    assert found["derivatives"]["base.anger"] == pytest.approx((above - below) / 2e-6, rel=1e-6)
     assert found["claim"] == "certified"
     assert "as rounded to floats" in found["claim_of"]
     text = run("sensitivity", "yuan2025", "gradient", *SET, "--perception", seen, *ANGER).out

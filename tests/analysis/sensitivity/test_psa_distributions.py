@@ -231,11 +231,6 @@ def test_a_row_is_drawn_whole_or_not_at_all() -> None:
     assert {part.kind for part in uncertainty(replace(FAMILY, rows={})).parts} == {"beta"}
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"none\.toml"):
-        load_uncertainty(tmp_path / "none.toml")
-
-
 def test_rows_of_any_model_are_dirichlet_and_stay_distributions() -> None:
     rows = [
         (0, 0, [(F(1, 2), 0, F(1)), (F(1, 3), 1, F(0)), (F(1, 6), 2, F(2))]),

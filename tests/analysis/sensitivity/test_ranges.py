@@ -1,23 +1,14 @@
 """Parametric models, one-way and two-way analyses, their figures, and the command."""
 
-import io
 from fractions import Fraction
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from cli_runner import run
-from oracle import Oracle
+from oracle import oracle_of
 
-from exact_mdp.analysis.sensitivity import (
-    Range,
-    load_ranges,
-    one_way,
-    thresholds,
-    tornado,
-    two_way,
-)
+from exact_mdp.analysis.sensitivity import Range, load_ranges, one_way, thresholds, tornado, two_way
 from exact_mdp.analysis.sensitivity.one_way import Values
 from exact_mdp.analysis.sensitivity.ranges import around, whole
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
@@ -112,18 +103,13 @@ def test_what_is_left_of_a_float_row_is_what_is_there() -> None:
 # ---- one-way ---------------------------------------------------------------------------------
 
 
-def oracle(own: Scenario, name: str, value: Fraction) -> Oracle:
-    values = {**own.values(), name: value}
-    return Oracle(dict(own.readings), own.tasks, own.max_trial, own.discount, values)
-
-
 def test_bars_are_values_of_an_independent_model() -> None:
     own = scenario(influence_orientation="column-to-row")
     names = ["base.confusion", "reward.anger"]
     found = tornado(own, policy="always:directive", names=names)
     for bar in found.bars:
         for end in (bar.low, bar.high):
-            twin = oracle(own, bar.parameter.name, end.at)
+            twin = oracle_of(own, {bar.parameter.name: end.at})
             assert end.optimal.value == pytest.approx(float(twin.value(twin.start)), abs=1e-9)
             fixed = twin.evaluate(lambda _: {"directive": F(1)}, distribution=False)["mean"]
             assert end.fixed.value == pytest.approx(float(fixed), abs=1e-9)
@@ -226,88 +212,6 @@ def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
         two_way(own, x, x)
     with pytest.raises(ModelError, match=r"a range of base\.anger"):
         two_way(own, x, "base.confusion", ranges={"base.anger": (0, 1)})
-
-
-def test_figures() -> None:
-    mpl.use("agg")
-    from matplotlib import pyplot as plt
-
-    from exact_mdp.analysis.plots import style
-    from exact_mdp.analysis.plots.sensitivity import plot_thresholds
-
-    own, x = scenario(), "assistance.directive.confusion.persistence"
-    found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
-    bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
-    surface = two_way(own, x, "base.anger", ranges={x: (0, 1)}, points=3)
-    with style():
-        figure, axes = plt.subplots(2, 3, figsize=(15, 8))
-        assert bars.plot(axes[0, 0]) is axes[0, 0]
-        assert "regret" in bars.plot(axes[0, 1], output="regret").get_xlabel()
-        one_way(own, x, (0, 1), points=3).plot(axes[0, 2])
-        plot_thresholds(found, ax=axes[1, 0])
-        surface.plot(axes[1, 1])
-        surface.plot(axes[1, 2], state=4)
-        figure.savefig(io.BytesIO(), format="svg")
-        plt.close(figure)
-
-
-# ---- the command -----------------------------------------------------------------------------
-
-
-def test_command_gradient() -> None:
-    found = run("sensitivity", "yuan2025", "gradient", *SET, "--json").result
-    assert found["claim"] == "certified"
-    assert set(found["derivatives"]) == {p.name for p in parametric(scenario()).parameters}
-    assert found["derivatives"]["reward.task-complete"] == 1
-    assert found["exact_derivatives"]["reward.task-complete"] == "1"
-    assert found["steps"]["max_trial"]["one_more"] is not None
-    fixed = run("sensitivity", "yuan2025", "gradient", *SET, "--policy", "random", "--json").result
-    assert fixed["policy"] == "fixed"
-    assert fixed["start_value"] < found["start_value"]
-
-
-def test_command_tornado_and_threshold(tmp_path: Path) -> None:
-    file = tmp_path / "ranges.toml"
-    file.write_text('"reward.assist.non-directive" = [-10, 0]', "utf-8")
-    words = ("sensitivity", "yuan2025", "tornado", *SET, "--ranges", file)
-    found = run(*words, "--json").result
-    (bar,) = found["bars"]
-    assert (bar["low"], bar["high"]) == (-10, 0)
-    assert bar["value_low"] < found["start_value"] < bar["value_high"]
-    assert "reward.assist.non-directive" in run(*words).out
-    words = ("sensitivity", "yuan2025", "threshold", *SET, "--ranges", file)
-    found = run(*words, "--json").result
-    assert found["switches"]
-    for switch in found["switches"]:
-        assert switch["before"] != switch["after"]
-        assert Fraction(switch["high"]) - Fraction(switch["low"]) <= F(1, 10**12)
-    stable = found["stable"]["reward.assist.non-directive"]
-    assert stable["low"] <= -3 <= stable["high"]
-    assert run(*words).status == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("gradient --parameter base.angre", "unknown parameter"),
-        ("gradient --relative 0.1", "does not apply to gradient"),
-        ("tornado --range base.anger=0.1", "not a range"),
-        ("tornado --range base.anger=0.3:0.1", "empty"),
-        ("tornado --range base.anger=0:1.5", "outside"),
-        ("tornado --range base.angre=0:1", "unknown parameter"),
-        ("tornado --relative 0", "share"),
-        ("threshold --relative 0.1 --whole", "both"),
-        ("threshold --policy random", "optimal policy"),
-        ("threshold --ranges nowhere.toml", "nowhere.toml"),
-        ("gradients", "gradients"),
-    ],
-)
-def test_command_refuses(words: str, message: str) -> None:
-    done = run("sensitivity", "yuan2025", *words.split(), *SET)
-    assert done.status == 2
-    assert done.out == ""
-    assert message in done.err
-    assert "fix:" in done.err
 
 
 def test_the_regret_of_a_point_is_as_uncertain_as_both_values() -> None:

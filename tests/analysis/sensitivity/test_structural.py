@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracle import CLEAR, Oracle
+from oracle import CLEAR, Oracle, acting
 
 from exact_mdp.analysis.sensitivity import gradient, joint_radius
 from exact_mdp.analysis.sensitivity.structural import (
@@ -73,9 +73,7 @@ def test_every_reading_is_what_an_independent_model_says(found: Structural) -> N
             assert {a for a, good in zip(oracle.actions(state), names, strict=True) if good} == best
             assert (label in reading.changed) == (not best & today.optimal_actions(state))
             assert reading.actions[LABELS.index(label)] in best
-        held = oracle.evaluate(
-            lambda state: {STATED["".join(map(str, state[3]))]: Fraction(1)}, distribution=False
-        )
+        held = oracle.evaluate(acting(STATED), distribution=False)
         assert reading.policies["stated"].value == pytest.approx(float(held["mean"]), abs=1e-9)
         lost = float(oracle.value(start) - held["mean"])
         assert reading.regret("stated").value == pytest.approx(lost, abs=1e-9)

@@ -10,12 +10,9 @@ from cases.toolbox import CASES as TOOLBOX
 from flint import fmpq_poly
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import END, Oracle
+from oracle import END, Oracle, oracle_of
 
-from exact_mdp.analysis.sensitivity import (
-    joint_radius,
-    thresholds,
-)
+from exact_mdp.analysis.sensitivity import joint_radius, thresholds
 from exact_mdp.analysis.sensitivity.real_roots import roots, sign, simple, variations
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family, moving
@@ -111,9 +108,7 @@ def test_care_model_against_a_scan_of_an_independent_model(name, bounds, reading
     labels = {state: mdp.space.label(state) for state in range(mdp.n_states)}
 
     def best(value: Fraction) -> dict[str, frozenset[str]]:
-        values = {**own.values(), "discount": own.discount, name: value}
-        discount = values.pop("discount")
-        oracle = Oracle(dict(own.readings), own.tasks, own.max_trial, discount, values)
+        oracle = oracle_of(own, {name: value})
         return {
             labels[number_of(mdp, state)]: oracle.optimal_actions(state)
             for state in every_state(oracle)
@@ -218,20 +213,6 @@ def test_frames_and_radius() -> None:
     for each in found.values():
         assert {"threshold", "before", "after", "reached"} <= set(each.frame().columns)
     assert all(each.radius >= 0 for each in found.values())
-
-
-@pytest.mark.parametrize(
-    ("name", "bounds", "message"),
-    [
-        ("base.angre", None, "unknown parameter"),
-        ("base.anger", (F(1, 2), F(1, 4)), "empty"),
-        ("base.anger", (F(1, 4), F(1, 4)), "empty"),
-        ("base.anger", (0, 2), "outside"),
-    ],
-)
-def test_mistakes_are_refused(name, bounds, message) -> None:
-    with pytest.raises(ModelError, match=message):
-        thresholds(Scenario.load("yuan2025").with_(**SMALL), name, bounds)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from oracle import STATUSES, Oracle
 from scipy.stats import binom
 
 from exact_mdp.mdp import ModelError, Policy, Scenario
-from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.claims import EXACT, errors, misread, statements
@@ -79,21 +78,6 @@ def test_the_value_under_errors_is_that_of_the_independent_model() -> None:
     found = cost(mdp, Policy.of(mdp, PLAN), counts, prior=0.0, draws=0, seed=0)
     assert found["measured"]["value"] == pytest.approx(float(exact["mean"]), rel=1e-12)
     assert found["loss"] == found["perfect"]["value"] - found["measured"]["value"]
-
-
-def test_perfect_perception_changes_nothing() -> None:
-    mdp = Scenario.load("yuan2025").with_(readings={"skip_timestep": "own"}).compile()
-    for form in ("random", PLAN):
-        policy = Policy.of(mdp, form)
-        blind = perceived(mdp, policy, np.eye(16)).weights(mdp)
-        assert np.array_equal(blind, policy.weights(mdp))
-
-
-def test_a_constant_policy_does_not_mind_any_error() -> None:
-    mdp = Scenario.load("yuan2025").compile()
-    policy = Policy.of(mdp, "always:directive")
-    confused = perceived(mdp, policy, np.full((16, 16), 1 / 16))
-    assert evaluate(mdp, confused).mean == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
 
 
 def test_always_taking_one_status_for_another_is_a_changed_plan() -> None:

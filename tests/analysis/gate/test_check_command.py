@@ -1,6 +1,5 @@
-"""The gate: `exact-mdp check`, its exit statuses and reports, and the pytest fixture."""
+"""The gate: `exact-mdp check`, its reports, the pytest fixture, and policies that were learned."""
 
-import json
 import subprocess
 import sys
 from importlib.metadata import entry_points
@@ -10,25 +9,20 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cli_runner import launch, run
-from oracle import Oracle, State
+from oracle import Oracle, acting
 
-from exact_mdp.analysis import best_policy, check
+from exact_mdp.analysis import assert_policy_optimal, best_policy, check
+from exact_mdp.analysis.cli import main
 from exact_mdp.analysis.gate.junit import Case, junit, write_junit
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.io.load import save_model
-from exact_mdp.solvers import certify, solve
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.schedules import Constant
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
-KEYS = {
-    "passed",
-    "regret",
-    "relative_regret",
-    "optimal_value",
-    "learned_value",
-    "agreement",
-    "disagreements",
-    "claim",
-}
+KEYS = {"passed", "regret", "relative_regret", "optimal_value", "learned_value", "agreement"}
+KEYS |= {"disagreements", "claim"}
 PER_STATE = {"state", "learned", "optimal", "gap", "expected_visits"}
 
 
@@ -61,12 +55,8 @@ def test_planted_policies_get_the_right_verdict(mdp: MDP, tmp_path: Path) -> Non
         np.save(tmp_path / f"{name}-status.npy", q)
         np.savez(tmp_path / f"{name}-states.npz", q[mdp.space.values("status")])
     oracle = Oracle(tasks=[2], max_trial=2)
-
-    def act(state: State) -> dict[str, int]:
-        assert not isinstance(state, str)
-        return {files["costly"]["".join(map(str, state[3]))]: 1}
-
-    lost = oracle.value(oracle.start) - oracle.evaluate(act, distribution=False)["mean"]
+    own = oracle.evaluate(acting(files["costly"]), distribution=False)["mean"]
+    lost = oracle.value(oracle.start) - own
     assert lost > 1
     for ending in (".json", ".csv", "-status.npy", "-states.npz"):
         done = run("check", "yuan2025", tmp_path / f"right{ending}", *SMALL, "--json")
@@ -89,21 +79,6 @@ def test_planted_policies_get_the_right_verdict(mdp: MDP, tmp_path: Path) -> Non
         assert visited[0]["state"] == "subtask 0, trial 0, status 0000"
         assert sum(each["cost"] for each in visited) == pytest.approx(float(lost), abs=1e-9)
         assert found["regret_by_state"]["subtask 0, trial 0, status 0000"] == found["regret"]
-
-
-def test_a_wrong_action_where_nobody_comes_passes(mdp: MDP, tmp_path: Path) -> None:
-    choices = np.array(certify(mdp).policy)
-    never = mdp.space.index(subtask=0, trial=0, status=5)
-    choices[never] = 0 if choices[never] != 0 else 1
-    table = np.eye(4)[choices]
-    np.save(tmp_path / "q.npy", table)
-    found = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json")
-    assert (found.status, found.result["passed"], found.result["regret"]) == (0, True, 0)
-    (wrong,) = found.result["disagreements"]
-    assert wrong["state"] == "subtask 0, trial 0, status 0101"
-    assert (wrong["expected_visits"], wrong["cost"]) == (0, 0)
-    assert wrong["gap"] > 0
-    assert 0 < found.result["agreement"] < 1 == found.result["agreement_by_visits"]
 
 
 def test_limits_decide(mdp: MDP, tmp_path: Path) -> None:
@@ -183,60 +158,6 @@ def test_models_that_are_no_scenarios(tmp_path: Path) -> None:
     assert run("check", tmp_path / "forest.npz", tmp_path / "p.csv").status == 0
 
 
-# ---- bad input ---------------------------------------------------------------------------------
-
-
-def test_bad_input_is_refused(mdp: MDP, tmp_path: Path) -> None:
-    best = by_status(mdp)
-    short = {key: best[key] for key in list(best)[:-1]}
-    (tmp_path / "short.json").write_text(json.dumps(short))
-    twice = json.dumps(best)[:-1] + ', "0000": "none"}'
-    (tmp_path / "twice.json").write_text(twice)
-    (tmp_path / "broken.json").write_text('{"0000": ')
-    (tmp_path / "action.json").write_text(json.dumps(best | {"0000": "nothing"}))
-    (tmp_path / "twice.csv").write_text("status,action\n0000,none\n0000,directive\n")
-    np.save(tmp_path / "nan.npy", np.full((16, 4), np.nan))
-    np.save(tmp_path / "shape.npy", np.zeros((4, 16)))
-    np.save(tmp_path / "whole.npy", np.zeros((16, 4)))
-    whole = (tmp_path / "whole.npy").read_bytes()
-    (tmp_path / "cut.npy").write_bytes(whole[: len(whole) // 2])
-    (tmp_path / "cut.npz").write_bytes(b"PK\x03\x04 not an archive")
-    good = ("yuan2025", tmp_path / "whole.npy", *SMALL)
-    refused = [("yuan2025", tmp_path / name, *SMALL) for name in (
-        "short.json", "twice.json", "broken.json", "action.json", "twice.csv", "nan.npy",
-        "shape.npy", "cut.npy", "cut.npz", "missing.npy", "missing.json",
-    )]  # fmt: skip
-    refused += [
-        ("yuan2026", "random"),
-        ("yuan2025", "always:nothing"),
-        ("yuan2025", "directive"),
-        (*good, "--max-regret", "-1"),
-        (*good, "--max-regret", "nan"),
-        (*good, "--max-relative-regret", "much"),
-        (*good, "--junit", tmp_path / "report.txt"),
-        (*good, "--junit", tmp_path / "nowhere" / "report.xml"),
-        (*good, "--discount", "2"),
-        (*good, "--set", "base.angre=1"),
-        (*good, "--max-regret", "inf"),
-        (*good, "--kind", "table"),
-        ("yuan2025", "random", *SMALL, "--kind", "q"),
-    ]
-    for words in refused:
-        for more in ((), ("--json",)):
-            done = run("check", *words, *more)
-            assert (done.status, done.out) == (2, ""), words
-            assert all(part in done.err for part in ("ModelError: ", "where: ", "fix: ")), words
-    assert run("check", "yuan2025").status == 2
-    assert run("check", *good, "--limit", "1").status == 2
-
-
-def test_a_report_of_bad_input_is_an_error(tmp_path: Path) -> None:
-    report = tmp_path / "report.xml"
-    done = run("check", "yuan2025", tmp_path / "no.npy", "--junit", report)
-    assert (done.status, list(tmp_path.iterdir())) == (2, [report])
-    assert b'errors="1"' in report.read_bytes()
-
-
 # ---- reports -----------------------------------------------------------------------------------
 
 
@@ -267,15 +188,6 @@ def test_junit_of_the_installed_program(tmp_path: Path) -> None:
     assert values["claim"] == "certified"
     assert float(values["regret"] or "nan") == done.result["regret"]
     assert list(tmp_path.iterdir()) == [report]
-
-
-def test_junit_of_a_passing_check_is_replaced_whole(tmp_path: Path) -> None:
-    report = tmp_path / "report.xml"
-    report.write_text("something else")
-    assert run("check", "yuan2025", "optimal", *SMALL, "--junit", report).status == 0
-    root = ElementTree.parse(report).getroot()
-    assert (root.get("tests"), root.get("failures")) == ("1", "0")
-    assert root.find(".//failure") is None
 
 
 def test_what_xml_cannot_hold(tmp_path: Path) -> None:
@@ -367,17 +279,112 @@ def test_the_plugin_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "set()"
 
 
-def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
-    """A table may rule actions out by -inf, which says nothing of their values."""
-    step = [[0, 1, 0], [0, 0, 1], [0, 0, 1]]
-    mdp = MDP.from_arrays([step] * 3, [[1, 3, 2], [0, 1, 4], [0, 0, 0]])
-    table = np.array([[2.0, -np.inf, 6.5], [-np.inf, 0.5, 3.5], [0, 0, 0]])
-    found = check(mdp, table, kind="q").q_error
+# ---- reports of checks without a verdict -------------------------------------------------------
+
+REFUSED = {
+    "a policy that is not there": "check tea nowhere.csv --junit {}",
+    "a model that is not there": "check nowhere optimal --junit={}",
+    "a bad limit": "check tea optimal --max-regret often --junit {}",
+    "an unknown option": "check tea optimal --fast --junit {}",
+    "an unknown option at the end": "check tea optimal --junit {} --fast",
+    "no policy": "check tea --junit {}",
+}
+
+
+def stale(tmp_path: Path) -> Path:
+    path = tmp_path / "gate.xml"
+    path.write_text("something else")
+    assert run("check", "tea", "optimal", "--junit", path).status == 0
+    root = ElementTree.parse(path).getroot()
+    assert [root.get(name) for name in ("tests", "failures", "errors")] == ["1", "0", "0"]
+    assert [root.find(f".//{name}") for name in ("failure", "error")] == [None, None]
+    return path
+
+
+@pytest.mark.parametrize("line", REFUSED.values(), ids=REFUSED.keys())
+def test_bad_input_becomes_an_error_case(tmp_path: Path, line: str) -> None:
+    path = stale(tmp_path)
+    done = run(*line.format(path).split())
+    assert (done.status, done.out) == (2, "")
+    root = ElementTree.parse(path).getroot()
+    assert (root.get("tests"), root.get("failures"), root.get("errors")) == ("1", "0", "1")
+    found = root.find("./testsuite/testcase/error")
     assert found is not None
-    # Q* is 5, 7, 6 in the first state and 0, 1, 4 in the second.
-    errors = np.array([2 - 5, 6.5 - 6, 0.5 - 1, 3.5 - 4])
-    assert (found.largest, found.where) == (3.0, mdp.where(0))
-    assert found.mean == pytest.approx(errors.mean())
-    assert found.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
-    assert found.promised == 6.5
-    assert found.visited == pytest.approx(0.5)
+    assert found.get("message") == done.err.partition("\n")[0]
+    assert str(found.text).strip() == done.err.strip()
+
+
+@pytest.mark.parametrize("fault", [OverflowError("too large"), KeyboardInterrupt()])
+def test_so_does_whatever_else_ends_the_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException
+) -> None:
+    path = stale(tmp_path)
+
+    def fail(*_: object, **__: object) -> None:
+        before = ElementTree.parse(path).find(".//error")  # what a killed process leaves
+        assert before is not None
+        assert "did not end" in str(before.get("message"))
+        raise fault
+
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", fail)
+    assert run("check", "tea", "optimal", "--junit", path).status in (3, 130)
+    found = ElementTree.parse(path).find(".//error")
+    assert found is not None
+    assert "did not end" not in str(found.get("message"))
+
+
+def test_a_verdict_is_written_as_before(tmp_path: Path) -> None:
+    path = stale(tmp_path)
+    assert run("check", "tea", "random", "--junit", path).status == 1
+    root = ElementTree.parse(path).getroot()
+    assert (root.get("failures"), root.get("errors")) == ("1", "0")
+    assert root.find(".//error") is None
+
+
+def test_help_and_refused_names_of_reports_write_nothing(tmp_path: Path) -> None:
+    assert run("check", "--help", "--junit", tmp_path / "a.xml").status == 0
+    assert run("check", "tea", "optimal", "--junit", tmp_path / "a.txt").status == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- policies that were learned ---------------------------------------------------------------
+# The limits were set after looking at these seeds, to notice a change; they say nothing of other
+# seeds. Over 1,000 seeds of training as the paper does, 5 % lose more than 10.7.
+
+AS_THE_PAPER = QLearning()
+BY_VISITS = QLearning(rate=Constant(1.0), rate_power=0.6)
+
+
+@pytest.fixture(scope="module")
+def care() -> MDP:
+    return Scenario.load("yuan2025").compile()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_training_as_the_paper_does_ends_within_six_per_cent(care: MDP, seed: int) -> None:
+    assert_policy_optimal(care, AS_THE_PAPER.train(care, seed).q, max_regret=8.0)
+
+
+def test_rates_that_fall_with_visits_end_within_one_per_cent_but_for_one_seed(care: MDP) -> None:
+    passed = {
+        seed: check(care, BY_VISITS.train(care, seed).q, max_regret=1.4).passed
+        for seed in range(12)
+    }
+    assert [seed for seed, within in passed.items() if not within] == [0]  # it loses 4.54
+
+
+def test_a_broken_policy_is_refused(
+    care: MDP, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    q = BY_VISITS.train(care, 3).q.copy()
+    np.save(tmp_path / "learned.npy", q)
+    words = ["check", "yuan2025", str(tmp_path / "learned.npy"), "--max-regret", "1.4"]
+    assert main(words) == 0
+    q[0b0001, 0] = q.max() + 1  # leaves a disengaged person alone
+    np.save(tmp_path / "learned.npy", q)
+    assert main(words) == 1
+    assert "status 0001" in capsys.readouterr().out
+    audit = check(care, q, max_regret=1.4)
+    assert not audit.passed
+    worst = [care.space.label(found.state) for found in audit.disagreements[:3]]
+    assert all("status 0001" in label for label in worst)

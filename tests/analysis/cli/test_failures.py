@@ -1,0 +1,445 @@
+"""Every refusal and failure has its exit status and its sentence; nothing is half-written."""
+
+import errno
+import json
+import os
+import re
+import resource
+import subprocess
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import PROGRAM, launch, run
+from click.testing import CliRunner
+
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.io.load import load_model, save_model
+from exact_mdp.mdp.table import beside
+from exact_mdp.paper_repro.__main__ import main as reproduce
+from exact_mdp.paper_repro.agents.__main__ import main as agents
+
+LONG_HEX = "0x" + "f" * 9000
+YUAN = Path(__file__).parents[3] / "mdp" / "scenarios" / "yuan2025.toml"
+
+
+def told(err: str, status: int = 2) -> None:
+    assert "Traceback" not in err, err
+    assert re.fullmatch(r"[A-Z]\w+: [^\n]+\n  where: [^\n]+\n  fix:   [^\n]+\n", err), (status, err)
+    assert len(err) < 3500
+
+
+def changed(pattern: str, line: str) -> str:
+    text, count = re.subn(pattern, lambda _: line, YUAN.read_text("utf-8"), count=1, flags=re.M)
+    assert count == 1
+    return text
+
+
+NESTED = ".".join(["a"] * 3000)
+SCENARIOS = {
+    "max_trial": lambda: changed(r"^max_trial *=.*$", f"max_trial = {LONG_HEX}"),
+    "tasks": lambda: changed(r"^tasks *=.*$", f"tasks = [{LONG_HEX}]"),
+    "a parameter": lambda: YUAN.read_text("utf-8") + f"\n[base.x]\ny = {LONG_HEX}\n",
+    "a title": lambda: changed(r"^title *=.*$", f"title = {LONG_HEX}"),
+    "an unknown key": lambda: f"x = {LONG_HEX}\n" + YUAN.read_text("utf-8"),
+    "a dotted table": lambda: YUAN.read_text("utf-8") + f"\n[base.{NESTED}]\nx = 1\n",
+    "a dotted key": lambda: f"{NESTED} = 1\n" + YUAN.read_text("utf-8"),
+    "lists in lists": lambda: "x = " + "[" * 5000 + "]" * 5000,
+}
+
+
+@pytest.mark.parametrize("text", SCENARIOS.values(), ids=SCENARIOS.keys())
+def test_long_numbers_and_deep_tables_of_a_scenario_are_bad_input(
+    tmp_path: Path, text: Any
+) -> None:
+    """Integers of 9,000 digits and keys of 3,000 parts are refused at the door, by name."""
+    path = tmp_path / "model.toml"
+    path.write_text(text(), "utf-8")
+    done = run("info", path)
+    assert (done.status, done.out) == (2, "")
+    told(done.err)
+    assert str(path) in done.err
+
+
+@pytest.mark.parametrize("line", [f"{NESTED} = 1", f'"base.anger" = [{LONG_HEX}, 1]'])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sensitivity", "tea", "tornado", "--ranges"),
+        ("sensitivity", "tea", "psa", "--samples", "4", "--effective-sample-size"),
+        ("evaluate", "yuan2025", "random", "--perception"),
+    ],
+    ids=lambda words: words[-1],
+)
+def test_so_are_those_of_every_other_toml_file(
+    tmp_path: Path, words: tuple[str, ...], line: str
+) -> None:
+    path = tmp_path / "file.toml"
+    path.write_text(line, "utf-8")
+    done = run(*words, path)
+    assert (done.status, done.out) == (2, "")
+    told(done.err)
+
+
+LINES = {
+    "check yuan2025 random --max-regret {}": "--max-regret",
+    "check yuan2025 random --max-relative-regret {}": "--max-relative-regret",
+    "check yuan2025 random --discount {}": "--discount",
+    "solve yuan2025 --discount {}": "--discount",
+    "solve yuan2025 --tol {}": "--tol",
+    "train tea --seeds 1 --epochs 2 --learning-discount {}": "--learning-discount",
+    "train tea --seeds 1 --epochs 2 --rate {}": "--rate",
+    "train tea --seeds {}": "--seeds",
+    "simulate tea random --episodes {}": "--episodes",
+    "sensitivity tea robust --radius {}": "--radius",
+    "sensitivity tea robust --set-kind kl --radius {}": "--radius",
+    "sensitivity tea threshold --relative {}": "--relative",
+    "sensitivity tea tornado --relative {}": "--relative",
+}
+
+
+@pytest.mark.parametrize("value", ["nan", "1e400", "1e999", "9" * 5000])
+@pytest.mark.parametrize("line", LINES)
+def test_a_value_beyond_all_limits_is_refused_with_the_name_of_its_option(
+    line: str, value: str
+) -> None:
+    """No option takes a number beyond the floats, and every refusal names the option."""
+    done = run(*line.format(value).split())
+    assert (done.status, done.out) == (2, "")
+    told(done.err)
+    assert f"  where: {LINES[line]}\n" in done.err
+
+
+FAULTS = {
+    "OverflowError": OverflowError("integer division result too large for a float"),
+    "RecursionError": RecursionError("maximum recursion depth exceeded"),
+    "MemoryError": MemoryError(),
+    "ValueError": ValueError("Exceeds the limit (4300 digits) for integer string conversion"),
+    "OSError": OSError(errno.EMFILE, "Too many open files"),
+    "ImportError": ImportError("no such library"),
+    "KeyError": KeyError("a slip"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())
+def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
+    monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    """A crash is not 1, which says that the policy is bad."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise fault
+
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", fail)
+    done = run("check", "yuan2025", "optimal")
+    assert (done.status, done.out) == (3, "")
+    told(done.err)
+
+
+def test_the_other_programs_end_in_the_same_way(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OverflowError("too large")
+
+    monkeypatch.setattr("exact_mdp.paper_repro.run.run", fail)
+    done = CliRunner().invoke(reproduce, ["--quick", "--out", str(tmp_path)])
+    assert (done.exit_code, done.stdout) == (3, "")
+    told(done.stderr)
+    monkeypatch.setattr("exact_mdp.paper_repro.agents.recording.read", fail)
+    recording = tmp_path / "recording.jsonl"
+    recording.write_text("{}", "utf-8")
+    done = CliRunner().invoke(agents, ["replay", str(recording)])
+    assert (done.exit_code, done.stdout) == (3, "")
+    told(done.stderr)
+    done = CliRunner().invoke(agents, ["repaly"])
+    assert (done.exit_code, done.stdout) == (2, "")
+    told(done.stderr)
+
+
+# ---- streams and disks ---------------------------------------------------------------------------
+
+CHECK = ("check", "tea", "optimal")
+
+
+def shell(redirection: str, *words: str) -> subprocess.CompletedProcess[str]:
+    line = " ".join([str(PROGRAM), *words, redirection])
+    return subprocess.run(line, shell=True, capture_output=True, encoding="utf-8")
+
+
+@pytest.mark.parametrize("json", [(), ("--json",)])
+def test_a_full_disk_behind_standard_output_ends_with_3(json: tuple[str, ...]) -> None:
+    done = shell(">/dev/full", *CHECK, *json)
+    assert done.returncode == 3
+    told(done.stderr)
+    assert "cannot write to standard output: No space left on device" in done.stderr
+
+
+def test_a_closed_standard_output_ends_with_3() -> None:
+    """A check whose verdict nobody can read has neither passed nor failed."""
+    done = shell(">&-", *CHECK)
+    assert done.returncode == 3
+    told(done.stderr)
+    assert "standard output is closed" in done.stderr
+    assert shell(">/dev/null", *CHECK).returncode == 0
+
+
+def test_a_closed_standard_error_changes_no_status() -> None:
+    done = shell("2>&-", *CHECK)
+    assert done.returncode == 0
+    assert "passed" in done.stdout
+    for redirection in ("2>&-", "2>/dev/full"):
+        done = shell(redirection, "check", "tea", "nowhere.csv")
+        assert (done.returncode, done.stdout) == (2, "")
+
+
+def test_a_full_disk_behind_a_file_ends_with_3_and_leaves_nothing(tmp_path: Path) -> None:
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+
+    done = subprocess.run(
+        [PROGRAM, "convert", "yuan2025", str(tmp_path / "model.npz")],
+        capture_output=True,
+        encoding="utf-8",
+        preexec_fn=little,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path.parent)},
+    )
+    assert (done.returncode, done.stdout) == (3, "")
+    told(done.stderr)
+    assert "model.npz" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_path_that_cannot_be_written_to_is_bad_input(tmp_path: Path) -> None:
+    folder = tmp_path / "model.npz"
+    folder.mkdir()
+    done = launch("convert", "tea", folder)
+    assert (done.status, done.out) == (2, "")
+
+
+# ---- what it refuses -------------------------------------------------------------------------
+
+STATUSES = [format(status, "04b") for status in range(16)]
+
+
+@pytest.fixture
+def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to work in that holds files which are wrong in some way."""
+    (tmp_path / "broken.toml").write_text('name = "broken', "utf-8")
+    (tmp_path / "folder.toml").mkdir()
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    lines = [f"{status},none" for status in STATUSES]
+    (tmp_path / "missing.csv").write_text("\n".join(["status,action", *lines[1:]]), "utf-8")
+    (tmp_path / "doubled.csv").write_text("\n".join(["status,action", lines[0], *lines]), "utf-8")
+    (tmp_path / "missing.json").write_text('{"0000": "none"}', "utf-8")
+    (tmp_path / "doubled.json").write_text('{"0000": "none", "0000": "none"}', "utf-8")
+    (tmp_path / "action.json").write_text(json.dumps(dict.fromkeys(STATUSES, "hug")), "utf-8")
+    (tmp_path / "status.json").write_text('{"00000": "none"}', "utf-8")
+    (tmp_path / "unknown.xyz").write_text("", "utf-8")
+    save_model(load_model("yuan2025"), tmp_path / "whole.npz")
+    content = (tmp_path / "whole.npz").read_bytes()
+    (tmp_path / "truncated.npz").write_bytes(content[: len(content) // 2])
+    (tmp_path / "truncated.json").write_text('{"format": "exact-mdp certificate",', "utf-8")
+    np.save(tmp_path / "shape.npy", np.zeros((3, 3)))
+    np.save(tmp_path / "zeros.npy", np.zeros((16, 4)))
+    np.save(tmp_path / "nan.npy", np.full((16, 4), np.nan))
+    content = (tmp_path / "zeros.npy").read_bytes()
+    (tmp_path / "truncated.npy").write_bytes(content[: len(content) // 2])
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 not an archive")
+    (tmp_path / "broken.json").write_text('{"0000": ', "utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+REFUSED = {
+    "unknown scenario": "info yuan2052",
+    "unknown model file": "info unknown.xyz",
+    "no such file": "info nowhere.toml",
+    "a folder": "info folder.toml",
+    "not text": "info binary.toml",
+    "broken TOML": "solve broken.toml",
+    "truncated model": "solve truncated.npz",
+    "unknown environment": "info gymnasium:Nowhere-v0",
+    "probability above 1": "solve yuan2025 --set base.anger=1.1",
+    "negative probability": "info yuan2025 --set base.anger=-0.1",
+    "not a number": "info yuan2025 --set base.anger=often",
+    "unknown parameter": "info yuan2025 --set base.angr=0.1",
+    "unknown status": "info yuan2025 --set base.joy=0.1",
+    "unknown action in a parameter": "info yuan2025 --set reward.assist.hug=1",
+    "unknown reading": "info yuan2025 --set readings.influence=column-to-row",
+    "unknown option of a reading": "info yuan2025 --set readings.trial_cost=never",
+    "no setting": "info yuan2025 --set tasks",
+    "negative max_trial": "info yuan2025 --set max_trial=-1",
+    "empty task list": "info yuan2025 --set tasks=[]",
+    "setting on a saved model": "info whole.npz --set tasks=[1]",
+    "discount of a word": "solve yuan2025 --discount high",
+    "discount above 1": "solve yuan2025 --discount 1.01",
+    "negative discount": "solve yuan2025 --discount=-1/2",
+    "division by zero": "solve yuan2025 --discount 1/0",
+    "unknown method": "solve yuan2025 --method simplex",
+    "tolerance 0": "solve yuan2025 --tol 0",
+    "tolerance of a word": "solve yuan2025 --tol small",
+    "tolerance too large": "solve yuan2025 --tol 1e999",
+    "cycles": "solve gymnasium:FrozenLake-v1 --discount 0.9 --method backward-induction",
+    "never ends": "solve gymnasium:FrozenLake-v1 --discount 1",
+    "never ends, certified": "solve gymnasium:FrozenLake-v1 --certify",
+    "policy never ends": "evaluate gymnasium:CliffWalking-v1 always:0",
+    "wrong ending": "solve yuan2025 --out values.csv",
+    "policy of wrong ending": "solve yuan2025 --policy-out policy.npz",
+    "no folder": "solve yuan2025 --out nowhere/values.npz",
+    "one file twice": "solve yuan2025 --policy-out x.json --certificate x.json",
+    "model of wrong ending": "convert yuan2025 model.txt",
+    "model into no folder": "convert yuan2025 nowhere/model.npz",
+    "unknown action": "evaluate yuan2025 always:hug",
+    "unknown policy": "evaluate yuan2025 greedy",
+    "no policy file": "evaluate yuan2025 nowhere.csv",
+    "missing status": "evaluate yuan2025 missing.csv",
+    "doubled status": "evaluate yuan2025 doubled.csv",
+    "missing status in JSON": "evaluate yuan2025 missing.json",
+    "doubled status in JSON": "evaluate yuan2025 doubled.json",
+    "unknown action in a file": "evaluate yuan2025 action.json",
+    "unknown status in a file": "evaluate yuan2025 status.json",
+    "Q-table of another shape": "evaluate yuan2025 shape.npy",
+    "truncated archive as a policy": "evaluate yuan2025 truncated.npz",
+    "checked, no policy file": "check yuan2025 nowhere.npy",
+    "checked, no policy file in JSON": "check yuan2025 nowhere.json",
+    "checked, missing status": "check yuan2025 missing.json",
+    "checked, doubled status": "check yuan2025 doubled.csv",
+    "checked, doubled status in JSON": "check yuan2025 doubled.json",
+    "checked, unknown action in a file": "check yuan2025 action.json",
+    "broken JSON": "check yuan2025 broken.json",
+    "checked, Q-table of another shape": "check yuan2025 shape.npy",
+    "NaN in a Q-table": "check yuan2025 nan.npy",
+    "truncated array": "check yuan2025 truncated.npy",
+    "no archive": "check yuan2025 broken.npz",
+    "checked, unknown scenario": "check yuan2026 random",
+    "checked, unknown action": "check yuan2025 always:nothing",
+    "an action for a policy": "check yuan2025 directive",
+    "negative limit": "check yuan2025 zeros.npy --max-regret -1",
+    "limit of a word": "check yuan2025 zeros.npy --max-relative-regret much",
+    "infinite limit": "check yuan2025 zeros.npy --max-regret inf",
+    "report of wrong ending": "check yuan2025 zeros.npy --junit report.txt",
+    "report into no folder": "check yuan2025 zeros.npy --junit nowhere/report.xml",
+    "checked, discount above 1": "check yuan2025 zeros.npy --discount 2",
+    "checked, unknown parameter": "check yuan2025 zeros.npy --set base.angre=1",
+    "unknown kind of array": "check yuan2025 zeros.npy --kind table",
+    "a name as a Q-table": "check yuan2025 random --kind q",
+    "no policy": "check yuan2025",
+    "an option of other commands": "check yuan2025 zeros.npy --limit 1",
+    "returns below discount 1": "returns yuan2025 random --discount 0.95",
+    "no episodes": "simulate yuan2025 random --episodes 0",
+    "negative episodes": "simulate yuan2025 random --episodes -5",
+    "too many episodes": "simulate yuan2025 random --episodes 99999999999",
+    "seed of a word": "simulate yuan2025 random --episodes 10 --seed lucky",
+    "negative seed": "simulate yuan2025 random --episodes 10 --seed=-1",
+    "truncated certificate": "verify truncated.json yuan2025",
+    "no certificate": "verify nowhere.json yuan2025",
+    "unknown command": "slove yuan2025",
+    "unknown option": "solve yuan2025 --fast",
+    "no model": "solve",
+    "no command": "",
+    "too many words": "info yuan2025 tea",
+    "no value": "solve yuan2025 --method",
+    "episodes left out": "simulate yuan2025 random",
+}
+
+
+@pytest.mark.usefixtures("bad")
+@pytest.mark.parametrize("line", REFUSED.values(), ids=REFUSED.keys())
+def test_bad_input_is_refused_with_what_where_and_fix(line: str) -> None:
+    for form in ("", " --json"):
+        done = run(*(line + form if line else line).split())
+        assert (done.status, done.out) == (2, "")
+        told(done.err)
+
+
+@pytest.mark.usefixtures("bad")
+def test_what_was_refused_leaves_no_file(bad: Path) -> None:
+    before = sorted(bad.iterdir())
+    run("solve", "gymnasium:FrozenLake-v1", "--out", "x.npz", "--policy-out", "x.csv")
+    run("convert", "yuan2025", "x.npz", "--set", "base.anger=2")
+    assert sorted(bad.iterdir()) == before
+
+
+def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ValueError("a mistake")
+
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", broken)
+    done = run("info", "yuan2025")
+    assert (done.status, done.out) == (3, "")
+    assert done.err.startswith("ValueError: a fault of the program, not of what you gave it: a mis")
+    assert "where: exact-mdp info, in analysis/cli/options.py, line " in done.err
+    assert "EXACT_MDP_TRACEBACK=1" in done.err
+    monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
+    assert "Traceback (most recent call last)" in run("info", "yuan2025").err
+
+
+def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
+    from exact_mdp.solvers import SolverError, Status
+
+    def give_up(*_: object) -> None:
+        raise SolverError(Status.NO_BOUND)
+
+    monkeypatch.setattr("exact_mdp.solvers.solve", give_up)
+    done = run("solve", "yuan2025", "--json")
+    assert (done.status, done.out) == (3, "")
+    assert done.err.startswith("SolverError: double precision cannot bound")
+
+
+def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
+
+    from exact_mdp import solvers
+
+    solve = solvers.solve
+
+    def wrong(*words: Any) -> solvers.Solution:
+        found = solve(*words)
+        return replace(found, value=found.value + 1e-6)
+
+    monkeypatch.setattr("exact_mdp.solvers.solve", wrong)
+    done = run("solve", "yuan2025", "--certify", "--json")
+    assert (done.status, done.out) == (3, "")
+    assert done.err.startswith("Contradiction: exact values differ")
+
+
+def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", stop)
+    done = run("info", "yuan2025")
+    assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--set", "max_trial=1000000000"), "max_trial is over 200,000,000"),
+        (("--set", f"max_trial={'9' * 5000}"), "max_trial is over 200,000,000"),
+        (("--discount", "1.0000000000000000000001"), "discount is 1 + 1e-22, outside [0, 1]"),
+        (("--set", "base.anger=1.0000000000000000000001"), "base.anger is 1 + 1e-22, outside [0,"),
+        (("--set", "base.anger=-1e-400"), "base.anger is -1e-400, outside [0, 1]"),
+    ],
+)
+def test_a_refused_number_is_shown_outside_its_limits(words: tuple[str, ...], said: str) -> None:
+    """1000000000 is a positive whole number, and 1 is not outside [0, 1]."""
+    done = run("info", "yuan2025", *words)
+    assert done.status == 2
+    assert done.err.startswith(f"ModelError: {said}")
+
+
+@pytest.mark.parametrize("off", [Fraction(1, 10**22), -Fraction(1, 10**22), Fraction(1, 3)])
+def test_every_number_stands_on_its_own_side(off: Fraction) -> None:
+    text = beside(1 + off, Fraction(0), Fraction(1))
+    assert text not in ("1", "0")
+    top, _, rest = text.replace(" - ", " + -").partition(" + ")
+    assert (Fraction(top) + Fraction(rest or "0") > 1) == (off > 0)
+
+
+def test_sums_are_shown_apart_from_1() -> None:
+    with pytest.raises(ModelError, match="start probabilities sum to 1 \\+ 1e-08, not 1"):
+        MDP.from_arrays([[[1, 0], [0, 1]]], [1, 0], 0.5, start={0: "1/2", 1: "0.50000001"})

@@ -1,0 +1,432 @@
+"""`exact-mdp sensitivity`: what its kinds print, draw and write, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_runner import run
+
+from exact_mdp.analysis.cli import commands
+from exact_mdp.analysis.cli.sensitivity import KINDS
+from exact_mdp.analysis.sensitivity.draws.global_ import sobol
+from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.io.npz import save
+from exact_mdp.solvers import solve
+
+YUAN = Scenario.load("yuan2025")
+SMALL = YUAN.with_(tasks=[1], max_trial=2)
+SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
+CHANCES = (Fraction(3, 10), Fraction(2, 5))
+LITTLE = ("sobol", "--samples", "4", "--parameter", "discount")
+HELD = ("--policy", "always:directive")
+
+
+def ask(kind: str, *words: object) -> dict[str, Any]:
+    return run("sensitivity", "yuan2025", kind, *SET, "--json", *words).result
+
+
+def test_sobol_tells_of_value_and_regret() -> None:
+    found = ask("sobol", *HELD, "--samples", 16)
+    names = set(found["first_order"])
+    assert {"base.anger", "reward.subtask-complete"} <= names
+    assert "assistance.supportive.anger.onset" in found["without_range"]
+    assert names | set(found["without_range"]) == set(YUAN.names)
+    assert (found["claim"], found["seed"], found["confidence"]) == ("estimated", 0, 0.95)
+    assert found["draws"] == 16 * (len(names) + 2)
+    for each in (found, found["regret"]):
+        assert set(each["total"]) == names
+        for kind in ("first_order", "total"):
+            for name, (low, high) in each[f"{kind}_interval"].items():
+                assert low <= each[kind][name] <= high
+    expected = sobol(SMALL, policy="always:directive", n=16, rng=0)
+    assert found["total"] == dict(zip(expected.names, expected.optimal.total.tolist(), strict=True))
+    assert found["regret"]["mean"] == expected.regret.mean > 0
+
+
+@pytest.mark.parametrize("kind, samples", [("sobol", 8), ("morris", 4)])
+def test_the_discount_is_held_unless_it_is_named(kind: str, samples: int) -> None:
+    words = ("sensitivity", "yuan2025", kind, *SET, "--samples", samples)
+    default = run(*words, "--relative", "0.1")
+    assert "held; vary it with --parameter discount" in default.out
+    named = run(*words, "--parameter", "discount", "--parameter", "base.anger")
+    assert "held; vary it" not in named.out
+    shares = "total" if kind == "sobol" else "mu_star"
+    stated = run(*words, "--range", "discount=0.9:1", "--json").result
+    assert list(stated[shares]) == ["discount"]
+
+
+def test_first_orders_above_the_total_are_called_noise() -> None:
+    names = ("base.anger", "reward.anger", "reward.timestep", "base.forgetfulness")
+    words = ("sensitivity", "yuan2025", "sobol", *SET, "--samples", 8)
+    words = (*words, *(word for name in names for word in ("--parameter", name)))
+    found, text = run(*words, "--json").result, run(*words).out
+    assert any(found["first_order"][name] > found["total"][name] for name in names)
+    assert "first order above total" in text
+
+
+def test_the_same_seed_gives_the_same_words() -> None:
+    words = ("--samples", 16, "--parameter", "base.anger", "--parameter", "reward.anger")
+    first = ask("sobol", *words)
+    assert ask("sobol", *words, "--seed", 0, "--n-jobs", 1) == first
+    assert ask("sobol", *words, "--seed", 1)["total"] != first["total"]
+
+
+def test_a_regret_of_nothing_has_no_indices() -> None:
+    found = ask("sobol", "--samples", 4, "--parameter", "reward.subtask-complete")
+    assert found["regret"]["total"] == {"reward.subtask-complete": None}
+    text = run("sensitivity", "yuan2025", "sobol", *SET, "--samples", 4, "--parameter", "discount")
+    assert text.status == 0
+    assert "shares of the variance of the start value" in text.out
+
+
+def test_morris_tells_of_value_and_regret(tmp_path: Path) -> None:
+    words = (*HELD, "--samples", 6, "--out", tmp_path / "kept")
+    found = ask("morris", *words)
+    assert found["trajectories"] == 6
+    assert found["draws"] == 6 * (len(found["mu_star"]) + 1)
+    assert found["mu_star"]["reward.subtask-complete"] == pytest.approx(
+        found["mu"]["reward.subtask-complete"]
+    )
+    low, high = found["sigma_interval"]["base.anger"]
+    assert low < found["sigma"]["base.anger"] < high
+    assert found["regret"]["mu_star"]["base.anger"] > 0
+    assert [Path(path).name for path in found["written"]] == ["morris.json", "run.json"]
+    assert json.loads((tmp_path / "kept" / "morris.json").read_text()) == found
+    assert json.loads((tmp_path / "kept" / "run.json").read_text())["seed"] == 0
+    assert ask("morris", *words) == found
+    other = run("sensitivity", "yuan2025", "morris", *SET, *words, "--seed", 1)
+    assert other.status == 2
+    assert "differs in" in other.err
+    text = run("sensitivity", "yuan2025", "morris", *SET, *HELD, "--samples", 4)
+    assert "elementary effects on the regret" in text.out
+
+
+def test_structural_sets_readings_side_by_side() -> None:
+    found = ask("structural", *HELD, "--set", "readings.skip_onset=base", "--n-jobs", 1)
+    labels = [each["reading"] for each in found["readings"]]
+    assert labels[0] == "as it is"
+    assert {"skip_onset = none", "max_trial_rule = after", "tasks = [3, 1]"} <= set(labels)
+    for each in found["readings"]:
+        held = each["policies"]["always:directive"]
+        assert each["start_value"] - held["value"] == pytest.approx(held["regret"], abs=1e-9)
+        lost = each["policies"]["optimum as it is"]["regret"]
+        assert each["optimum_changes"] == (lost > 0) >= bool(each["changed_at_subtask_0_trial_0"])
+        assert len(each["actions"]) == 16
+        assert each["top_parameter"]
+    again = run("solve", "yuan2025", *SET, "--set", "readings.skip_onset=base", "--json").result
+    assert found["start_value"] == pytest.approx(again["start_value"])
+
+
+def test_the_regret_of_a_policy_has_a_tornado() -> None:
+    names = ("--parameter", "base.anger", "--parameter", "discount")
+    words = ("sensitivity", "yuan2025", "tornado", *SET, *HELD, *names)
+    found = run(*words, "--json").result
+    assert found["regret"] == pytest.approx(found["start_value"] - found["policy_value"])
+    for bar in found["bars"]:
+        for end in ("low", "high"):
+            lost = bar[f"value_{end}"] - bar[f"fixed_value_{end}"]
+            assert bar[f"regret_{end}"] == pytest.approx(lost, abs=1e-9)
+    assert "regret of the policy held fixed at both ends" in run(*words).out
+
+
+def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
+    file = tmp_path / "lake.npz"
+    words = ("convert", "gymnasium:FrozenLake-v1", file, "--discount", "0.9")
+    pytest.importorskip("gymnasium")
+    assert run(*words).status == 0
+    words = ("--samples", 32, "--n-jobs", 1, "--relative", "0.05", "--parameter", "discount")
+    found = run("sensitivity", file, "sobol", *words, "--json").result
+    assert found["total"]["discount"] == pytest.approx(1, abs=0.2)
+    refused = run("sensitivity", file, "structural")
+    assert refused.status == 2
+    assert "readings belong to care scenarios" in refused.err
+
+
+def test_a_cluster_changes_nothing() -> None:
+    words = ("--samples", 16, "--parameter", "base.anger", "--parameter", "discount")
+    alone = ask("sobol", *words)
+    import distributed
+
+    with distributed.LocalCluster(
+        n_workers=1,
+        processes=False,  # those are tried where the clusters are
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
+    ) as cluster:
+        assert ask("sobol", *words, "--scheduler", cluster.scheduler_address) == alone
+
+
+def test_every_option_that_a_kind_does_not_use_is_refused() -> None:
+    """All kinds and all options; a new kind or option is in the loop without being named here."""
+    shared = {"model", "kind", "sets", "discount", "as_json"}
+    options = [each for each in commands.sensitivity.params if each.name not in shared]
+    assert {each.name for each in options} >= set().union(*(k.uses for k in KINDS.values()))
+    refused = 0
+    for kind, used in KINDS.items():
+        for option in options:
+            assert any(option.name in each.uses for each in KINDS.values())
+            if option.name in used.uses:
+                continue
+            name = max(option.opts, key=len)
+            value = [] if option.is_flag else ["l1" if name == "--set-kind" else "1"]
+            done = run("sensitivity", "tea", kind, name, *value)
+            assert (done.status, done.out) == (2, "")
+            assert done.err.startswith(f"ModelError: {name} does not apply to {kind}")
+            assert "leave it out; it applies to " in done.err
+            refused += 1
+    assert refused > 50
+
+
+# ---- robust -------------------------------------------------------------------------------------
+
+ONE = ("--set", "tasks=[1]")
+
+
+def test_the_default_is_intervals_of_a_fifth() -> None:
+    found = run("sensitivity", "yuan2025", "robust", *ONE, "--json").result
+    assert (found["set_kind"], found["radius"], found["claim"]) == ("interval", 0.2, "bounded")
+    assert found["worst_case"]["value"] < found["start_value"] < found["best_case"]["value"]
+    assert found["worst_case"]["error_bound"] < 1e-6
+
+
+@pytest.mark.parametrize(("kind", "radius"), [("l1", "0.1"), ("kl", "1/100"), ("box", "1/10")])
+def test_the_other_sets(kind: str, radius: str) -> None:
+    words = ("--set-kind", kind, "--radius", radius, "--policy", "always:supportive")
+    done = run("sensitivity", "yuan2025", "robust", *ONE, "--set", "max_trial=2", *words)
+    assert done.status == 0, done.err
+    assert "worst case" in done.out
+
+
+def test_a_box_tells_the_same_parts() -> None:
+    small = (*ONE, "--set", "max_trial=2", "--json")
+    box = run("sensitivity", "yuan2025", "robust", "--set-kind", "box", *small).result
+    other = run("sensitivity", "yuan2025", "robust", *small).result
+    assert set(other) - {"policy_changes", "seconds"} <= set(box)
+    assert (box["claim"], box["error_bound"] < 1e-12, box["radius"]) == ("certified", True, 0.2)
+    assert box["start_value"] == pytest.approx(other["start_value"], abs=1e-9)
+    for case in ("worst_case", "best_case"):
+        assert set(other[case]) <= set(box[case])
+        held = box[case]["nominal_policy"]
+        assert set(other[case]["nominal_policy"]) <= set(held)
+        assert held["low"] <= held["value"] <= held["high"]
+        if held["claim"] == "certified":
+            assert abs(Fraction(held["exact"]) - Fraction(held["value"])) <= held["error_bound"]
+    worst = box["worst_case"]
+    assert worst["low"] <= worst["value"] <= worst["high"] < box["start_value"]
+    assert box["worst_case_gain"]["value"] >= -box["worst_case_gain"]["error_bound"]
+    assert box["best_case"]["value"] is None  # a policy reaches `low`; none is known to be best
+    assert box["best_case"]["low"] > box["start_value"]
+
+
+@pytest.mark.parametrize("kind", ["interval", "l1", "kl", "box"])
+def test_a_radius_of_0_is_the_tables_as_they_are(kind: str) -> None:
+    words = (*ONE, "--set", "max_trial=2", "--set-kind", kind, "--radius", "0", "--json")
+    found = run("sensitivity", "yuan2025", "robust", *words).result
+    for case in ("worst_case", "best_case"):
+        held = found[case]["nominal_policy"]["value"]
+        assert held == pytest.approx(found["start_value"], abs=1e-6)
+
+
+def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
+    done = run("sensitivity", "gymnasium:FrozenLake-v1", "robust", "--discount", "1")
+    assert done.status == 2
+    assert "every policy to end" in done.err
+    found = run(
+        "sensitivity", "gymnasium:FrozenLake-v1", "robust", "--discount", "0.9", "--json"
+    ).result
+    assert found["worst_case"]["value"] < found["start_value"]
+
+
+# ---- derivatives, bars and thresholds -----------------------------------------------------------
+
+
+def test_command_gradient() -> None:
+    found = run("sensitivity", "yuan2025", "gradient", *SET, "--json").result
+    assert found["claim"] == "certified"
+    assert set(found["derivatives"]) == set(SMALL.names) | {"discount"}
+    assert found["derivatives"]["reward.task-complete"] == 1
+    assert found["exact_derivatives"]["reward.task-complete"] == "1"
+    assert found["steps"]["max_trial"]["one_more"] is not None
+    fixed = run("sensitivity", "yuan2025", "gradient", *SET, "--policy", "random", "--json").result
+    assert fixed["policy"] == "fixed"
+    assert fixed["start_value"] < found["start_value"]
+
+
+def test_command_tornado_and_threshold(tmp_path: Path) -> None:
+    file = tmp_path / "ranges.toml"
+    file.write_text('"reward.assist.non-directive" = [-10, 0]', "utf-8")
+    words = ("sensitivity", "yuan2025", "tornado", *SET, "--ranges", file)
+    found = run(*words, "--json").result
+    (bar,) = found["bars"]
+    assert (bar["low"], bar["high"]) == (-10, 0)
+    assert bar["value_low"] < found["start_value"] < bar["value_high"]
+    assert "reward.assist.non-directive" in run(*words).out
+    words = ("sensitivity", "yuan2025", "threshold", *SET, "--ranges", file)
+    found = run(*words, "--json").result
+    assert found["switches"]
+    for switch in found["switches"]:
+        assert switch["before"] != switch["after"]
+        assert Fraction(switch["high"]) - Fraction(switch["low"]) <= Fraction(1, 10**12)
+    stable = found["stable"]["reward.assist.non-directive"]
+    assert stable["low"] <= -3 <= stable["high"]
+    assert run(*words).status == 0
+
+
+# ---- psa ----------------------------------------------------------------------------------------
+
+
+def test_psa_prints_what_scripts_read() -> None:
+    words = ("sensitivity", "yuan2025", "psa", "--samples", "400", "--seed", "3", "--json")
+    found = run(*words).result
+    assert {"start_value", "acceptability", "evpi", "evppi", "p_optimal"} <= set(found)
+    assert found["draws"] == 400
+    assert found["seed"] == 3
+    assert found["claim"] == "estimated"
+    assert found["start_value"] == pytest.approx(solve(YUAN.compile()).start_value)
+    direct = psa(YUAN, 400, rng=3)
+    assert found["value"]["mean"] == pytest.approx(direct.optimal.mean())
+    assert found["evpi"] == pytest.approx(direct.evpi().high.value)
+    low, high = (found["evpi_bounds"][end]["value"] for end in ("low", "high"))
+    assert 0 <= low <= high == found["evpi"]
+    assert set(found["drawn"]) == set(direct.names)
+    assert set(found["p_optimal"]) == {f"{number:04b}" for number in range(16)}
+    assert found["acceptability"]["probability"][0] == pytest.approx((direct.regret() == 0).mean())
+    assert found["evppi"]["base.*"] >= 0
+    curve = found["expected_loss"]
+    assert curve["along"] == "effective_sample_size"
+    assert list(curve["policies"]) == [each["name"] for each in found["candidates"]]
+    told = curve["policies"]["optimum today"]
+    points = curve["points"]
+    alone = expected_loss(YUAN, {"today": "optimal"}, points, rng=3, n=curve["draws"])
+    assert told["loss"] == pytest.approx(alone.loss[:, 0].tolist())
+    assert told["low"][0] < told["loss"][0] < told["high"][0]
+    assert found["regret"]["few_draws"] == (found["regret"]["draws_that_carry_it"] < 50)
+    assert all(each["reliable"] != bool(each["doubts"]) for each in found["evppi_details"].values())
+    assert run(*words, "--n-jobs", "2").result == found
+
+
+def test_psa_holds_the_policy_that_is_named() -> None:
+    found = run(
+        "sensitivity", "yuan2025", "psa", "--samples", 300, "--policy", "always:directive", "--json"
+    ).result
+    assert found["policy"] == "always:directive"
+    assert found["regret"]["mean"] > 50
+    assert found["acceptability"]["probability"][0] == 0
+    told = run("sensitivity", "yuan2025", "psa", "--samples", 300).out
+    for words in ("EVPI", "share of draws", "expected loss", "every draw re-solved"):
+        assert words in told
+
+
+def test_psa_takes_any_model(tmp_path: Path) -> None:
+    file = tmp_path / "wager.npz"
+    rows = [(0, action, [(p, 1, 1), (1 - p, 2, 0)]) for action, p in enumerate(CHANCES)]
+    save(MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]), file)
+    found = run("sensitivity", file, "psa", "--samples", 24, "--n-jobs", 1, "--json").result
+    assert found["evpi"] > 0
+    assert set(found["evppi"]) == {"(state 0, 0)", "(state 0, 1)"}
+    assert found["clipped"] is None
+    assert found["expected_loss"]["draws"] == 2
+    row = tmp_path / "row.toml"
+    row.write_text('["(state 0, 0)"]\nfixed = true\n')
+    words = ("--samples", 20, "--n-jobs", 1, "--json", "--effective-sample-size", row)
+    held = run("sensitivity", file, "psa", *words).result
+    assert held["fixed"]["(state 0, 0): to state 1"] == "stated to be fixed"
+    assert len(held["drawn"]) == 1
+
+
+def test_psa_keeps_its_work(tmp_path: Path) -> None:
+    words = ("sensitivity", "yuan2025", "psa", "--samples", 60, "--out", tmp_path, "--json")
+    found = run(*words).result
+    assert run(*words).result == found
+    kept = json.loads((tmp_path / "psa.json").read_text())
+    assert kept["evpi"] == found["evpi"]
+    assert [path.name for path in tmp_path.glob("loss-*/points/*.npz")]
+
+
+def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "uncertain.toml"
+    file.write_text('["base.angre"]\neffective_sample_size = 10\n')
+    done = run("sensitivity", "yuan2025", "psa", "--effective-sample-size", file)
+    assert done.status == 2
+    assert "did you mean base.anger" in done.err
+    assert "uncertain.toml" in done.err
+
+
+# ---- what is refused ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (("gradients",), "gradients"),
+        (("gradient", "--parameter", "base.angre"), "unknown parameter"),
+        (("tornado", "--range", "base.anger=0.1"), "not a range"),
+        (("tornado", "--range", "base.anger=0.3:0.1"), "empty"),
+        (("tornado", "--range", "base.anger=0:1.5"), "outside"),
+        (("tornado", "--range", "base.angre=0:1"), "unknown parameter"),
+        (("tornado", "--relative", "0"), "share"),
+        (("threshold", "--parameter", "base.angre"), "unknown parameter"),
+        (("threshold", "--range", "base.anger=0.5:0.25"), "empty"),
+        (("threshold", "--range", "base.anger=0.25:0.25"), "empty"),
+        (("threshold", "--range", "base.anger=0:2"), "outside"),
+        (("threshold", "--relative", "0.1", "--whole"), "both"),
+        (("threshold", "--policy", "random"), "optimal policy"),
+        (("threshold", "--ranges", "nowhere.toml"), "nowhere.toml"),
+        (("sobol", "--samples", "0"), "'0' is not a whole number from 2"),
+        (("sobol", "--samples", "1"), "'1' is not a whole number from 2"),
+        (("sobol", "--samples", "1000"), "not a power of 2"),
+        (("sobol", "--samples", "many"), "'many' is not a whole number"),
+        (("sobol", "--seed", "-1"), "--seed"),
+        (("sobol", "--n-jobs", "0"), "--n-jobs"),
+        (("sobol", "--parameter", "base.angre"), "did you mean base.anger?"),
+        (("sobol", "--parameter", "assistance.supportive.anger.onset"), "is no range"),
+        (("sobol", "--range", "base.anger=0.2:1.2"), "outside [0, 1]"),
+        (("sobol", "--range", "base.anger"), "is not a range"),
+        (("sobol", "--policy", "always:nothing"), "nothing"),
+        (("sobol", "--out", " "), "--out is empty"),
+        ((*LITTLE, "--scheduler", "tcp://127.0.0.1:1"), "no scheduler answers"),
+        (("morris", "--samples", "0"), "'0' is not a whole number from 2"),
+        (("morris", "--range", "base.anger=0.2:0.1"), "empty"),
+        (("morris", "--range", "base.anger=0.2:0.2"), "empty"),
+        (("structural", "--relative", "0.1"), "it changes readings, which have no ranges"),
+        (("structural", "--parameter", "base.anger"), "it changes readings, which have no ranges"),
+        (("structural", "--policy", "missing.json"), "missing.json"),
+        (("psa", "--samples", "0"), "--samples"),
+        (("psa", "--samples", "-3"), "--samples"),
+        (("psa", "--effective-sample-size", "0"), "effective sample size 0"),
+        (("psa", "--effective-sample-size", "-1"), "effective sample size -1"),
+        (("psa", "--effective-sample-size", "many"), "not a number"),
+        (("psa", "--effective-sample-size", "none.toml"), "none.toml"),
+        (("psa", "--parameter", "base.angre"), "did you mean base.anger"),
+        (("psa", "--range", "base.anger=0:1"), "not ranges"),
+        (("psa", "--relative", "0.2"), "not ranges"),
+        (("psa", "--seed", "x"), "--seed"),
+        (("psa", "--policy", "always:nothing"), "nothing"),
+        (("robust", "--radius", "abc"), "where: --radius"),
+        (("robust", "--radius", "-1"), "where: --radius"),
+        (("robust", "--set-kind", "box", "--radius", "abc"), "where: --radius"),
+        (("robust", "--set-kind", "box", "--radius", "-1"), "where: --radius"),
+        (("robust", "--set-kind", "l1", "--radius", "2.1"), "no two laws are more than 2 apart"),
+        (("robust", "--set-kind", "l1", "--radius", "2.1"), "where: --radius"),
+        (("robust", "--set-kind", "ball"), "--set-kind"),
+        (("robust", "--set-kind", "box", "--parameter", "base.angr"), "base.angr"),
+        (("robust", "--set-kind", "kl", "--range", "base.anger=0:1"), "--range"),
+        (("robust", "--set-kind", "box", "--range", "base.anger=1:0"), "empty"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_reason(
+    words: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("exact_mdp.solvers.parallel.cluster.ANSWER_WITHIN", 0.5)
+    done = run("sensitivity", "yuan2025", *words, *SET)
+    assert (done.status, done.out) == (2, "")
+    assert message in done.err
+    assert "fix:" in done.err

@@ -1,0 +1,285 @@
+"""The audit of a policy: its regret and the price of each state, against rational arithmetic."""
+
+from fractions import Fraction as F
+
+import numpy as np
+import pytest
+from cases import CASES, Case
+from cases.reference import evaluate_exact, solve_exact
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import ACTIONS, acting, oracle_of
+from strategies import Rows, model_of, models
+
+from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.solvers import Bounded, Certified, Claim, certify
+
+# Failed trials cost nothing and assistance much: what is best changes with the trial.
+
+
+CARE = Scenario.load("yuan2025")
+SMALL = CARE.with_(tasks=[2], max_trial=2, readings={"influence_orientation": "column-to-row"})
+
+
+def reference(rows: Rows, policy: dict[int, int]) -> tuple[list[F], list[F], list[set[int]]]:
+    """Return optimal values, those of a policy, and the sets of optimal actions."""
+    best, optimal = solve_exact(rows.n_states, rows.pairs, rows.discount)
+    return best, evaluate_exact(rows.n_states, rows.pairs, rows.discount, policy), optimal
+
+
+def absorbing(rows: Rows) -> set[int]:
+    return {
+        s
+        for s in range(rows.n_states)
+        if all(r == 0 and set(row) == {s} for t, _, r, row in rows.pairs if t == s)
+    }
+
+
+def offered(rows: Rows) -> dict[int, list[int]]:
+    return {s: [a for t, a, *_ in rows.pairs if t == s] for s in range(rows.n_states)}
+
+
+@st.composite
+def policies(draw: st.DrawFn, **wanted: object) -> tuple[Rows, dict[int, int]]:
+    rows = draw(models(**wanted))
+    return rows, {s: draw(st.sampled_from(actions)) for s, actions in offered(rows).items()}
+
+
+def choices(rows: Rows, policy: dict[int, int]) -> list[int]:
+    return [policy[s] for s in range(rows.n_states)]
+
+
+# ---- regret against rational arithmetic ------------------------------------------------------
+
+
+@settings(max_examples=40)
+@given(policies())
+def test_every_exact_number_is_the_reference_s(drawn: tuple[Rows, dict[int, int]]) -> None:
+    rows, policy = drawn
+    mdp = rows.model()
+    best, own, optimal = reference(rows, policy)
+    audit = check(mdp, choices(rows, policy))
+    assert audit.claim is Claim.CERTIFIED
+    assert audit.regret.optimal == Certified(value=best[0])
+    assert audit.regret.learned == Certified(value=own[0])
+    assert audit.regret.at_start == Certified(value=best[0] - own[0])
+    assert audit.regret.by_state.tolist() == [float(a - b) for a, b in zip(best, own, strict=True)]
+    assert audit.passed == (best[0] == own[0])
+    for pair in range(mdp.n_pairs):
+        taken = int(mdp.pair_action[pair]) in optimal[int(mdp.pair_state[pair])]
+        assert audit.regret.optimal_pairs[pair] == taken
+    ends = absorbing(rows)
+    choosing = {s for s, actions in offered(rows).items() if len(actions) > 1} - ends
+    wrong = {s for s in choosing if policy[s] not in optimal[s]}
+    assert {each.state for each in audit.disagreements} == wrong
+    assert audit.agreement == (1 - len(wrong) / len(choosing) if choosing else 1)
+
+
+@settings(max_examples=40)
+@given(policies(discounts=(F(0), F(1, 2), F(9, 10), F(1))))
+def test_each_state_s_price_is_that_of_changing_it_alone(
+    drawn: tuple[Rows, dict[int, int]],
+) -> None:
+    rows, policy = drawn
+    mdp = rows.model()
+    best, own, optimal = reference(rows, policy)
+    audit = check(mdp, choices(rows, policy))
+    scale = float(max(1, *map(abs, best), *map(abs, own)))
+    total = sum(each.cost for each in audit.disagreements)
+    assert total == pytest.approx(float(best[0] - own[0]), abs=1e-9 * scale)
+    first = {s: min(actions) for s, actions in enumerate(optimal)}
+    values = dict(enumerate(best))
+    for each in audit.disagreements:
+        s = each.state
+        _, _, reward, row = next(pair for pair in rows.pairs if pair[:2] == (s, policy[s]))
+        q = reward + rows.discount * sum(p * values[t] for t, p in row.items())
+        assert each.gap == pytest.approx(float(best[s] - q), abs=1e-9 * scale)
+        corrected = evaluate_exact(rows.n_states, rows.pairs, rows.discount, policy | {s: first[s]})
+        gain = float(corrected[0] - own[0])
+        assert each.gain_if_corrected == pytest.approx(gain, abs=1e-8 * scale)
+        spoiled = evaluate_exact(rows.n_states, rows.pairs, rows.discount, first | {s: policy[s]})
+        loss = float(best[0] - spoiled[0])
+        assert each.loss_if_alone == pytest.approx(loss, abs=1e-8 * scale)
+    costs = [each.cost for each in audit.disagreements]
+    assert costs == sorted(costs, reverse=True)
+
+
+@settings(max_examples=40)
+@given(policies(discounts=(F(1, 2), F(9, 10), F(1))), st.booleans())
+def test_bounds_hold_the_exact_regret(
+    drawn: tuple[Rows, dict[int, int]], optimal_one: bool
+) -> None:
+    rows, policy = drawn
+    if optimal_one:
+        best = solve_exact(rows.n_states, rows.pairs, rows.discount)[1]
+        policy = {s: max(actions) for s, actions in enumerate(best)}
+    best, own, _ = reference(rows, policy)
+    audit = check(rows.model(), choices(rows, policy), exact_values=False)
+    if audit.claim is Claim.CERTIFIED:  # the bounds prove that the policy is optimal
+        assert audit.regret.at_start == Certified(value=F(0))
+    for found, truth in (
+        (audit.regret.optimal, best[0]),
+        (audit.regret.learned, own[0]),
+        (audit.regret.at_start, best[0] - own[0]),
+    ):
+        assert F(found.interval[0]) <= truth <= F(found.interval[1])
+    scale = float(max(1, *map(abs, best), *map(abs, own)))
+    if isinstance(audit.regret.at_start, Bounded):
+        assert audit.regret.at_start.error <= 1e-11 * scale
+    if audit.passed:
+        assert best[0] == own[0]
+    if best[0] == own[0]:  # ties that the bounds cannot tell are left to rational arithmetic
+        assert check(rows.model(), choices(rows, policy)).passed
+    assert audit.regret.by_state == pytest.approx(
+        [float(a - b) for a, b in zip(best, own, strict=True)], abs=1e-9 * scale
+    )
+
+
+@settings(max_examples=30)
+@given(models(discounts=(F(1, 2), F(9, 10), F(1))))
+def test_a_mixed_policy_is_certified_and_bounded(rows: Rows) -> None:
+    mdp = rows.model()
+    best = solve_exact(rows.n_states, rows.pairs, rows.discount)[0]
+    mixed = []  # choosing among a state's actions at random, as one action
+    for s, actions in offered(rows).items():
+        share = F(1, len(actions))
+        own = [pair for pair in rows.pairs if pair[0] == s]
+        row: dict[int, F] = {}
+        for _, _, _, following in own:
+            for t, p in following.items():
+                row[t] = row.get(t, F(0)) + share * p
+        mixed.append((s, 0, share * sum(r for _, _, r, _ in own), row))
+    value = evaluate_exact(rows.n_states, mixed, rows.discount, dict.fromkeys(range(len(mixed)), 0))
+    audit = check(mdp, "random")
+    assert audit.regret.learned == Certified(value=value[0])
+    assert audit.regret.at_start == Certified(value=best[0] - value[0])
+    assert audit.passed == (best[0] == value[0])
+    low, high = check(mdp, "random", exact_values=False).regret.at_start.interval
+    assert F(low) <= best[0] - value[0] <= F(high)
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case.proper and case.n_states <= 200])
+def test_published_policies_pass_and_wrong_ones_do_not(case: Case) -> None:
+    mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
+    best, optimal = solve_exact(case.n_states, case.pairs, case.discount)
+    audit = check(mdp, [min(actions) for actions in optimal])
+    assert (audit.passed, audit.agreement, audit.disagreements) == (True, 1.0, ())
+    assert check(mdp, [max(actions) for actions in optimal]).passed
+    if len(case.wrong_policy) == case.n_states:
+        wrong = [case.wrong_policy[s] for s in range(case.n_states)]
+        own = evaluate_exact(case.n_states, case.pairs, case.discount, case.wrong_policy)
+        found = check(mdp, wrong)
+        assert float(found.regret.at_start.value) == pytest.approx(
+            float(best[case.start] - own[case.start]), abs=1e-9
+        )
+        assert found.passed == (best[case.start] == own[case.start])
+        for s, value in case.wrong_values.items():
+            assert found.regret.learned_value[s] == pytest.approx(
+                float(value), abs=max(1e-11, case.tolerance)
+            )
+
+
+def test_the_forest_policy_of_a_learner_s_test_is_rejected() -> None:
+    """Its test takes (0, 1, 1) for right, and believes it to be worth 11.2 in the first state."""
+    wait, cut = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]], [[1, 0, 0]] * 3
+    forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount="24/25")
+    q = np.array([[11.19899, 10.34652], [10.74229, 11.74105], [2.86981, 12.25978]])
+    audit = check(forest, q)
+    assert not audit.passed
+    assert audit.regret.learned == Certified(value=F(10800, 932))
+    assert audit.regret.optimal == Certified(value=F(746496, 10_000))
+    assert [each.state for each in audit.disagreements] == [1, 2]
+    assert audit.q_error is not None
+    assert audit.q_error.promised == 11.19899
+    with pytest.raises(AssertionError, match=r"\(state 1\): 1, not 0"):
+        assert_policy_optimal(forest, q)
+
+
+# ---- the care model --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_q_table_over_the_statuses_against_the_oracle(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    readings = [{}, {"skip_timestep": "own"}, {"task_bonus": "no-subtask-skipped"}, {}][seed]
+    scenario = SMALL.with_(readings=readings, discount=["1", "19/20"][seed % 2])
+    oracle, mdp = oracle_of(scenario), scenario.compile()
+    q = rng.normal(size=(16, 4))
+
+    greedy = acting({format(s, "04b"): ACTIONS[int(q[s].argmax())] for s in range(16)})
+    own = oracle.evaluate(greedy, distribution=False)["mean"]
+    audit = check(mdp, q)
+    assert audit.regret.at_start == Certified(value=oracle.value(oracle.start) - own)
+    assert audit.policy.columns == ("status",)
+    why = audit.representation
+    assert why is not None
+    assert isinstance(why.loss, Certified)
+    assert isinstance(why.learning_error, Certified)
+    assert why.loss.value + why.learning_error.value == audit.regret.at_start.value
+    assert why.learning_error.value >= 0
+    assert why.best.proven
+
+
+def test_q_errors_by_hand() -> None:
+    mdp = SMALL.compile()
+    exact = certify(mdp)
+    q = np.zeros((mdp.n_states, mdp.n_actions))
+    q[mdp.pair_state, mdp.pair_action] = mdp.backup(exact.value_float)
+    right = check(mdp, q)
+    assert right.passed
+    assert right.q_error is not None
+    assert right.q_error.largest < 1e-12
+    assert right.q_error.promised == pytest.approx(float(exact.start_value), abs=1e-12)
+    state = mdp.space.index(subtask=1, trial=1, status=6)
+    q[state, 2] += 7.5
+    found = check(mdp, q).q_error
+    assert found is not None
+    assert found.largest == pytest.approx(7.5)
+    assert found.where == mdp.where(mdp.pair(state, 2))
+    pairs = 4 * int((reachable(mdp) & ~mdp.forced).sum())
+    assert found.mean == pytest.approx(7.5 / pairs)
+    assert found.root_mean_square == pytest.approx(7.5 / np.sqrt(pairs))
+    assert check(mdp, "random").q_error is None
+
+
+def test_a_wrong_state_that_is_never_visited_does_no_harm() -> None:
+    rows = [
+        (0, 0, [(1, 1, 0)]),
+        (0, 1, [(1, 2, -5)]),  # nobody who is wise goes to state 2
+        (1, 0, [(1, 3, 3)]),
+        (1, 1, [(1, 3, 3)]),
+        (2, 0, [(1, 3, 1)]),
+        (2, 1, [(1, 3, -100)]),
+        (3, 0, [(1, 3, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    harmless = check(mdp, [0, 1, 1, 0])
+    assert harmless.passed
+    (wrong,) = harmless.disagreements
+    assert (wrong.state, wrong.gap, wrong.expected_visits, wrong.cost) == (2, 101.0, 0.0, 0.0)
+    assert (wrong.gain_if_corrected, wrong.loss_if_alone) == (0.0, 0.0)
+    assert harmless.agreement == pytest.approx(2 / 3)  # the tie in state 1 counts as agreement
+    assert harmless.agreement_by_visits == 1.0
+    assert harmless.regret.by_state.tolist() == [0, 0, 101, 0]
+    costly = check(mdp, [1, 0, 1, 0])
+    assert not costly.passed
+    assert [each.state for each in costly.disagreements] == [2, 0]
+    assert [each.cost for each in costly.disagreements] == [101.0, 7.0]
+
+
+def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
+    """A table may rule actions out by -inf, which says nothing of their values."""
+    step = [[0, 1, 0], [0, 0, 1], [0, 0, 1]]
+    mdp = MDP.from_arrays([step] * 3, [[1, 3, 2], [0, 1, 4], [0, 0, 0]])
+    table = np.array([[2.0, -np.inf, 6.5], [-np.inf, 0.5, 3.5], [0, 0, 0]])
+    found = check(mdp, table, kind="q").q_error
+    assert found is not None
+    # Q* is 5, 7, 6 in the first state and 0, 1, 4 in the second.
+    errors = np.array([2 - 5, 6.5 - 6, 0.5 - 1, 3.5 - 4])
+    assert (found.largest, found.where) == (3.0, mdp.where(0))
+    assert found.mean == pytest.approx(errors.mean())
+    assert found.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
+    assert found.promised == 6.5
+    assert found.visited == pytest.approx(0.5)

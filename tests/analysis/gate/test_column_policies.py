@@ -1,0 +1,214 @@
+"""The best policy that reads some columns only: proven by enumeration and by relaxations."""
+
+from __future__ import annotations
+
+from fractions import Fraction as F
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from exact_mdp.analysis import best_policy, check, value_of_memory
+from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
+from exact_mdp.analysis.gate.relaxation import Rows as TableRows
+from exact_mdp.mdp import MDP, Column, ModelError, Policy, Scenario
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.solvers import certify, evaluate
+
+CARE = Scenario.load("yuan2025")
+
+
+SMALL = CARE.with_(tasks=[2], max_trial=2, readings={"influence_orientation": "column-to-row"})
+
+
+TEMPTING = CARE.with_(
+    tasks=[2],
+    max_trial=3,
+    parameters={"reward.assist.directive": -30, "reward.trial": 0, "reward.timestep": 0},
+)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> MDP:
+    """A model of a few steps or of a cycle, whose states have a row and something else."""
+    times, rows, actions = draw(st.tuples(*[st.integers(1, 3)] * 2, st.integers(2, 3)))
+    cyclic = draw(st.booleans())
+    end = times * rows
+    outcomes = []
+    for s in range(end):
+        later = range((s // rows + 1) * rows, min(end, (s // rows + 2) * rows))
+        targets = [*range(end), end] if cyclic else [*later] or [end]
+        for a in range(actions):
+            weights = draw(
+                st.lists(st.integers(0, 3), min_size=len(targets), max_size=len(targets))
+            )
+            weights[-1] += 1
+            reward = draw(st.integers(-4, 4))
+            outcomes.append(
+                (
+                    s,
+                    a,
+                    [
+                        (F(w, sum(weights)), t, reward)
+                        for t, w in zip(targets, weights, strict=True)
+                        if w
+                    ],
+                )
+            )
+    outcomes.append((end, 0, [(F(1), end, 0)]))
+    columns = (Column(name="time", size=times), Column(name="row", size=rows))
+    space = StateSpace(columns=columns, extra=("end",))
+    discount = F(9, 10) if cyclic else draw(st.sampled_from([F(1), F(1, 2)]))
+    return MDP.from_outcomes(outcomes, discount).with_(space=space)
+
+
+def every_policy(mdp: MDP, columns: tuple[str, ...]) -> list[float]:
+    rows = TableRows.of(mdp, columns)
+    return [
+        evaluate(mdp, rows.policy(np.array(choice))).mean
+        for choice in product(
+            range(mdp.n_actions), repeat=int((rows.available.sum(axis=1) > 0).sum())
+        )
+    ]
+
+
+@settings(max_examples=25)
+@given(tables())
+def test_the_best_policy_is_the_best_of_all(mdp: MDP) -> None:
+    for columns in ((), ("row",)):
+        values = every_policy(mdp, columns)
+        best = best_policy(mdp, columns)
+        assert best.proven
+        assert best.value.value == pytest.approx(max(values), abs=1e-9)
+        assert best.value.error < 1e-9
+        assert max(values) <= best.upper_bound + 1e-12 <= best.value.value + 1e-8
+        assert evaluate(mdp, best.policy).mean == pytest.approx(best.value.value, abs=1e-9)
+        assert best.policy.columns == columns
+        cut = best_policy(mdp, columns, node_limit=1)
+        assert cut.upper_bound >= max(values) - 1e-12
+        assert cut.value.value <= max(values) + 1e-9
+        assert cut.proven == (cut.upper_bound - cut.value.value < 1e-8)
+    found = value_of_memory(mdp, ("row",))
+    assert [each.columns for each in found] == [("row",), ("time", "row")]
+    exact = float(certify(mdp).start_value)
+    assert found[1].value.value == pytest.approx(exact, abs=1e-9)
+    assert best.mixed_upper_bound == pytest.approx(exact, abs=1e-9)
+
+
+@settings(max_examples=30)
+@given(tables(), st.integers(0, 2**32))
+def test_no_policy_that_a_relaxation_allows_is_worth_more(mdp: MDP, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    rows = TableRows.of(mdp, ("row",))
+    allowed = random.random((8, *rows.available.shape)) < 0.6
+    allowed |= one_hot(random.integers(mdp.n_actions, size=allowed.shape[:2]), mdp.n_actions)
+    found = Relaxations(rows).expand(allowed)
+    assert found.kept.tolist() == list(range(8))
+    for n in range(8):
+        mixed = random.random(rows.available.shape) * allowed[n]
+        policy = Policy.by(mdp, ("row",), mixed / mixed.sum(axis=1, keepdims=True))
+        worth = evaluate(mdp, policy)
+        assert worth.mean - worth.start.error <= found.upper[n]
+        own = evaluate(mdp, rows.policy(found.choice[n])).mean
+        assert own == pytest.approx(found.value[n], abs=1e-9)
+        assert allowed[n][np.arange(allowed.shape[1]), found.choice[n]].all()
+        assert found.loss[n].sum() == pytest.approx(found.upper[n] - own, abs=1e-8)
+    values, errors = Relaxations(rows).evaluate(found.choice)
+    for value, error, choice in zip(values, errors, found.choice, strict=True):
+        truth = evaluate(mdp, rows.policy(choice))
+        assert abs(truth.mean - value) <= error + truth.start.error
+
+
+def test_what_a_status_policy_cannot_express() -> None:
+    mdp = TEMPTING.compile()
+    best, *others = value_of_memory(mdp)
+    optimal = float(certify(mdp).start_value)
+    assert best.columns == ("status",)
+    assert best.proven
+    assert optimal - best.value.value > 0.005  # what is best changes with the trial
+    assert [each.columns for each in others] == [
+        ("subtask", "status"),
+        ("trial", "status"),
+        ("subtask", "trial", "status"),
+    ]
+    for each in others:
+        assert each.proven
+        assert best.value.value - 1e-9 <= each.value.value <= optimal + 1e-9
+    assert others[-1].value.value == pytest.approx(optimal, abs=1e-9)
+    audit = check(mdp, best.policy)
+    why = audit.representation
+    assert why is not None
+    assert not audit.passed
+    assert float(why.learning_error.value) == 0
+    assert why.rows == ()
+    assert why.loss == audit.regret.at_start
+    assert [each.columns for each in why.memory] == [each.columns for each in (best, *others)]
+    assert check(mdp, others[-1].policy).representation is None
+
+
+def test_rows_of_a_policy_that_gain_by_a_change() -> None:
+    mdp = SMALL.compile()
+    audit = check(mdp, np.random.default_rng(2).normal(size=(16, 4)))
+    assert audit.representation is not None
+    changes = audit.representation.rows
+    assert len(changes) > 3
+    assert [each.gain for each in changes] == sorted((e.gain for e in changes), reverse=True)
+    own = {format(s, "04b"): mdp.actions[int(a)]
+           for s, a in enumerate(audit.policy.table.argmax(axis=1))}  # fmt: skip
+    for each in changes:
+        label = each.row.removeprefix("status ")
+        assert own[label] == each.learned
+        better = check(mdp, own | {label: each.best})
+        gain = audit.regret.at_start.value - better.regret.at_start.value
+        assert each.gain == pytest.approx(float(gain), abs=1e-9)
+
+
+def test_a_start_policy_is_never_lost() -> None:
+    mdp = TEMPTING.compile()
+    good = best_policy(mdp).policy
+    cut = best_policy(mdp, start=good, node_limit=1)
+    assert cut.value.value == pytest.approx(best_policy(mdp).value.value, abs=1e-9)
+
+
+def test_rows_that_share_no_action_are_refused() -> None:
+    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 2, [(1, 2, 0)]), (1, 3, [(1, 2, 0)]),
+            (2, 0, [(1, 2, 0)])]  # fmt: skip
+    space = StateSpace(
+        columns=(Column(name="time", size=2), Column(name="row", size=1)), extra=("end",)
+    )
+    mdp = MDP.from_outcomes(rows).with_(space=space)
+    with pytest.raises(ModelError, match="no action is available in all"):
+        best_policy(mdp, ("row",))
+    assert best_policy(mdp, ("time", "row")).proven
+    with pytest.raises(ModelError, match="unknown state column"):
+        best_policy(mdp, ("rows",))
+    with pytest.raises(ModelError, match="node_limit"):
+        best_policy(mdp, ("time",), node_limit=0)
+
+
+STEPS = 5
+
+
+REWARDS = [[0, -5, 0], [3, 2, 12], [-1, 0, -10], [-12, -5, -10]]
+
+
+TARGETS = [[3, 0, 3], [2, 2, 3], [1, 1, 1], [1, 2, 2]]
+
+
+@pytest.mark.parametrize("unit", [F(1), F(1, 10**15), F(1, 10**100)])
+def test_the_best_policy_of_small_rewards_is_the_best(unit: F) -> None:
+    """A search that stops at 1e-13 has proven nothing about rewards of 1e-15."""
+    rows = [(s, a, [(1, TARGETS[s][a], REWARDS[s][a] * unit)]) for s in range(4) for a in range(3)]
+    worth = []
+    for choice in product(range(3), repeat=4):
+        state, total = 0, F(0)
+        for _ in range(STEPS):
+            total += REWARDS[state][choice[state]] * unit
+            state = TARGETS[state][choice[state]]
+        worth.append(total)
+    best = best_policy(MDP.from_outcomes(rows).within(STEPS), ("state",))
+    assert best.proven
+    assert best.value.value == pytest.approx(float(max(worth)), rel=1e-9, abs=0)
+    assert best.upper_bound >= float(max(worth)) * (1 - 1e-12)

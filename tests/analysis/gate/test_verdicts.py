@@ -1,0 +1,533 @@
+"""What passes: zero means zero, limits are exact, unknowns never pass, and exact visits decide."""
+
+from dataclasses import replace
+from fractions import Fraction as F
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import Rows, models
+
+from exact_mdp.analysis import Audit, assert_policy_optimal, check
+from exact_mdp.analysis.gate.exact_policy import exact_visits
+from exact_mdp.analysis.gate.forgiveness import of_floats
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.io.load import save_model
+from exact_mdp.solvers import Bounded, Certified, Claim
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
+
+Row = tuple[int, int, list[tuple[Any, int, Any]]]
+
+
+def choice(first: Any, second: Any, *more: Row, discount: Any = 1) -> MDP:
+    """Return a model with a choice between two rewards in state 0, then the end in state 1."""
+    rows: list[Row] = [(0, 0, [(1, 1, first)]), (0, 1, [(1, 1, second)]), (1, 0, [(1, 1, 0)])]
+    return MDP.from_outcomes([*rows, *more], discount)
+
+
+def detour(short: Any, first: Any, second: Any) -> MDP:
+    """Return a choice between one reward and two in a row."""
+    rows = [(0, 0, [(1, 2, short)]), (0, 1, [(1, 1, first)]), (1, 0, [(1, 2, second)])]
+    return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+
+
+def ulp(number: float) -> F:
+    return F(float(np.spacing(abs(number)))) / 2
+
+
+# ---- the regret at the start -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("far", [1e13, 1e300, 10**13])
+@pytest.mark.parametrize("five", [5, 5.0, 0.1])
+def test_a_start_that_gives_up_five_fails_whatever_an_unreachable_state_is_worth(
+    far: Any, five: Any
+) -> None:
+    """The values of states that cannot be reached have no say."""
+    mdp = choice(five, five * 0, (2, 0, [(1, 1, far)]), (2, 1, [(1, 1, 0)]))
+    for exact_values in (None, True, False):
+        assert not check(mdp, [1, 0, 0], exact_values=exact_values).passed
+    audit = check(mdp, [1, 0, 0])
+    assert audit.regret.at_start.value == F(five)
+    assert audit.forgiven <= F(five) / 2**52
+    assert [each.state for each in audit.disagreements] == [0]
+    assert audit.disagreements[0].gap == five
+    assert check(mdp, [0, 0, 0]).passed
+    assert check(mdp, [0, 0, 1]).passed
+    with pytest.raises(AssertionError):
+        assert_policy_optimal(mdp, [1, 0, 0])
+
+
+@pytest.mark.parametrize("gain", [1e-13, 1e-300, F(1, 10**13), F(1, 10**300)])
+def test_small_rewards_are_rewards(gain: Any) -> None:
+    """A policy that gives up a certified 1e-13 does not pass, nor does it agree."""
+    audit = check(choice(gain, gain * 0), [1, 0])
+    assert (audit.passed, audit.agreement, audit.claim) == (False, 0.0, Claim.CERTIFIED)
+    assert audit.regret.at_start.value == F(gain)
+    assert audit.disagreements[0].gap == float(gain)
+    with pytest.raises(AssertionError, match="the regret is zero"):
+        assert_policy_optimal(choice(gain, gain * 0), [1, 0])
+    assert check(choice(gain, gain * 0), [0, 0]).passed
+
+
+def test_sums_of_floats_tie_and_more_than_rounding_does_not() -> None:
+    """0.1 + 0.2 in two steps ties with 0.3, on either side; 0.3 and 0.3 + 1e-15 differ."""
+    mdp = detour(0.3, 0.1, 0.2)
+    for action in (0, 1):
+        audit = check(mdp, [action, 0, 0])
+        assert (audit.passed, audit.agreement, audit.disagreements) == (True, 1.0, ())
+    assert F(0.1) + F(0.2) > F(0.3)
+    lost, forgiven = F(0.1) + F(0.2) - F(0.3), ulp(0.1) + ulp(0.2) + ulp(0.3)
+    audit = check(mdp, [0, 0, 0])
+    assert audit.regret.at_start.value == lost
+    assert forgiven * (1 - F(1, 10**5)) <= audit.forgiven <= forgiven
+    assert "up to the rounding of the given floats" in audit.message()
+    assert "4.8e-17" in audit.message()
+    assert not check(mdp, [0, 0, 0], max_regret=0).passed  # a limit of 0 forgives nothing
+    assert check(mdp, [1, 0, 0], max_regret=0).passed
+    other = choice(0.3, 0.3 + 1e-15)
+    failed = check(other, [0, 0])
+    assert (failed.passed, failed.agreement) == (False, 0.0)
+    # The same numbers, given exactly, know no rounding at all.
+    precise = detour(F(0.3), F(0.1), F(0.2))
+    audit = check(precise, [0, 0, 0])
+    assert (audit.passed, audit.forgiven, of_floats(precise)) == (False, 0, False)
+    assert audit.verdicts[0].name == "the regret is zero"
+
+
+def test_what_is_forgiven_is_compared_exactly() -> None:
+    """Neighbouring floats may both be the number between them: exactly what is forgiven."""
+    above = float(np.nextafter(0.3, 1))
+    assert F(above) - F(0.3) == ulp(0.3) + ulp(above)
+    audit = check(choice(0.3, above), [0, 0])
+    assert audit.passed
+    assert audit.forgiven == ulp(0.3) + ulp(above)
+    assert audit.disagreements == ()
+    two = float(np.nextafter(above, 1))
+    assert not check(choice(0.3, two), [0, 0]).passed
+    assert len(check(choice(0.3, two), [0, 0]).disagreements) == 1
+
+
+def test_rounded_rows_forgive_by_the_span_of_what_they_reach() -> None:
+    """γ times the rounding of a row times the span of the values that this row can reach."""
+    high = 1000
+    rows = [
+        (0, 0, [(0.1, 1, 0), (0.9, 2, 0)]),
+        (0, 1, [(1, 2, F(0.1) * high - F(1, 10**14))]),
+        (1, 0, [(1, 3, high)]),
+        (2, 0, [(1, 3, 0)]),
+        (3, 0, [(1, 3, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    moved = F(1, 2) * (ulp(0.1) + ulp(0.9)) * high
+    audit = check(mdp, [0, 0, 0, 0])
+    assert moved * (1 - F(1, 10**5)) <= audit.forgiven
+    assert audit.forgiven <= F(1, 2) * (ulp(0.1) + ulp(0.9) + ulp(1.0)) * high
+
+
+def test_long_horizons_forgive_by_visits() -> None:
+    """At discount 0.999999 a million visits forgive a million roundings, and not more."""
+    rows = [(0, 0, [(1, 0, 0.1)]), (0, 1, [(1, 0, float(np.nextafter(0.1, 1)))])]
+    mdp = MDP.from_outcomes(rows, F(999999, 1000000))
+    audit = check(mdp, [0])
+    wanted = 10**6 * (ulp(0.1) + ulp(float(np.nextafter(0.1, 1))))
+    assert audit.regret.at_start.value == wanted
+    assert audit.passed
+    assert audit.forgiven == wanted
+    worse = MDP.from_outcomes(
+        [(0, 0, [(1, 0, 0.1)]), (0, 1, [(1, 0, 0.1 + 1e-15)])], F(999999, 1000000)
+    )
+    assert not check(worse, [0]).passed
+
+
+def test_large_values_hide_no_disagreement_and_invent_none() -> None:
+    """Around 1e13 doubles cannot tell gaps of 1e-3: these are worked out exactly."""
+    rows = [
+        (0, 0, [(1, 1, 10**13)]),
+        (0, 1, [(1, 1, 10**13 - F(1, 1000))]),
+        (0, 2, [(1, 1, 10**13)]),
+        (1, 0, [(1, 2, 10**13)]),
+        (1, 1, [(1, 2, 10**13 - F(1, 10**9))]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    audit = check(mdp, [1, 1, 0])
+    assert [each.gap for each in audit.disagreements] == [1e-3, 1e-9]
+    assert [each.cost for each in audit.disagreements] == [1e-3, 1e-9]
+    assert check(mdp, [2, 0, 0]).disagreements == ()
+    assert not audit.passed
+
+
+# ---- against every policy of small models ------------------------------------------------------
+
+NUMBERS = st.sampled_from(
+    [0.1, 0.2, 0.3, 0.1 + 0.2, float(np.nextafter(0.3, 1)), 1e-13, 1.0, 0, 1, F(3, 10), F(1, 3)]
+)
+CHANCES = st.sampled_from([[0.1, 0.9], [0.5, 0.5], [F(1, 3), F(2, 3)], [0.3, 0.7], [1]])
+
+
+@st.composite
+def small(draw: st.DrawFn) -> MDP:
+    """Draw a model of one to three states and the end, of floats, of exact numbers, or of both."""
+    states, rows = draw(st.integers(1, 3)), list[Row]()
+    discount = draw(st.sampled_from([F(1, 2), F(9, 10), F(1)]))
+    for s in range(states):
+        for a in range(draw(st.integers(1, 2))):
+            chances = draw(CHANCES)
+            least = s + 1 if discount == 1 else 0
+            targets = [draw(st.integers(least, states)) for _ in chances]
+            if len(set(targets)) < len(targets):
+                chances, targets = [1], targets[:1]
+            reward = draw(NUMBERS)
+            rows.append((s, a, [(p, t, reward) for p, t in zip(chances, targets, strict=True)]))
+    return MDP.from_outcomes([*rows, (states, 0, [(1, states, 0)])], discount)
+
+
+def solved(mdp: MDP, pairs: list[int], earned: list[F]) -> list[F]:
+    """Return x = earned + γ P x of some pairs, by elimination in fractions."""
+    n = mdp.n_states
+    matrix = [[F(int(i == j)) for j in range(n)] + [earned[i]] for i in range(n)]
+    for s, pair in enumerate(pairs):
+        if not mdp.terminal[s]:
+            for p, t, _ in mdp.table.row(pair):
+                matrix[s][t] -= mdp.discount_exact * p
+        else:
+            matrix[s][n] = F(0)
+    for i in range(n):
+        swap = next(r for r in range(i, n) if matrix[r][i])
+        matrix[i], matrix[swap] = matrix[swap], matrix[i]
+        matrix[i] = [x / matrix[i][i] for x in matrix[i]]
+        for r in range(n):
+            if r != i and matrix[r][i]:
+                matrix[r] = [
+                    x - matrix[r][i] * y for x, y in zip(matrix[r], matrix[i], strict=True)
+                ]
+    return [row[n] for row in matrix]
+
+
+def value(mdp: MDP, pairs: list[int]) -> list[F]:
+    rewards = [sum((p * r for p, _, r in mdp.table.row(l)), F(0)) for l in pairs]
+    return solved(mdp, pairs, rewards)
+
+
+def movable(mdp: MDP, pair: int, worth: list[F]) -> F:
+    """Return what the rounding of one pair's floats can move, from the model's own roundings."""
+    table, row = mdp.table, mdp.table.row(pair)
+    begin = int(table.offsets[pair])
+    gains, weights = table.gain_rounding(), table.weight_rounding()
+    single = len(gains) == table.pairs
+    own = sum(
+        (p * F(float(gains[pair if single else begin + i])) for i, (p, _, _) in enumerate(row)),
+        F(0),
+    )
+    if single:
+        own = F(float(gains[pair]))
+    span = max(worth[t] for _, t, _ in row) - min(worth[t] for _, t, _ in row)
+    moved = sum((F(float(weights[begin + i])) for i in range(len(row))), F(0))
+    return own + mdp.discount_exact * moved * span
+
+
+@settings(max_examples=150)
+@given(small(), st.data())
+def test_the_verdict_is_that_of_enumeration(mdp: MDP, data: st.DataObject) -> None:
+    """It passes exactly where the exact regret is at most what rounding can move."""
+    every = [list(pairs) for pairs in product(*(mdp.pairs_of(s) for s in range(mdp.n_states)))]
+    values = [value(mdp, pairs) for pairs in every]
+    best = [max(worth[s] for worth in values) for s in range(mdp.n_states)]
+    optimal = [all(worth[s] == best[s] for s in range(mdp.n_states)) for worth in values]
+    ideal = every[optimal.index(True)]  # product goes through the lowest actions first
+    place = data.draw(st.integers(0, len(every) - 1))
+    pairs, worth = every[place], values[place]
+    own = solved(mdp, pairs, [movable(mdp, l, worth) for l in pairs])
+    perfect = solved(mdp, ideal, [movable(mdp, l, best) for l in ideal])
+    audit = check(mdp, [int(mdp.pair_action[l]) for l in pairs])
+    lost = best[0] - worth[0]
+    assert audit.regret.at_start.value == lost
+    assert audit.passed == (lost <= own[0] + perfect[0])
+    assert audit.forgiven <= own[0] + perfect[0]
+    assert audit.forgiven >= (own[0] + perfect[0]) * (1 - F(1, 10**5))
+    for l in range(mdp.n_pairs):
+        s, row = int(mdp.pair_state[l]), mdp.table.row(l)
+        gap = best[s] - sum((p * (r + mdp.discount_exact * best[t]) for p, t, r in row), F(0))
+        later = sum((p * perfect[t] for p, t, _ in row), F(0)) * mdp.discount_exact
+        ties = mdp.terminal[s] or gap <= movable(mdp, l, best) + later + perfect[s]
+        assert audit.regret.optimal_pairs[l] == ties
+        if not ties:
+            assert audit.regret.gap[l] == pytest.approx(float(gap), rel=1e-8)
+
+
+# ---- limits -----------------------------------------------------------------------------------
+
+TWO_WAYS = choice(2, 2 - F(1, 10))
+
+
+@pytest.mark.parametrize(
+    ("limits", "passed"),
+    [
+        ({}, False),
+        ({"max_regret": "1/10"}, True),
+        ({"max_regret": 0.1}, True),  # the float is above 1/10
+        ({"max_regret": F(1, 10) - F(1, 10**30)}, False),
+        ({"max_relative_regret": "1/20"}, True),
+        ({"max_relative_regret": "49/1000"}, False),
+        ({"max_regret": 1, "max_relative_regret": 0}, False),
+        ({"max_regret": 0}, False),
+    ],
+)
+def test_limits_are_compared_exactly(limits: dict[str, object], passed: bool) -> None:
+    audit = check(TWO_WAYS, [1, 0], **limits)
+    assert audit.passed is passed
+    assert len(audit.verdicts) == max(1, len(limits))
+    assert audit.relative_regret == pytest.approx(0.05)
+    bounded = check(TWO_WAYS, [1, 0], exact_values=False, **limits)
+    # At the limit itself bounds cannot decide, and what is not decided does not pass.
+    at_the_limit = limits in ({"max_regret": "1/10"}, {"max_regret": 0.1})
+    at_the_limit |= limits == {"max_relative_regret": "1/20"}
+    assert bounded.passed is (passed and not at_the_limit)
+    if passed and not bounded.passed:
+        assert "do not decide" in bounded.message()
+
+
+def test_assertion_names_the_costly_states_and_returns_the_audit() -> None:
+    audit = assert_policy_optimal(TWO_WAYS, [0, 0])
+    assert isinstance(audit, Audit)
+    assert assert_policy_optimal(TWO_WAYS, [1, 0], 0.2).regret.at_start.value == F(1, 10)
+    with pytest.raises(AssertionError) as error:
+        assert_policy_optimal(TWO_WAYS, [1, 0])
+    assert "(state 0): 1, not 0; gap 0.1 x 1 visits = 0.1" in str(error.value)
+    with pytest.raises(AssertionError):
+        assert_policy_optimal(TWO_WAYS, [1, 0], 0.2, max_relative_regret="1/100")
+
+
+# ---- bounds -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("limits", "passed"),
+    [
+        ({}, False),
+        ({"max_regret": 449}, False),
+        ({"max_regret": 451}, False),
+        ({"max_regret": 452}, True),
+        ({"max_relative_regret": F(449, 900)}, False),
+        ({"max_relative_regret": F(451, 900)}, False),
+        ({"max_relative_regret": F(452, 900)}, True),
+    ],
+)
+def test_the_upper_bound_has_to_keep_the_limit(limits: dict[str, object], passed: bool) -> None:
+    """A regret of 450 ± 1.6 out of 900 is neither zero nor at most 451."""
+    audit = check(choice(900, 450), [1, 0], exact_values=False, **limits)
+    wide = replace(
+        audit.regret,
+        at_start=Bounded(value=450.0, error=1.6),
+        optimal=Bounded(value=900.0, error=0.0),
+    )
+    found = replace(audit, regret=wide)
+    assert found.passed is passed
+    if limits and limits != {"max_regret": 449} and not passed and "max_regret" in limits:
+        assert "do not decide" in found.message()
+        assert "--certify" in found.message()
+
+
+def test_a_bounded_zero_is_no_zero() -> None:
+    """Bounds around zero prove nothing, however narrow they are; what is open is said to be."""
+    audit = check(choice(900, 450), [0, 0], exact_values=False)
+    for error in (1e-3, 1e-9, 1e-300):
+        narrow = replace(audit.regret, at_start=Bounded(value=0.0, error=error))
+        found = replace(audit, regret=narrow)
+        assert (found.passed, found.undecided) == (False, True)
+        assert "do not decide" in found.message()
+
+
+@settings(max_examples=80)
+@given(models(discounts=(F(1, 2), F(9, 10), F(1))))
+def test_margins_prove_what_is_true(rows: Rows) -> None:
+    """In bounds, too, a policy passes only where its exact regret is zero."""
+    mdp = rows.model()
+    first = mdp.pair_action[mdp.pair_offsets[:-1]]
+    last = mdp.pair_action[mdp.pair_offsets[1:] - 1]
+    for learned in (first, last, "random"):
+        exact = check(mdp, learned)
+        assert isinstance(exact.regret.at_start, Certified)
+        audit = check(mdp, learned, exact_values=False)
+        if audit.passed:
+            assert exact.regret.at_start.value == 0
+        if audit.claim is Claim.CERTIFIED:
+            assert exact.regret.at_start.value == 0
+        listed = {each.state for each in exact.disagreements}
+        found = {each.state for each in audit.disagreements}
+        assert found <= listed
+        assert len(listed - found) <= audit.unclear
+
+
+def test_an_optimum_with_margins_is_proven_without_rational_arithmetic() -> None:
+    """Every action is better than the others by more than the errors: the regret is exactly 0."""
+    audit = check(choice(900, 450, discount="9/10"), [0, 0], exact_values=False)
+    assert (audit.passed, audit.claim) == (True, Claim.CERTIFIED)
+    assert audit.regret.at_start == Certified(value=F(0))
+    # Two actions with the same row and reward are equally good, whatever the bounds.
+    for learned in ([0, 0], [1, 0], "random"):
+        assert check(choice(F(1, 3), F(1, 3)), learned, exact_values=False).passed
+    # Equal by other means: the bounds do not tell, and rational arithmetic does.
+    rows = [(0, 0, [(1, 2, F(2, 3))]), (0, 1, [(1, 1, F(1, 3))]), (1, 0, [(1, 2, F(1, 3))])]
+    tie = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+    left_open = check(tie, [1, 0, 0], exact_values=False)
+    assert (left_open.passed, left_open.undecided, left_open.unclear) == (False, True, 1)
+    assert "the bounds do not tell" in left_open.message()
+    assert check(tie, [1, 0, 0]).passed
+
+
+def test_what_bounds_leave_open_goes_to_rational_arithmetic(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the model is too large for it, the verdict is open, fails, and says what to do."""
+    size = 70  # a cycle that is bounded unless asked for more
+    rows = [(s, 0, [(1, (s + 1) % size, F(1, 3))]) for s in range(size)]
+    rows += [(0, 1, [(F(1, 2), 1, 0), (F(1, 2), 1, F(2, 3))])]
+    mdp = MDP.from_outcomes(rows, "9/10")
+    learned = [1, *[0] * (size - 1)]
+    audit = check(mdp, learned)
+    assert (audit.passed, audit.claim) == (True, Claim.CERTIFIED)
+    worse = MDP.from_outcomes([*rows[:-1], (0, 1, [(1, 1, F(1, 3) - F(1, 10**30))])], "9/10")
+    audit = check(worse, learned)
+    assert (audit.passed, audit.claim) == (False, Claim.CERTIFIED)
+    assert [each.state for each in audit.disagreements] == [0]
+    monkeypatch.setattr("exact_mdp.analysis.gate.check.LAST_CYCLE", 10)
+    audit = check(worse, learned)
+    assert (audit.passed, audit.undecided) == (False, True)
+    assert "exact_values=True" in audit.message()
+
+
+@pytest.mark.parametrize(
+    "limit", [float("nan"), -1, -1e-300, float("inf"), "nan", "-1/3", "inf", "x", True, [1]]
+)
+def test_limits_that_are_none_are_refused(limit: object, tmp_path: Path) -> None:
+    """A limit is a number of at least 0."""
+    for name in ("max_regret", "max_relative_regret"):
+        with pytest.raises(ModelError) as error:
+            check(choice(1, 0), [0, 0], **{name: limit})
+        assert error.value.where == name
+        save_model(choice(1, 0), tmp_path / "m.npz")
+        option = f"--{name.replace('_', '-')}={limit}"
+        done = run("check", tmp_path / "m.npz", "always:0", option)
+        assert (done.status, done.out) == (2, "")
+
+
+@pytest.mark.parametrize("exact_values", [None, True, False])
+def test_a_relative_regret_of_nothing_is_undefined(
+    exact_values: bool | None, tmp_path: Path
+) -> None:
+    """At an optimum of 0 it is neither 0 nor infinite, and does not pass."""
+    mdp = choice(0, -1)
+    for learned in ([0, 0], [1, 0]):
+        audit = check(mdp, learned, max_relative_regret=1000, exact_values=exact_values)
+        assert (audit.passed, audit.relative_regret) == (False, None)
+        assert "undefined" in audit.message()
+    assert check(mdp, [0, 0], max_regret=0).passed
+    save_model(mdp, tmp_path / "m.npz")
+    np.save(tmp_path / "q.npy", [[2.0, 0.0], [0.0, 0.0]])
+    done = run("check", tmp_path / "m.npz", tmp_path / "q.npy", "--json")
+    assert (done.status, done.result["relative_regret"]) == (0, None)
+    assert done.result["forgiven"] == 0
+    done = run("check", tmp_path / "m.npz", tmp_path / "q.npy", "--max-relative-regret", "5")
+    assert done.status == 1
+    assert "undefined" in done.out
+
+
+def test_mixed_policies_are_certified() -> None:
+    """A mixture passes where all that it does is optimal, exactly."""
+    audit = check(choice(F(1, 3), F(1, 3)), "random")
+    assert (audit.passed, audit.claim, audit.regret.at_start.value) == (True, "certified", 0)
+    audit = check(choice(F(1, 3), F(1, 3) - F(1, 10**40)), "random")
+    assert (audit.passed, audit.regret.at_start.value) == (False, F(1, 2 * 10**40))
+
+
+# ---- where floats cannot bound visits --------------------------------------------------------
+
+HARDLY = F(1, 10**20)
+
+
+def loop(reward: int = 0, other: int = 1) -> MDP:
+    """Return a model whose action 0 stays with probability 1 - 10**-20, and action 1 with 1/2."""
+    stay = [(1 - HARDLY, 0, reward), (HARDLY, 1, reward)]
+    leave = [("1/2", 0, other), ("1/2", 1, other)]
+    return MDP.from_outcomes([(0, 0, stay), (0, 1, leave), (1, 0, [(1, 1, 0)])])
+
+
+def patient() -> MDP:
+    """Return a model of discount 1 - 10**-20, in which action 1 earns 1 a step and 0 nothing."""
+    return MDP.from_outcomes(
+        [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 0, 1)])], discount=1 - HARDLY
+    )  # fmt: skip
+
+
+CASES = [
+    (loop, {"0": "0"}, F(2)),
+    (loop, {"0": "1"}, F(0)),
+    (loop, "always:0", F(2)),
+    (lambda: loop(-1, -1), {"0": "0"}, 10**20 - F(2)),
+    (lambda: loop(1, 0), {"0": "1"}, F(10**20)),
+    (lambda: loop(1, 0), {"0": "0"}, F(0)),
+    (patient, {"0": "0"}, F(10**20)),
+    (patient, {"0": "1"}, F(0)),
+    (patient, "random", F(10**20, 2)),
+]
+
+
+@pytest.mark.parametrize("make, policy, lost", CASES)
+@pytest.mark.parametrize("exact", [None, True])
+def test_the_verdict_is_given_where_floats_cannot_bound_visits(
+    make: object, policy: object, lost: F, exact: bool | None
+) -> None:
+    """The exact regret is told, a limit of just that passes, and none below it."""
+    assert callable(make)
+    model = make()
+    audit = check(model, policy, exact_values=exact)
+    assert (audit.regret.at_start.value, audit.passed) == (lost, lost == 0)
+    assert audit.claim == "certified"
+    assert sum(each.cost for each in audit.disagreements) == pytest.approx(float(lost), rel=1e-12)
+    assert all(each.gain_if_corrected is None for each in audit.disagreements)
+    assert check(model, policy, max_regret=lost).passed
+    assert not lost or not check(model, policy, max_regret=lost - HARDLY).passed
+    assert "nan" not in audit.message()
+
+
+@pytest.mark.parametrize("words", [(), ("--certify",)])
+@pytest.mark.parametrize("policy", ["always:0", "p.json"])
+def test_the_command_line_gives_the_verdict(
+    tmp_path: Path, words: tuple[str, ...], policy: str
+) -> None:
+    """`check` ends with 0 or 1, the regret in full, and strict JSON."""
+    save_model(loop(), tmp_path / "model.npz")
+    (tmp_path / "p.json").write_text('{"0": "0", "1": "0"}')
+    named = tmp_path / policy if policy.endswith("json") else policy
+    asked = ["check", tmp_path / "model.npz", named, *words, "--json"]
+    found = run(*asked)
+    assert (found.status, found.result["exact_regret"]) == (1, "2")
+    (each,) = found.result["disagreements"]
+    assert each["expected_visits"] == 1e20
+    assert run(*asked, "--max-regret", "2").status == 0
+
+
+def test_exact_visits_are_those_of_floating_point_where_it_can() -> None:
+    """Two ways agree, with a cycle, a spread start, and states that are not reached."""
+    rows = [
+        (0, 0, [("1/3", 1, 0), ("2/3", 2, 0)]),
+        (0, 1, [(1, 2, 0)]),
+        (1, 0, [("1/2", 0, 0), ("1/2", 3, 0)]),
+        (2, 0, [("1/4", 0, 0), ("3/4", 3, 0)]),
+        (3, 0, [(1, 3, 0)]),
+        (4, 0, [(1, 0, 0)]),
+    ]
+    for discount in (1, "9/10"):
+        model = MDP.from_outcomes(rows, discount, start={0: "1/2", 2: "1/2"})
+        chain = PolicyChain.of(model, "random")
+        near = visits(model, chain.discounted).value
+        assert exact_visits(chain).tolist() == pytest.approx(near.tolist(), rel=1e-12)
+        assert exact_visits(chain)[4] == 0

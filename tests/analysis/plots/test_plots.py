@@ -1,0 +1,287 @@
+"""Figures: what stands on the axes is what was found, and every picture has its function."""
+
+import importlib
+import io
+import pkgutil
+from collections.abc import Iterator
+from dataclasses import replace
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from exact_mdp import analysis, solvers
+from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve, random_curve
+from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
+from exact_mdp.analysis.perception.accuracy import Hedging, accuracy_curves, hedging, prices
+from exact_mdp.analysis.perception.errors import error_costs
+from exact_mdp.analysis.perception.needed import accuracy_needed
+from exact_mdp.analysis.plots import (
+    plot_distinct,
+    plot_learning_curves,
+    plot_regrets,
+    plot_value_bands,
+    style,
+)
+from exact_mdp.analysis.plots.perception import plot_accuracy_curves, plot_hedging
+from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
+from exact_mdp.analysis.plots.sensitivity import plot_morris, plot_sobol
+from exact_mdp.analysis.plots.style import titled
+from exact_mdp.analysis.sensitivity import one_way, thresholds, tornado, two_way
+from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
+from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
+from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
+from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care.perception import independent
+from exact_mdp.mdp.parametric import parametric
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.training import train_many
+
+mpl.use("Agg")
+SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+ROUGH = independent([0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6])
+
+
+@pytest.fixture(scope="module")
+def draws() -> PSA:
+    return psa(SMALL, 800, rng=0, effective_sample_size=10)
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    yield
+    plt.close("all")
+
+
+def test_the_acceptability_curve_is_the_distribution_of_the_regret(draws: PSA) -> None:
+    ax = draws.plot(tolerances=[0, 0.01, 0.1, 1])
+    shares = [(draws.regret() <= t).mean() for t in (0, 0.01, 0.1, 1)]
+    assert np.allclose(ax.lines[0].get_ydata(), shares)
+    both = plot_acceptability(draws, candidates=range(min(2, len(draws.candidates))))
+    assert both.lines[0].get_ydata()[-1] >= 0.98
+    assert "Δ (reward)" in both.get_xlabel()
+    ticks, near = both.get_xticks(), both.xaxis.get_transform().linthresh
+    assert ticks[0] == 0
+    assert len(ticks) > 1
+    assert (ticks[1:] > near).all()  # none stands upon the 0
+    both.figure.canvas.draw()
+    assert [float(label.get_text()) for label in both.get_xticklabels()] == pytest.approx(ticks)
+
+
+def test_a_policy_that_never_loses_has_a_curve_too() -> None:
+    weights = uncertainty(
+        parametric(SMALL), {"reward": {"relative_sd": 1e-6}}, names=["reward.timestep"]
+    )
+    sure = psa(SMALL, 50, rng=0, uncertain=weights)
+    ax = plot_acceptability(sure)
+    assert list(ax.lines[0].get_ydata()) == [1.0]
+
+
+def test_the_heat_map_shows_shares_of_draws(draws: PSA) -> None:
+    ax = plot_optimal_actions(draws)
+    assert np.allclose(ax.images[0].get_array(), draws.probability_optimal()[0])
+    assert [each.get_text() for each in ax.get_yticklabels()] == list(draws.labels)
+
+
+def test_expected_losses_are_drawn_at_their_points() -> None:
+    curve = expected_loss(SMALL, {"a": "optimal", "b": "random"}, [10, 100], rng=0, n=50)
+    ax = curve.plot()
+    assert ax.get_xscale() == ax.get_yscale() == "log"
+    assert {line.get_label() for line in ax.lines} >= {"best of these"}
+    assert "observations" in ax.get_xlabel()
+    bars = [segment[:, 1] for bar in ax.containers for segment in bar[2][0].get_segments()]
+    assert np.min(bars) > 0
+    ends = np.column_stack([curve.low.T.reshape(-1), curve.high.T.reshape(-1)])
+    floor = ax.lines[0].get_ydata().min() / 10
+    assert np.allclose(bars, np.maximum(ends, floor), rtol=1e-9, atol=floor)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"points": []}, "0 points"),
+        ({"n": 1}, "1 draws"),
+        ({"policies": {}}, "0 policies"),
+        ({"points": [0]}, "sample size 0"),
+        ({"names": ["base.angre"]}, "did you mean"),
+    ],
+)
+def test_curves_that_cannot_be_are_refused(words: dict[str, object], message: str) -> None:
+    given = {"policies": {"a": "optimal"}, "points": [10], "rng": 0, "n": 5} | words
+    with pytest.raises(ModelError, match=message):
+        expected_loss(SMALL, **given)
+
+
+def test_every_picture_is_drawn_by_a_function_that_is_there() -> None:
+    for package in (analysis, solvers):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if "kernels" not in module.name and "plugin" not in module.name:
+                importlib.import_module(module.name)
+    waiting, seen = [Pictured], []
+    while waiting:
+        waiting += (kinds := waiting.pop().__subclasses__())
+        seen += [kind for kind in kinds if hasattr(kind, "picture")]
+    assert len(seen) >= 15
+    for kind in seen:
+        module, _, function = kind.picture.partition(":")
+        assert callable(getattr(importlib.import_module(module), function)), kind
+
+
+LEARNER = QLearning(epochs=40)
+
+
+@pytest.fixture(scope="module")
+def care() -> MDP:
+    return Scenario.load("yuan2025").compile()
+
+
+@pytest.fixture(scope="module")
+def found(care: MDP) -> Outcomes:
+    return outcomes(care, train_many(care, LEARNER, 12, rng=0))
+
+
+@pytest.fixture(scope="module")
+def curves(care: MDP) -> dict[str, LearningCurve]:
+    run = LEARNER.train(care, 0)
+    return {"constant ε": learning_curve(care, run, rng=1), "random": random_curve(care, 40, rng=2)}
+
+
+@pytest.fixture
+def ax() -> Iterator[Axes]:
+    with style():
+        yield Figure().subplots()
+
+
+def drawn(ax: Axes) -> None:
+    """Draw it for real; every axis is labelled."""
+    assert ax.get_ylabel()
+    ax.figure.canvas.draw()
+
+
+def test_learning_curves(ax: Axes, curves: dict[str, LearningCurve]) -> None:
+    assert plot_learning_curves(curves, optimum=146.2, window=5, ax=ax) is ax
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels == ["constant ε", "random", "optimum"]
+    heavy = next(line for line in ax.get_lines() if line.get_label() == "constant ε")
+    exact = curves["constant ε"].exact
+    assert heavy.get_ydata() == pytest.approx([exact[i : i + 5].mean() for i in range(36)])
+    drawn(ax)
+
+
+def test_a_window_longer_than_the_curve(ax: Axes, curves: dict[str, LearningCurve]) -> None:
+    plot_learning_curves(curves, ax=ax)
+    drawn(ax)
+
+
+def test_value_bands(ax: Axes) -> None:
+    values = np.random.default_rng(0).normal(size=(9, 30))
+    plot_value_bands({"a": values, "b": values + 1}, window=1, optimum=3.0, ax=ax)
+    line = next(line for line in ax.get_lines() if line.get_label() == "a")
+    assert line.get_ydata() == pytest.approx(values.mean(axis=0))
+    drawn(ax)
+
+
+def test_regrets(ax: Axes, found: Outcomes) -> None:
+    plot_regrets({"constant ε": found}, ax=ax)
+    x, y = ax.get_lines()[0].get_data()
+    assert x[-1] == found.regret.max()
+    assert y[-1] == 1
+    assert f"{found.regret.mean():.2f}" in ax.get_legend().get_texts()[0].get_text()
+    drawn(ax)
+
+
+def test_distinct(ax: Axes, found: Outcomes) -> None:
+    plot_distinct({"constant ε": found, "again": found}, ax=ax)
+    heights = [bar.get_height() for bar in ax.patches]
+    assert sum(heights) == pytest.approx(2)
+    drawn(ax)
+
+
+def test_figures_of_one_and_two_parameters() -> None:
+    from exact_mdp.analysis.plots.sensitivity import plot_thresholds
+
+    own, x = SMALL, "assistance.directive.confusion.persistence"
+    found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
+    bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
+    surface = two_way(own, x, "base.anger", ranges={x: (0, 1)}, points=3)
+    with style():
+        figure, axes = plt.subplots(2, 3, figsize=(15, 8))
+        assert bars.plot(axes[0, 0]) is axes[0, 0]
+        assert "regret" in bars.plot(axes[0, 1], output="regret").get_xlabel()
+        one_way(own, x, (0, 1), points=3).plot(axes[0, 2])
+        plot_thresholds(found, ax=axes[1, 0])
+        surface.plot(axes[1, 1])
+        surface.plot(axes[1, 2], state=4)
+        figure.savefig(io.BytesIO(), format="svg")
+
+
+def test_figures_of_indices_and_effects() -> None:
+    names = ["base.anger", "discount", "reward.anger"]
+    indices = sobol(SMALL, policy="always:directive", names=names, n=16, rng=0)
+    effects = morris(SMALL, policy="always:directive", names=names, n=4, rng=0)
+    with style():
+        for output in ("optimal", "fixed", "regret"):
+            for found, draw in ((indices, plot_sobol), (effects, plot_morris)):
+                figure, ax = plt.subplots()
+                assert draw(found, output=output, ax=ax) is ax
+                assert "(reward per range)" in ax.get_xlabel() or ax.get_xlabel().startswith(
+                    "share"
+                )
+                figure.savefig(io.BytesIO())
+    ax = plot_sobol(indices, most=2)
+    total = dict(zip(indices.names, indices.optimal.total, strict=True))
+    widths = [patch.get_width() for patch in ax.patches]
+    assert widths[2:] == sorted(total.values(), reverse=True)[:2]
+    assert ax.get_yticklabels()[0].get_text().startswith(max(total, key=total.__getitem__))
+    nothing = sobol(SMALL, names=["reward.subtask-complete"], n=4, rng=0)
+    with pytest.raises(ModelError, match="the same at every draw"):
+        plot_sobol(nothing, output="regret")
+
+
+def test_figures_of_perception() -> None:
+    from exact_mdp.analysis.plots.perception import plot_confusion, plot_error_costs, plot_prices
+
+    mdp, levels = SMALL.compile(), [1.0, 0.9]
+    policy = {f"{s:04b}": mdp.actions[(3 * s + 2) % 4] for s in range(16)}
+    priced = prices(mdp, levels, tol=0.5, node_limit=200)
+    drawn = [
+        plot_accuracy_curves(accuracy_curves(mdp, levels=levels), needed=accuracy_needed(mdp)),
+        plot_prices(levels, priced),
+        plot_error_costs(error_costs(mdp, policy, ROUGH)),
+        plot_hedging(Hedging.of(mdp, levels, priced)),
+        plot_confusion(ROUGH),
+    ]
+    assert all(ax.get_xlabel() for ax in drawn)
+    bars = sorted(round(bar.get_width(), 9) for bar in drawn[2].patches)
+    losses = error_costs(mdp, policy, ROUGH).by_status.values()
+    assert bars == sorted(round(loss, 9) for both in losses for loss in both)
+
+
+def test_figures_mark_what_is_not_proven() -> None:
+    mdp = SMALL.compile()
+    found = hedging(mdp, levels=[1.0, 0.9])
+    open_ = replace(found.best[1], proven=False)
+    ax = plot_hedging(replace(found, best=(found.best[0], open_)))
+    sure, pale = ax.patches[:16], ax.patches[16:32]
+    assert min(sum(cell.get_facecolor()[:3]) for cell in pale) > 2.2
+    assert min(sum(cell.get_facecolor()[:3]) for cell in sure) < 2
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["1", "0.9*"]
+    assert "not proven" in ax.get_xlabel()
+    assert "*" not in plot_hedging(found).get_xlabel()
+    curves = accuracy_curves(mdp, levels=[0.5, 1.0])
+    drawn = plot_accuracy_curves(curves, needed=accuracy_needed(mdp))
+    (label,) = (text for text in drawn.texts if text.get_text().startswith("95%"))
+    assert label.xy[0] > 1  # beside the axes, where there are no curves
+    with style():
+        _, ax = plt.subplots(figsize=(4, 3))
+        words = "What these errors cost the optimal policy by the posterior of all counts"
+        title = titled(ax, f"{words}\nTwo")
+        assert title.get_window_extent().width <= ax.get_window_extent().width
+        assert ax.get_title(loc="left") == title.get_text()
+        *first, last = title.get_text().splitlines()
+        assert (" ".join(first), last, len(first)) == (words, "Two", 2)
