@@ -10,6 +10,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -129,11 +130,7 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
     monkeypatch: pytest.MonkeyPatch, fault: Exception
 ) -> None:
     """A crash is not 1, which says that the policy is bad."""
-
-    def fail(*_: object, **__: object) -> None:
-        raise fault
-
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", fail)
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", Mock(side_effect=fault))
     done = run("check", "yuan2025", "optimal")
     assert (done.status, done.out) == (3, "")
     told(done.err)
@@ -142,9 +139,7 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
 def test_the_other_programs_end_in_the_same_way(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OverflowError("too large")
-
+    fail = Mock(side_effect=OverflowError("too large"))
     monkeypatch.setattr("exact_mdp.paper_repro.run.run", fail)
     done = CliRunner().invoke(reproduce, ["--quick", "--out", str(tmp_path)])
     assert (done.exit_code, done.stdout) == (3, "")
@@ -365,9 +360,7 @@ def test_what_was_refused_leaves_no_file(bad: Path) -> None:
 
 
 def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object, **__: object) -> None:
-        raise ValueError("a mistake")
-
+    broken = Mock(side_effect=ValueError("a mistake"))
     monkeypatch.setattr("exact_mdp.analysis.cli.options.load", broken)
     done = run("info", "yuan2025")
     assert (done.status, done.out) == (3, "")
@@ -381,9 +374,7 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
 def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
     from exact_mdp.solvers import SolverError, Status
 
-    def give_up(*_: object) -> None:
-        raise SolverError(Status.NO_BOUND)
-
+    give_up = Mock(side_effect=SolverError(Status.NO_BOUND))
     monkeypatch.setattr("exact_mdp.solvers.solve", give_up)
     done = run("solve", "yuan2025", "--json")
     assert (done.status, done.out) == (3, "")
@@ -407,9 +398,7 @@ def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.Mon
 
 
 def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
+    stop = Mock(side_effect=KeyboardInterrupt)
     monkeypatch.setattr("exact_mdp.analysis.cli.options.load", stop)
     done = run("info", "yuan2025")
     assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")

@@ -61,6 +61,12 @@ def gone(leader: int) -> bool:
     return False
 
 
+def listening() -> None:
+    """Take signals as in a terminal, also where the tests were started without one."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def started(words: list[object], folder: Path) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         [str(word) for word in words],
@@ -68,6 +74,7 @@ def started(words: list[object], folder: Path) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         encoding="utf-8",
         start_new_session=True,
+        preexec_fn=listening,
         env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{folder}"},
     )
     for _ in range(1200):
@@ -101,7 +108,7 @@ def test_workers_end_with_the_program(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads /proc")
 def test_a_training_that_was_stopped_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
-    words = [PROGRAM, "train", "tea", "--epochs", "400", "--jobs", "2", "--json", "--out"]
+    words = [PROGRAM, "train", "tea", "--epochs", "100", "--jobs", "2", "--json", "--out"]
     process = started([*words, tmp_path / "out", "--seeds", "100000"], tmp_path)
     process.send_signal(signal.SIGTERM)
     process.send_signal(signal.SIGTERM)  # as `timeout` does: to the process, then to its group

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import CASES, Case
 from cases.reference import evaluate_exact, solve_exact
+from forest import forest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import ACTIONS, acting, oracle_of
@@ -183,10 +184,8 @@ def test_published_policies_pass_and_wrong_ones_do_not(case: Case) -> None:
 
 def test_the_forest_policy_of_a_learner_s_test_is_rejected() -> None:
     """Its test takes (0, 1, 1) for right, and believes it to be worth 11.2 in the first state."""
-    wait, cut = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]], [[1, 0, 0]] * 3
-    forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount="24/25")
     q = np.array([[11.19899, 10.34652], [10.74229, 11.74105], [2.86981, 12.25978]])
-    audit = check(forest, q)
+    audit = check(forest("24/25"), q)
     assert not audit.passed
     assert audit.regret.learned == Certified(value=F(10800, 932))
     assert audit.regret.optimal == Certified(value=F(746496, 10_000))
@@ -194,7 +193,7 @@ def test_the_forest_policy_of_a_learner_s_test_is_rejected() -> None:
     assert audit.q_error is not None
     assert audit.q_error.promised == 11.19899
     with pytest.raises(AssertionError, match=r"\(state 1\): 1, not 0"):
-        assert_policy_optimal(forest, q)
+        assert_policy_optimal(forest("24/25"), q)
 
 
 # ---- the care model --------------------------------------------------------------------------

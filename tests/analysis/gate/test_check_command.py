@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cli_runner import launch, run
+from forest import forest
 from oracle import Oracle, acting
 
 from exact_mdp.analysis import assert_policy_optimal, best_policy, check
@@ -145,9 +146,7 @@ def test_text_for_people(mdp: MDP, tmp_path: Path) -> None:
 
 
 def test_models_that_are_no_scenarios(tmp_path: Path) -> None:
-    wait, cut = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]], [[1, 0, 0]] * 3
-    forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount="24/25")
-    save_model(forest, tmp_path / "forest.npz")
+    save_model(forest("24/25"), tmp_path / "forest.npz")
     np.save(tmp_path / "q.npy", np.array([[1.0, 0], [0, 1], [0, 1]]) * 11.2)
     done = run("check", tmp_path / "forest.npz", tmp_path / "q.npy", "--json")
     assert done.status == 1

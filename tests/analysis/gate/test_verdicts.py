@@ -233,7 +233,7 @@ def movable(mdp: MDP, pair: int, worth: list[F]) -> F:
     return own + mdp.discount_exact * moved * span
 
 
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(small(), st.data())
 def test_the_verdict_is_that_of_enumeration(mdp: MDP, data: st.DataObject) -> None:
     """It passes exactly where the exact regret is at most what rounding can move."""
@@ -345,7 +345,7 @@ def test_a_bounded_zero_is_no_zero() -> None:
         assert "do not decide" in found.message()
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(models(discounts=(F(1, 2), F(9, 10), F(1))))
 def test_margins_prove_what_is_true(rows: Rows) -> None:
     """In bounds, too, a policy passes only where its exact regret is zero."""

@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from forest import burning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +25,7 @@ SMALL = {"tasks": [1, 1], "max_trial": 2}
 F = Fraction
 HALF = F(1, 2)
 YUAN = Scenario.load("yuan2025")
+FOREST = burning("9/10")
 
 
 def value_at(scenario: Scenario, weights: np.ndarray, point: dict[str, Fraction]) -> float:
@@ -180,25 +182,18 @@ def test_a_search_that_gets_no_further_ends_early(monkeypatch: pytest.MonkeyPatc
     assert not found.proven
 
 
-def forest() -> Family:
-    """The forest of the MDP toolbox; the chance of fire is one number in three rows."""
-    wait, cut = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]], [[1, 0, 0]] * 3
-    mdp = MDP.from_arrays([wait, cut], np.array([[0, 0], [0, 1], [4, 2]]), discount="9/10")
-    return moving(mdp, {"fire": [(mdp.pair(s, 0), 0) for s in range(3)]})
-
-
 def test_a_published_model_with_a_parameter() -> None:
     ranges = {"fire": ("1/20", "3/10")}
-    worst = box_extreme(forest(), "optimal", ranges)
-    right = solve(forest().at({"fire": "3/10"})).start_value  # waiting stays optimal there
+    worst = box_extreme(FOREST, "optimal", ranges)
+    right = solve(FOREST.at({"fire": "3/10"})).start_value  # waiting stays optimal there
     assert worst.low - 1e-9 <= right <= worst.high + 1e-9
     assert worst.gap < 1e-6
     assert str(worst.point["fire"]) == "3/10"
-    assert str(box_extreme(forest(), "optimal", ranges, side="best").point["fire"]) == "1/20"
-    found = box_optimum(forest(), ranges)
+    assert str(box_extreme(FOREST, "optimal", ranges, side="best").point["fire"]) == "1/20"
+    found = box_optimum(FOREST, ranges)
     assert found.gap < 1e-6
     assert found.low == pytest.approx(right, abs=1e-6)
-    near = box_extreme(forest(), "optimal", {"fire": ("9/100", "11/100")})
+    near = box_extreme(FOREST, "optimal", {"fire": ("9/100", "11/100")})
     assert near.proven
     assert near.signs == {"fire": "falling"}
 

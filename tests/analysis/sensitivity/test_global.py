@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import BY_NAME
+from forest import burning
 
 from exact_mdp.analysis.sensitivity.draws.global_ import (
     Morris,
@@ -197,15 +197,7 @@ def test_effects_of_a_policy_held_fixed() -> None:
 
 
 def test_draws_of_a_published_model_are_solved_one_by_one() -> None:
-    case = BY_NAME["forest-3-24/25"]
-    rows = [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs]
-    mdp = MDP.from_outcomes(rows, case.discount)
-    burning = [
-        (pair, 0)
-        for pair in range(mdp.n_pairs)
-        if any(t == 0 and p == F(1, 10) for p, t, _ in mdp.table.row(pair))
-    ]
-    model = moving(mdp, {"fire": burning})
+    model = burning("24/25")
     draws = np.array([[0.05, 0.9], [0.1, 0.96], [0.6, 0.5]])
     found = sampled(model, ["fire", "discount"], draws, ["optimal", "always:1"], n_jobs=2)
     for row, (fire, discount) in enumerate(draws.tolist()):

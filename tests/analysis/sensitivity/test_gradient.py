@@ -4,12 +4,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from cases.toolbox import CASES as TOOLBOX
+from forest import burning
 from oracle import ACTIONS, END, Oracle, State, oracle_of
 
 from exact_mdp.analysis.sensitivity import gradient
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
-from exact_mdp.mdp.parametric import Family, moving, parametric
+from exact_mdp.mdp.parametric import Family, parametric
 from exact_mdp.mdp.parametric.row_change import pieces
 
 F = Fraction
@@ -148,12 +148,7 @@ def test_floats_agree_within_their_bounds() -> None:
 
 def test_published_model_with_cycles() -> None:
     """Fire in the forest: V(0) by hand, and every row that has the fire moves with it."""
-    case = next(case for case in TOOLBOX if case.name == "forest-3-9/10")
-    mdp = MDP.from_outcomes(
-        [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs], case.discount
-    )
-    waiting = [int(mdp.pair(state, 0)) for state in range(3)]
-    family = moving(mdp, {"fire": [(pair, 0) for pair in waiting]})
+    family = burning("9/10")
     found = gradient(family)
 
     def value(p: Fraction, g: Fraction) -> Fraction:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forest import burning, forest
 from scipy.special import betainc
 from scipy.stats import binom, binomtest
 
@@ -316,14 +317,10 @@ def test_cut_off_chances_are_counted() -> None:
 
 def test_a_published_model_with_an_uncertain_row() -> None:
     """Forest management (pymdptoolbox): a fire's chance is known from ten years."""
-    wait = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]]
-    cut = [[1, 0, 0]] * 3
-    forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], "24/25")
-    pairs = [forest.pair(state, 0) for state in range(3)]
-    model = moving(forest, {"fire": [(pair, 0) for pair in pairs]})
+    model = burning("24/25")
     known = uncertainty(model, names=["fire"], default=10)
     found = psa(model, 24, rng=9, uncertain=known)
-    assert found.labels == tuple(forest.space.labels(range(3)))
+    assert found.labels == tuple(forest("24/25").space.labels(range(3)))
     g = 0.96
     for d in range(0, 24, 5):
         p, v = found.draws[d, 0], np.zeros(3)
@@ -404,9 +401,6 @@ def test_a_count_of_numpy_is_a_count() -> None:
     assert type(found.seed) is int
 
 
-# ---- how often the intervals of an EVPPI cover ----------------------------------------------------
-
-
 def test_a_state_that_cannot_be_reached_makes_no_action_optimal() -> None:
     """In every draw the second action gives up 5, whatever another state is worth."""
     half = F(1, 2)
@@ -416,6 +410,8 @@ def test_a_state_that_cannot_be_reached_makes_no_action_optimal() -> None:
     share, _, _ = psa(moving(mdp, {"p": [(0, 1)]}), 20, rng=1).probability_optimal()
     assert np.array(share).tolist() == [[1.0, 0.0]]
 
+
+# ---- how often the intervals of an EVPPI cover --------------------------------------------------
 
 STEP = 0.02  # what the second action costs below the step
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cases.puterman import two_state
-from cases.toolbox import CASES as TOOLBOX
 from flint import fmpq_poly
+from forest import burning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import END, Oracle, oracle_of
@@ -15,7 +15,7 @@ from oracle import END, Oracle, oracle_of
 from exact_mdp.analysis.sensitivity import joint_radius, thresholds
 from exact_mdp.analysis.sensitivity.real_roots import roots, sign, simple, variations
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
-from exact_mdp.mdp.parametric import Family, moving
+from exact_mdp.mdp.parametric import Family
 from exact_mdp.solvers import certify
 
 F = Fraction
@@ -61,10 +61,7 @@ def test_puterman_leaves_at_ten_elevenths() -> None:
 
 
 def test_published_forest_fire_against_a_scan() -> None:
-    case = next(case for case in TOOLBOX if case.name == "forest-3-9/10")
-    rows = [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs]
-    mdp = MDP.from_outcomes(rows, case.discount)
-    family = moving(mdp, {"fire": [(mdp.pair(state, 0), 0) for state in range(3)]})
+    family = burning("9/10")
     found = thresholds(family, "fire", (F(1, 100), F(99, 100)))
     assert found.found
     scan(family, "fire", found, F(1, 100), F(99, 100), 60)
