@@ -418,7 +418,7 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("robust", "--set-kind", "l1", "--radius", "2.1"), "where: --radius"),
         (("robust", "--set-kind", "ball"), "--set-kind"),
         (("robust", "--set-kind", "box", "--parameter", "base.angr"), "base.angr"),
-        (("robust", "--set-kind", "kl", "--range", "base.anger=0:1"), "--range"),
+        (("robust", "--set-kind", "kl", "--range", "base.anger=0:1"), "for a box"),
         (("robust", "--set-kind", "box", "--range", "base.anger=1:0"), "empty"),
     ],
 )
