@@ -364,7 +364,7 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
     monkeypatch.setattr("exact_mdp.analysis.cli.options.load", broken)
     done = run("info", "yuan2025")
     assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("ValueError: a fault of the program, not of what you gave it: a mis")
+    assert done.err.startswith("ValueError: an error in the program, not in your input: a mis")
     assert "where: exact-mdp info, in analysis/cli/options.py, line " in done.err
     assert "EXACT_MDP_TRACEBACK=1" in done.err
     monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")

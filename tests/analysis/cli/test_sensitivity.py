@@ -387,7 +387,7 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("sobol", "--seed", "-1"), "--seed"),
         (("sobol", "--n-jobs", "0"), "--n-jobs"),
         (("sobol", "--parameter", "base.angre"), "did you mean base.anger?"),
-        (("sobol", "--parameter", "assistance.supportive.anger.onset"), "is no range"),
+        (("sobol", "--parameter", "assistance.supportive.anger.onset"), "gives no range"),
         (("sobol", "--range", "base.anger=0.2:1.2"), "outside [0, 1]"),
         (("sobol", "--range", "base.anger"), "is not a range"),
         (("sobol", "--policy", "always:nothing"), "nothing"),

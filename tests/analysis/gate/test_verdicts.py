@@ -374,12 +374,12 @@ def test_an_optimum_with_margins_is_proven_without_rational_arithmetic() -> None
     # Two actions with the same row and reward are equally good, whatever the bounds.
     for learned in ([0, 0], [1, 0], "random"):
         assert check(choice(F(1, 3), F(1, 3)), learned, exact_values=False).passed
-    # Equal by other means: the bounds do not tell, and rational arithmetic does.
+    # Equal by other means: the bounds leave it open, and rational arithmetic does.
     rows = [(0, 0, [(1, 2, F(2, 3))]), (0, 1, [(1, 1, F(1, 3))]), (1, 0, [(1, 2, F(1, 3))])]
     tie = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
     left_open = check(tie, [1, 0, 0], exact_values=False)
     assert (left_open.passed, left_open.undecided, left_open.unclear) == (False, True, 1)
-    assert "the bounds do not tell" in left_open.message()
+    assert "the bounds leave it open" in left_open.message()
     assert check(tie, [1, 0, 0]).passed
 
 
