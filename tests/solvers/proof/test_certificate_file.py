@@ -112,23 +112,25 @@ BAD: dict[str, list[Any]] = {
     "kind": ["bounded", 0],
     "model": ["", "0" * 63, "g" * 64, 5, None],
     "states": [0, -1, 3, 5, 4.0, "4", None, True, 10**30],
-    "pairs": [0, 5, 7, 10**30, None],
+    "pairs": [0, 5, 7, 10**30, None, True],
     "policy": [[0, 0, 0], [0, 0, 0, -1], [0, 0, 0, 1.0], [0, 0, 0, True], "0000", 7, [10**30] * 4],
     "unique": [1, "true", None],
     "start_value": [["1"], ["1", "0"], ["1", "-2"], ["0x1", "1"], "1/2", 0.5, [1, 2], ["1", "1_0"]],
     "denominators": [[], ["0"], ["-1"], ["1", "x"], "1", None, [1, 2]],
-    "group": [[0, 0, 0, 7], [0, 0, 0, -1], [0] * 5, [0, 0, 0, 0.0], {}, [[0] * 4]],
+    "group": [[0, 0, 0, 7], [0, 0, 0, -1], [0] * 5, [0, 0, 0, 0.0], [False] * 4, {}, [[0] * 4]],
     "numerators": [
         ["1"] * 3,
         ["1"] * 5,
         ["1.0"] * 4,
         [" 1"] * 4,
+        [1] * 4,
+        [True, "0", "0", "0"],
         ["+1"] * 4,
         ["١"] * 4,
         [None] * 4,
     ],
     "gaps": [["0"] * 4, ["-1"] * 4, [1] * 4, ["1"] * 3, None],
-    "gap_scales": [["0"] * 4, [None] * 4, ["1"] * 5],
+    "gap_scales": [["0"] * 4, [1] * 4, [None] * 4, ["1"] * 5],
     "optimal": ["", "1" * 5, "2" * 6, [1] * 6, None, "１" * 6],
     "rank": [[0] * 3, [0, 1, 2, -3], "1", [0, 0, 0, None]],
     "weight": [[1] * 4, ["1"] * 3, "1"],
@@ -153,15 +155,17 @@ def test_damage_is_named(key: str, tmp_path: Path) -> None:
         assert caught.value.fix
 
 
-@pytest.mark.parametrize("number", ["nan", "inf", "1.5", "0x1.8", "0x1.8p+9999", "", None, 1.5])
+@pytest.mark.parametrize(
+    "number", ["nan", "inf", "1.5", "0x1.8", "0x1.8p+9999", "", None, 1.5, 1, True]
+)
 def test_floats_that_are_none(number: object, tmp_path: Path) -> None:
     path = tmp_path / "proof.json"
     certify(MODELS["cycle"], bounded=True).save(path)
     data = json.loads(path.read_text("utf-8"))
-    data["upper"][1] = number
-    path.write_text(json.dumps(data), "utf-8")
-    with pytest.raises(ModelError, match="upper"):
-        BoundedCertificate.load(path)
+    for name in ("lower", "upper"):
+        path.write_text(json.dumps(data | {name: [number] * 4}), "utf-8")
+        with pytest.raises(ModelError, match=name):
+            BoundedCertificate.load(path)
 
 
 @pytest.mark.parametrize(
