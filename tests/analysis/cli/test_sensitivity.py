@@ -414,7 +414,10 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("robust", "--radius", "-1"), "where: --radius"),
         (("robust", "--set-kind", "box", "--radius", "abc"), "where: --radius"),
         (("robust", "--set-kind", "box", "--radius", "-1"), "where: --radius"),
-        (("robust", "--set-kind", "l1", "--radius", "2.1"), "no two laws are more than 2 apart"),
+        (
+            ("robust", "--set-kind", "l1", "--radius", "2.1"),
+            "no two distributions are more than 2 apart",
+        ),
         (("robust", "--set-kind", "l1", "--radius", "2.1"), "where: --radius"),
         (("robust", "--set-kind", "ball"), "--set-kind"),
         (("robust", "--set-kind", "box", "--parameter", "base.angr"), "base.angr"),
