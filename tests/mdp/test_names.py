@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from archives import read_by_umbi
 
 from exact_mdp.analysis import cli
 from exact_mdp.analysis.gate.junit import Case, junit
@@ -102,7 +103,6 @@ def test_scenario_files_refuse_them(character: str) -> None:
 def test_saved_models_refuse_them(tmp_path: Path) -> None:
     """A file made elsewhere is no way around the rule."""
     import umbi
-    from umb_files import read_by_umbi
 
     mdp = MDP.from_outcomes(ROWS, "1/2", actions=["go"], name="m")
     npz.save(mdp, tmp_path / "m.npz")

@@ -80,14 +80,10 @@ def against_the_reference(world) -> None:
     assert abs(F(moments.variance[0, 0]) - told["variance"]) <= F(moments.variance_error[0])
 
 
-def sampled(scenario: Scenario, count: int, seed: int) -> tuple[list[str], np.ndarray]:
+def sampled(count: int, seed: int) -> tuple[list[str], np.ndarray]:
     rng = np.random.default_rng(seed)
-    chances = [p.name for p in scenario.parameters if p.low is not None]
-    weights = [p.name for p in scenario.parameters if p.low is None]
-    drawn = np.hstack(
-        [rng.uniform(0, 1, (count, len(chances))), rng.normal(0, 20, (count, len(weights)))]
-    )
-    return [*chances, *weights], drawn
+    chances = rng.uniform(0, 1, (count, len(CHANCES)))
+    return [*CHANCES, *WEIGHTS], np.hstack([chances, rng.normal(0, 20, (count, len(WEIGHTS)))])
 
 
 def compiled(scenario: Scenario, names: list[str], row: np.ndarray) -> MDP:
@@ -105,7 +101,7 @@ def some_readings(count: int) -> list[dict[str, str]]:
 @pytest.mark.parametrize("readings", some_readings(14))
 def test_values_are_those_of_the_explicit_model(readings: dict[str, str]) -> None:
     scenario = YUAN.with_(readings=readings, tasks=[2, 1], max_trial=2, discount="19/20")
-    names, draws = sampled(scenario, 2, seed=1)
+    names, draws = sampled(2, seed=1)
     rng = np.random.default_rng(2)
     shares = rng.dirichlet(np.ones(4), size=(2, 16))
     pure = rng.integers(0, 4, size=(3, 16))
@@ -139,7 +135,7 @@ def test_shipped_scenarios_are_solved_as_they_are(name: str) -> None:
 
 @pytest.mark.parametrize(("gaps", "actions"), list(product([False, True], repeat=2)))
 def test_threads_blocks_and_what_is_kept_change_no_bit(gaps: bool, actions: bool) -> None:
-    names, draws = sampled(YUAN, 1100, seed=3)
+    names, draws = sampled(1100, seed=3)
     one = optimal(YUAN, names, draws, gaps=True, actions=True, threads=1)
     two = optimal(YUAN, names, draws[::-1], gaps=gaps, actions=actions, threads=2)
     assert one.start.tobytes() == two.start[::-1].tobytes()
@@ -275,7 +271,7 @@ def test_shares_that_sum_to_one_but_for_rounding_are_those_of_a_policy() -> None
 def test_policies_that_change_from_stage_to_stage_are_those_of_the_explicit_model() -> None:
     rng = np.random.default_rng(7)
     scenario = YUAN.with_(tasks=[2, 1], max_trial=2)
-    names, draws = sampled(scenario, 2, seed=8)
+    names, draws = sampled(2, seed=8)
     found = optimal(scenario, names, draws, actions=True)
     assert found.actions is not None
     tables = np.concatenate([found.actions, rng.integers(0, 4, (2, *found.actions.shape[1:]))])

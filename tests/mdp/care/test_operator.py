@@ -150,16 +150,16 @@ def test_means_of_policies(policy: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "policy", [np.zeros(5, int), np.full(16, 4), np.full((16, 4), 0.5), np.full(16, 0.5)]
+    ("policy", "message"),
+    [
+        *((array, "not a policy") for array in (np.zeros(5, int), np.full(16, 4))),
+        *((np.full(shape, 0.5), "not a policy") for shape in ((16, 4), 16)),
+        ([[1, 2], [3]], "differ in length"),
+    ],
 )
-def test_what_is_no_policy_is_refused(policy: np.ndarray) -> None:
-    with pytest.raises(ModelError, match="not a policy"):
+def test_what_is_no_policy_is_refused(policy: object, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
         solving.operator_mean(Scenario.load("yuan2025").operator(), policy)
-
-
-def test_rows_of_different_lengths_are_no_policy() -> None:
-    with pytest.raises(ModelError, match="differ in length"):
-        solving.operator_mean(Scenario.load("yuan2025").operator(), [[1, 2], [3]])
 
 
 def test_fourteen_statuses_load_and_are_solved_without_a_matrix() -> None:

@@ -81,8 +81,6 @@ def test_a_gymnasium_environment() -> None:
         ("", "unknown model ''", ".toml"),
         ("model.json", "unknown model", ".npz"),
         ("missing.toml", "cannot read the file", "check the path"),
-        ("missing.npz", "cannot read the file", "check the path"),
-        ("missing.umb", "cannot read the file", "check the path"),
         ("missing.umb#cost", "cannot read the file", "check the path"),
         ("gymnasium:FrozenLakes-v1", "FrozenLakes", "FrozenLake-v1"),
         ("Gymnasium:FrozenLake-v1", "unknown model", "gymnasium:ID"),

@@ -1,52 +1,25 @@
-"""Saved models: nothing is lost, and any program can read them."""
+"""Saved models: any program can read them; one that is damaged, or lies about its size, is refused.
+
+That nothing is lost is tested for all formats together, in `test_formats`.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import zipfile
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from archives import array_header, unzipped, zipped
 from model_equality import assert_same
 from saved_models import MODELS
 
-from exact_mdp.mdp import MDP
+from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.io import npz
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_nothing_is_lost(tmp_path: Path, name: str) -> None:
-    mdp, path = MODELS[name], tmp_path / "model.npz"
-    npz.save(mdp, path)
-    again = npz.load(path)
-    assert_same(mdp, again)
-    first = path.read_bytes()
-    npz.save(again, path)
-    assert path.read_bytes() == first
-    assert [file.name for file in tmp_path.iterdir()] == ["model.npz"]
-
-
-@settings(max_examples=40, deadline=None)
-@given(data=st.data())
-def test_any_rationals_survive(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
-    numbers = st.one_of(
-        st.fractions(), st.integers(), st.integers(-(10**60), 10**60), st.floats(-1e9, 1e9)
-    )
-    chances = st.one_of(st.fractions(0, 1), st.fractions(0, 1, max_denominator=2**200))
-    listed = []
-    for state in range(data.draw(st.integers(1, 4))):
-        p = data.draw(chances)
-        listed.append((state, 0, [(p, 0, data.draw(numbers)), (1 - p, state, data.draw(numbers))]))
-    mdp = MDP.from_outcomes(listed, data.draw(st.fractions(0, 1)))
-    path = tmp_path_factory.mktemp("npz") / "model.npz"
-    npz.save(mdp, path)
-    assert_same(mdp, npz.load(path))
 
 
 def test_any_program_can_read_it(tmp_path: Path) -> None:
@@ -85,3 +58,254 @@ def test_a_compressed_archive_is_read_too(tmp_path: Path) -> None:
         np.savez_compressed(tmp_path / "small.npz", **dict(archive))
     assert (tmp_path / "small.npz").stat().st_size < path.stat().st_size / 3
     assert_same(mdp, npz.load(tmp_path / "small.npz"))
+
+
+# ---- damage -----------------------------------------------------------------------------------
+
+
+def saved(mdp: MDP, folder: Path) -> dict[str, Any]:
+    npz.save(mdp, folder / "good.npz")
+    with np.load(folder / "good.npz") as archive:
+        return dict(archive)
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        npz.load(path)
+    assert message in str(caught.value)
+    assert str(path) in caught.value.where
+    assert caught.value.fix
+
+
+SPOILED: dict[str, tuple[str, Any, str]] = {
+    "no weights": ("weight", None, "the archive holds"),
+    "another array": ("more", np.zeros(1), "the archive holds"),
+    "float32": ("weight", lambda a: a.astype(np.float32), "an array of type float32"),
+    "int32 states": ("pair_state", lambda a: a.astype(np.int32), "an array of type int32"),
+    "words": ("weight", lambda a: a.astype("U9"), "an array of type <U"),
+    "float states": ("pair_state", lambda a: a.astype(float), "an array of type float64"),
+    "bool next": ("next", lambda a: a.astype(bool), "an array of type bool"),
+    "structured": ("next", lambda a: a.view([("x", a.dtype)]), "an array of type ["),
+    "float denominator": ("denominator", lambda a: a.astype(float), "an array of type float64"),
+    "matrix": ("weight", lambda a: a[:, None], "an array of type int64"),
+    "flat bytes": ("weight", lambda a: a.astype(np.uint8), "an array of type uint8"),
+    "narrow bytes": ("weight", lambda a: np.zeros((len(a), 3), np.uint8), "an array of type uint8"),
+    "no width": ("weight", lambda a: np.zeros((10**12, 0), np.uint8), "an array of type uint8"),
+    "scalar": ("offsets", np.int64(3), "an array of type int64"),
+    "empty": ("pair_state", lambda a: a[:0], "an array of type int64"),
+    "short weights": ("weight", lambda a: a[:-1], "weight has shape"),
+    "long pairs": ("pair_state", lambda a: np.append(a, 0), "pair_state has shape"),
+    "short offsets": ("offsets", lambda a: a[:-1], "offsets has shape"),
+    "offsets backwards": ("offsets", lambda a: a[::-1].copy(), "offsets do not run"),
+    "offsets beyond": ("offsets", lambda a: a * 2**40, "offsets do not run"),
+    "unsorted": ("pair_state", lambda a: a[::-1].copy(), "not sorted"),
+    "state beyond": ("pair_state", lambda a: np.append(a[:-1], 2**40), "is outside"),
+    "next beyond": ("next", lambda a: a + 10**6, "next state"),
+    "next negative": ("next", lambda a: a - 10**6, "next state -"),
+    "negative": ("weight", lambda a: -a, "a probability is"),
+    "zero": ("weight", lambda a: a * 0, "a probability is 0"),
+    "row sums": ("weight", lambda a: a + 1, "transition probabilities sum to"),
+    "nan": ("weight", lambda a: np.full(len(a), np.nan), "a probability is nan"),
+    "denominator 0": ("denominator", lambda a: a * 0, "not positive"),
+    "gain denominator": ("gain_denominator", lambda a: -a, "not positive"),
+    "components": ("components", lambda a: a + 1, "components sum to"),
+    "components flat": ("components", lambda a: a[:, 0].copy(), "an array of type float64"),
+    "components nan": ("components", lambda a: a * np.nan, "components sum to"),
+    "event": ("event", lambda a: a.astype(np.int64), "an array of type int64"),
+    "short event": ("event", lambda a: a[:-1], "event has shape"),
+    "header words": ("header", np.frombuffer(b"\xff\xfe{}", np.uint8), "broken JSON"),
+    "header cut": ("header", lambda a: a[:-3], "broken JSON"),
+    "header deep": ("header", np.frombuffer(b"[" * 10**5, np.uint8), "nested more than 100 deep"),
+    "header digits": ("header", np.frombuffer(b"9" * 10**4, np.uint8), "broken JSON"),
+    "header list": ("header", np.frombuffer(b"[1]", np.uint8), "header is not an object"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_arrays_that_are_no_model(tmp_path: Path, name: str) -> None:
+    key, change, message = SPOILED[name]
+    arrays = saved(MODELS["care"], tmp_path)
+    if change is None:
+        del arrays[key]
+    else:
+        arrays[key] = change(arrays[key]) if callable(change) else change
+    np.savez(tmp_path / "bad.npz", **arrays)
+    refused(tmp_path / "bad.npz", message)
+
+
+HEADERS: dict[str, tuple[str, Any, str]] = {
+    "format": ("format", "other model", "the format is 'other model'"),
+    "no format": ("format", None, "the format is None"),
+    "newer": ("version", 2, "version 2 of the format"),
+    "name": ("name", 3, "name is not a string"),
+    "discount number": ("discount", 0.9, "discount is not a string"),
+    "discount word": ("discount", "x", "not a finite rational"),
+    "discount 2": ("discount", "2", "outside [0, 1]"),
+    "discount digits": ("discount", "0." + "1" * 5000, "over 4,000 characters"),
+    "start": ("start", 0, "start is not a list"),
+    "start pair": ("start", [[0]], "start is not [["),
+    "start float": ("start", [[0.0, "1"]], "start is not [["),
+    "start bool": ("start", [[False, "1"]], "start is not [["),
+    "start beyond": ("start", [[10**6, "1"]], "the start names a state outside"),
+    "start half": ("start", [[0, "1/2"]], "start probabilities sum to 0.5"),
+    "start empty": ("start", [], "start probabilities sum to 0"),
+    "actions": ("actions", "go", "actions is not a list"),
+    "actions numbers": ("actions", [1, 2, 3, 4], "actions is not a list of strings"),
+    "few actions": ("actions", ["a"], "is outside 0 … 0"),
+    "same actions": ("actions", ["a"] * 4, "the same name"),
+    "columns": ("columns", {}, "columns is not a list"),
+    "column": ("columns", [3], "columns is not an object"),
+    "column huge": (
+        "columns", [{"name": "s", "size": 10**30, "bits": 0, "words": []}], "state-action pairs",
+    ),
+    "columns many": (
+        "columns", [{"name": "s", "size": 2, "bits": 1, "words": []}] * 300, "state-action pairs",
+    ),
+    "column zero": ("columns", [{"name": "s", "size": 0, "bits": 0, "words": []}], "0 values"),
+    "column words": ("columns", [{"name": "s", "size": 3, "bits": 0, "words": ["a"]}], "1 words"),
+    "column bits": ("columns", [{"name": "s", "size": 3, "bits": 2, "words": []}], "2 bits"),
+    "column wide": (
+        "columns", [{"name": "s", "size": 2, "bits": 10**9, "words": []}], "1000000000 bits",
+    ),
+    "column negative": (
+        "columns", [{"name": "s", "size": -2, "bits": 0, "words": []}], "size is not a whole",
+    ),
+    "column bool": (
+        "columns", [{"name": "s", "size": True, "bits": 0, "words": []}], "size is not a whole",
+    ),
+    "few columns": ("columns", [], "is outside"),
+    "extra": ("extra", ["a", "b"], "a state without action"),
+    "component names": ("component_names", ["a"], "components have shape"),
+    "events": ("events", 3, "events is not a list"),
+    "parameters": ("parameters", [["p", "1"]], "parameters is not an object"),
+    "parameter": ("parameters", [{"name": "p", "value": 1}], "p is not a string"),
+    "parameter range": (
+        "parameters", [{"name": "p", "value": "2", "low": "0", "high": "1"}], "outside [0, 1]",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_headers_that_are_no_model(tmp_path: Path, name: str) -> None:
+    key, value, message = HEADERS[name]
+    arrays = saved(MODELS["care"], tmp_path)
+    header = json.loads(arrays["header"].tobytes())
+    if value is None:
+        del header[key]
+    else:
+        header[key] = value
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    np.savez(tmp_path / "bad.npz", **arrays)
+    refused(tmp_path / "bad.npz", message)
+
+
+def test_a_truncated_file_at_any_length(tmp_path: Path) -> None:
+    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    content = (tmp_path / "good.npz").read_bytes()
+    path = tmp_path / "cut.npz"
+    for length in [*range(0, len(content), 61), len(content) - 1]:
+        path.write_bytes(content[:length])
+        refused(path, "damaged")
+
+
+def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
+    """A single changed byte is refused, or is in a place that carries no meaning."""
+    mdp, path = MODELS["floats"], tmp_path / "model.npz"
+    npz.save(mdp, path)
+    content = path.read_bytes()
+    refusals = 0
+    for place in range(0, len(content), 7):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
+        try:
+            again = npz.load(path)
+        except ModelError:
+            refusals += 1
+        else:
+            assert_same(mdp, again)
+    assert refusals > len(content) / 7 * 0.6
+
+
+@pytest.mark.parametrize(
+    ("shape", "kind", "message"),
+    [
+        ("(9000000000000,)", "<i8", "in"),
+        ("(9000000000000000000000000,)", "<i8", "in"),
+        ("(-1,)", "<i8", "shape (-1,)"),
+        ("(0,)", "<i8", "shape (0,)"),
+        ("(2, 2)", "<i8", "shape (2, 2)"),
+        ("(1,)", "|O", "type object"),
+        ("(True,)", "<i8", "in"),
+        ("'x'", "<i8", "damaged"),
+        ("(1.5,)", "<i8", "damaged"),
+        ("(" * 300, "<i8", "damaged"),
+        ("(1,), 'more': 3", "<i8", "damaged"),
+        ("(1,)", "nonsense", "damaged"),
+    ],
+)
+def test_array_headers_that_claim_nonsense(
+    tmp_path: Path, shape: str, kind: str, message: str
+) -> None:
+    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    members = unzipped(tmp_path / "good.npz")
+    members["pair_state.npy"] = array_header(shape, kind) + bytes(16)
+    (tmp_path / "bad.npz").write_bytes(zipped(members))
+    refused(tmp_path / "bad.npz", message)
+
+
+def test_archives_that_claim_more_than_they_hold(tmp_path: Path) -> None:
+    """Zeros by the hundred million compress to little: nothing of the kind is unpacked."""
+    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    members = unzipped(tmp_path / "good.npz")
+    members["weight.npy"] = array_header("(20000000,)", "<f8") + bytes(160_000_000)
+    path = tmp_path / "bomb.npz"
+    path.write_bytes(zipped(members, zipfile.ZIP_DEFLATED))
+    assert path.stat().st_size < 1_000_000
+    refused(path, "claims to hold")
+
+
+def test_archives_of_unusual_make(tmp_path: Path) -> None:
+    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    members = unzipped(tmp_path / "good.npz")
+    path = tmp_path / "bad.npz"
+    path.write_bytes(zipped(members, zipfile.ZIP_LZMA))
+    refused(path, "compressed in an unusual way")
+    path.write_bytes(zipped(members | {"weight": members["weight.npy"]}))
+    refused(path, "the archive holds")
+    path.write_bytes(zipped({}))
+    refused(path, "the archive holds nothing")
+    content = bytearray(zipped(members))
+    for magic, place in ((b"PK\x01\x02", 8), (b"PK\x03\x04", 6)):
+        start = content.find(magic)
+        while start >= 0:
+            content[start + place] |= 1
+            start = content.find(magic, start + 1)
+    path.write_bytes(bytes(content))
+    refused(path, "encrypted")
+    members["weight.npy"] += b"\0"
+    path.write_bytes(zipped(members))
+    refused(path, "in")
+
+
+def test_pickles_are_never_opened(tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return os.mkdir, (str(tmp_path / "sprung"),)
+
+    arrays = saved(MODELS["floats"], tmp_path)
+    arrays["weight"] = np.array([Trap()], dtype=object)
+    np.savez(tmp_path / "bad.npz", **arrays)
+    refused(tmp_path / "bad.npz", "type object")
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
+    np.savez(tmp_path / "q.npz", np.zeros((16, 4)))
+    refused(tmp_path / "q.npz", "a Q-table is a policy")
+    np.save(tmp_path / "q.npy", np.zeros((16, 4)))
+    refused(tmp_path / "q.npy", "damaged, or not an archive")
+    with pytest.raises(ModelError, match="cannot write the file"):
+        npz.save(MODELS["floats"], tmp_path / "nowhere" / "model.npz")
+    huge = MODELS["floats"].with_(discount=1 - Fraction(1, 10**5000))
+    with pytest.raises(ModelError, match="over 4,000 characters"):
+        npz.save(huge, tmp_path / "model.npz")
+    assert not (tmp_path / "model.npz").exists()

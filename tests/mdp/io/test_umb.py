@@ -1,7 +1,15 @@
-"""UMB files: ours come back with the same laws, and those of others are read."""
+"""UMB files: umbi reads ours, we read those of others, and what is damaged or lies is refused.
+
+That nothing is lost is tested for all formats together, in `test_formats`.
+"""
 
 from __future__ import annotations
 
+import gzip
+import lzma
+import sys
+import tarfile
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -10,52 +18,22 @@ import numpy as np
 import pytest
 import umbi
 import umbi.ats
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from archives import read_by_umbi, tarred, untarred
 from laws import laws
-from umb_files import MODELS, members_of, read_by_umbi
+from saved_models import MODELS
 
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.io import umb
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.io import umb, umb_read
 from exact_mdp.mdp.io.load import load
+from exact_mdp.mdp.lazy import later
 
-
-@pytest.mark.parametrize("name", MODELS)
-def test_ours_come_back_with_the_same_laws(tmp_path: Path, name: str) -> None:
-    mdp, path = MODELS[name], tmp_path / "model.umb"
-    umb.save(mdp, path)
-    again = umb.load(path, discount="9/10")
-    assert laws(again) == laws(mdp)
-    assert (again.start, again.actions) == (mdp.start, mdp.actions)
-    assert again.name == mdp.name
-    assert again.discount_exact == Fraction(9, 10)
-    assert again.terminal.tolist() == mdp.terminal.tolist()
-    assert [file.name for file in tmp_path.iterdir()] == ["model.umb"]
-    first = path.read_bytes()
-    umb.save(mdp, path)
-    assert path.read_bytes() == first
-
-
-@settings(max_examples=25, deadline=None)
-@given(data=st.data())
-def test_any_rationals_survive(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
-    numbers = st.one_of(st.fractions(), st.integers(-(10**60), 10**60))
-    chances = st.one_of(st.fractions(0, 1), st.fractions(0, 1, max_denominator=2**200))
-    listed = []
-    for state in range(data.draw(st.integers(1, 4))):
-        p = data.draw(chances)
-        listed.append((state, 0, [(p, 0, data.draw(numbers)), (1 - p, state, data.draw(numbers))]))
-    mdp = MDP.from_outcomes(listed)
-    path = tmp_path_factory.mktemp("umb") / "model.umb"
-    umb.save(mdp, path)
-    assert laws(umb.load(path)) == laws(mdp)
+CARE = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=1).compile()
+FLOATS = MODELS["floats"]
 
 
 def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
     """The format's own library finds the same chances, expected rewards, labels and columns."""
-    mdp, path = MODELS["care"], tmp_path / "care.umb"
+    mdp, path = CARE, tmp_path / "care.umb"
     umb.save(mdp, path)
     found = read_by_umbi(path)
     system = found.index.transition_system
@@ -84,7 +62,7 @@ def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
     assert [(v.name, v.sized_type.size_bits) for v in variables] == [
         (name, 32) for name in mdp.space.names
     ]
-    values = np.frombuffer(members_of(path)["valuations/states/valuations.bin"], "<i4")
+    values = np.frombuffer(untarred(path)["valuations/states/valuations.bin"], "<i4")
     columns = [mdp.space.values(name) for name in mdp.space.names]
     assert values.reshape(mdp.n_states, -1).tolist() == np.stack(columns, axis=1).tolist()
 
@@ -239,10 +217,141 @@ def test_models_of_other_kinds(tmp_path: Path) -> None:
 def test_rewards_that_were_changed_for_choices_alone(tmp_path: Path) -> None:
     """Another tool may change the rewards and pass over our finer ones: they must not win."""
     path = tmp_path / "care.umb"
-    umb.save(MODELS["care"], path)
+    umb.save(CARE, path)
     content = read_by_umbi(path)
     content.index.valuations = None
     content.annotations["rewards"]["reward"]["choices"][7] += 1
     umbi.umb.write(content, path)
     with pytest.raises(ModelError, match="rewards of branches average"):
         umb.load(path)
+
+
+# ---- damage -----------------------------------------------------------------------------------
+
+
+def members_of_care(folder: Path) -> dict[str, bytes]:
+    umb.save(CARE, folder / "good.umb")
+    return untarred(folder / "good.umb")
+
+
+def refused(content: bytes, message: str, folder: Path) -> None:
+    path = folder / "bad.umb"
+    path.write_bytes(content)
+    with pytest.raises(ModelError) as caught:
+        umb.load(path)
+    assert message in str(caught.value)
+    assert str(path) in caught.value.where
+    assert caught.value.fix
+
+
+def test_files_cut_short_or_left_out(tmp_path: Path) -> None:
+    members, path = members_of_care(tmp_path), tmp_path / "bad.umb"
+    path.write_bytes(tarred(members))
+    assert laws(umb.load(path)) == laws(CARE)
+    optional = ("valuations/", "annotations/aps", "annotations/rewards/component", "strings")
+    for name in members:
+        if any(part in name for part in optional) or "string-mapping" in name:
+            continue
+        for data in (members[name][:-8], b""):
+            refused(tarred(members | {name: data}), "", tmp_path)
+    content = (tmp_path / "good.umb").read_bytes()
+    for length in range(0, len(content), len(content) // 40):
+        refused(content[:length], "", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"#states": 33', '"#states": 34', "values"),
+        ('"#states": 33', '"#states": 18446744073709551615', "the index claims"),
+        ('"#choices": 129', '"#choices": 99999999999', "the index claims"),
+        ('"#choices": 129', '"#choices": 128', "values"),
+        ('"#states": 33', '"#states": -1', "damaged"),
+        ('"#states": 33', '"#states": "many"', "damaged"),
+        ('"#states": 33,', "", "damaged"),
+        ('"type": "rational"', '"type": "complex"', "damaged"),
+        ('"#choice-actions": 4', '"#choice-actions": 3', "actions"),
+        ("{", "[" * 50000, "damaged"),
+    ],
+)
+def test_indices_that_lie(tmp_path: Path, old: str, new: str, message: str) -> None:
+    members = members_of_care(tmp_path)
+    index = members["index.json"].decode()
+    assert old in index
+    members["index.json"] = index.replace(old, new, 1).encode()
+    refused(tarred(members), message, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "message"),
+    [
+        ("branch-to-target.bin", 0, 33, "leads to state 33 of 33"),
+        ("branch-to-target.bin", 0, 2**63, "leads to state"),
+        ("branch-to-probability.bin", 0, 2**62, "sum to"),
+        ("branch-to-probability.bin", 0, 2**64 - 1, "a probability is"),
+        ("branch-to-probability.bin", 8, 0, "damaged"),
+        ("state-to-choices.bin", 8, 2**40, "offsets that do not run"),
+        ("choice-to-branches.bin", 8, 2**40, "offsets that do not run"),
+        ("choice-to-branches.bin", 8, 0, "sum to 0, not 1"),
+        ("actions/choices/values.bin", 0, 9, "an action beyond"),
+    ],
+)
+def test_numbers_that_make_no_model(
+    tmp_path: Path, name: str, place: int, value: int, message: str
+) -> None:
+    members = members_of_care(tmp_path)
+    data = members[name]
+    members[name] = data[:place] + value.to_bytes(8, "little") + data[place + 8 :]
+    refused(tarred(members), message, tmp_path)
+
+
+def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "text.umb").write_text("mdp module", encoding="utf-8")
+    with pytest.raises(ModelError, match="damaged"):
+        umb.load(tmp_path / "text.umb")
+    with pytest.raises(ModelError, match="cannot write"):
+        umb.save(FLOATS, tmp_path / "nowhere" / "model.umb")
+
+
+def test_without_umbi_the_error_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "umbi"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    for module in (umb, umb_read):
+        monkeypatch.setattr(module, "encoding", later("umbi.umb.umb_to_tar"))
+    with pytest.raises(ModelError, match=r"exact-mdp\[umb\]"):
+        umb.save(FLOATS, tmp_path / "model.umb")
+    with pytest.raises(ModelError, match=r"exact-mdp\[umb\]"):
+        umb.load(tmp_path / "model.umb")
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, lzma.compress])
+def test_umb_archives_that_expand(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
+    """What unpacks out of proportion is refused, whatever it is packed with."""
+    bomb = pack(tarred({"index.json": bytes(100_000_000)}))
+    assert len(bomb) < 2_000_000
+    refused(bomb, "unpacks to over", tmp_path)
+
+
+def test_umb_archives_whose_headers_lie(tmp_path: Path) -> None:
+    """The name of a file, the size of a file and the ranges of names may each claim gigabytes."""
+    member = tarfile.TarInfo("index.json")
+    member.size = 2**33
+    refused(member.tobuf(tarfile.GNU_FORMAT), "", tmp_path)
+    member = tarfile.TarInfo("././@LongLink")
+    member.type, member.size = tarfile.GNUTYPE_LONGNAME, 2**33
+    bomb = gzip.compress(member.tobuf(tarfile.GNU_FORMAT) + bytes(100_000_000))
+    refused(bomb, "unpacks to over", tmp_path)
+
+
+def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
+    """Each file of the archive has the length that the index gives it, before it is decoded."""
+    members = members_of_care(tmp_path)
+    names = ("state-is-initial.bin", "branch-to-probability.bin", "actions/choices/values.bin")
+    for name in (*names, "annotations/rewards/reward/choices/values.bin"):
+        refused(tarred(members | {name: bytes(2**20)}), "a file of 1,048,576 bytes", tmp_path)
+    mapping = "actions/choices/string-mapping.bin"
+    ends = np.frombuffer(members[mapping], "<u8").copy()
+    ends[1:-1] = ends[-1], 0, ends[-1]
+    refused(tarred(members | {mapping: ends.tobytes()}), "ranges of the names fall", tmp_path)

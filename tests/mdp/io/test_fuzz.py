@@ -1,0 +1,319 @@
+"""Whatever bytes a reader is given, it returns a valid object or raises ModelError.
+
+Valid files are spoiled at random bytes, and by exchanging values for awkward ones, the syntax
+staying sound. The arrays of archives are spoiled and packed anew, since a checksum would find any
+change of theirs.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from archives import tarred, untarred
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.care.toml import parse
+from exact_mdp.mdp.io import npz, umb
+
+SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1)
+CARE = SMALL.compile()
+STATUSES = [format(number, "04b") for number in range(16)]
+TOY = MDP.from_outcomes(
+    [(0, 0, [("1/3", 0, 1), ("2/3", 1, "1/7")]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])],
+    "9/10", name="toy", states=["here", "there"], actions=["stay", "go"],
+)  # fmt: skip
+
+fuzz = settings(
+    max_examples=120,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+
+
+@st.composite
+def spoiled(draw: st.DrawFn, content: bytes) -> bytes:
+    """The content after one to four cuts, copies, insertions and changes of bytes."""
+    data = bytearray(content)
+    for _ in range(draw(st.integers(1, 4))):
+        first = draw(st.integers(0, len(data)))
+        last = draw(st.integers(first, min(len(data), first + draw(st.sampled_from([1, 4, 60])))))
+        match draw(st.sampled_from(["change", "cut", "copy", "insert", "end"])):
+            case "change":
+                data[first:last] = draw(st.binary(min_size=last - first, max_size=last - first))
+            case "cut":
+                del data[first:last]
+            case "copy":
+                place = draw(st.integers(0, len(data)))
+                data[place:place] = data[first:last]
+            case "insert":
+                data[first:first] = draw(st.binary(max_size=12))
+            case "end":
+                del data[first:]
+    return bytes(data)
+
+
+def survives(read: Callable[[], object]) -> bool:
+    """True where reading gives an object, False where it is refused in so many words."""
+    try:
+        read()
+    except ModelError:
+        return False
+    return True
+
+
+AWKWARD = [
+    *("none", "skip", "", " none", "0000", "1/0", "-1", "1e400", "nan", "\0", '"', "😀"),
+    "9" * 5000,
+    *("0110", "2", "0.5", "status", "action", "1e9999999999", "none\n", "=1", "٣"),
+]
+json_values = st.recursive(
+    st.one_of(
+        st.none(), st.booleans(), st.integers(), st.floats(), st.sampled_from(AWKWARD), st.text()
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3),
+        st.dictionaries(
+            st.sampled_from(["none", "directive", "x", ""]) | st.text(max_size=3), inner, max_size=3
+        ),
+    ),
+    max_leaves=5,
+)
+
+
+# ---- scenarios ----------------------------------------------------------------------------------
+
+TOML = (Path(npz.__file__).parent.parent / "scenarios" / "yuan2025.toml").read_bytes()
+AWKWARD_TOML = [
+    *("0", "1", "-1", "1.5", "1e400", "1e-400", "nan", "inf", "-inf", "true", '""', '"1/0"'),
+    *('"1/3"', '"0x1"', '"1e9999"', "9" * 5000, "[]", "[1]", "[[1]]", "{}", "{a = 1}", "'x'"),
+    *("1979-05-27", "07:32:00", "0b1", "0o7", "1_000", '"\\u0000"', "[3, true]", "[1e0]", "1e9"),
+    *('"' + "9" * 9000 + '"', "[99999999]", "4611686018427387905", '["a", "a"]', "[" * 2000),
+]
+
+
+def load_scenario(path: Path) -> None:
+    scenario = Scenario.load(path)
+    states = sum(scenario.tasks) * scenario.trials * 2 ** len(scenario.statuses)
+    if states < 2000:
+        scenario.compile()
+
+
+@fuzz
+@given(data=st.data())
+def test_scenario_bytes(tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "s.toml"
+    path.write_bytes(data.draw(st.one_of(spoiled(TOML), st.binary(max_size=60))))
+    survives(lambda: load_scenario(path))
+
+
+@fuzz
+@given(data=st.data())
+def test_scenario_values(tmp_path: Path, data: st.DataObject) -> None:
+    lines = TOML.decode().splitlines()
+    places = [number for number, line in enumerate(lines) if re.match(r"\S+ *= *", line)]
+    for place in data.draw(st.lists(st.sampled_from(places), min_size=1, max_size=3)):
+        key = lines[place].partition("=")[0]
+        lines[place] = f"{key}= {data.draw(st.sampled_from(AWKWARD_TOML))}"
+    path = tmp_path / "s.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    survives(lambda: load_scenario(path))
+
+
+@fuzz
+@given(st.text(max_size=40), st.sampled_from(SMALL.names), st.sampled_from(["", "=", ".", "=1/3"]))
+def test_settings(text: str, name: str, middle: str) -> None:
+    survives(lambda: SMALL.set(text))
+    survives(lambda: SMALL.set(name + middle + text))
+    survives(lambda: SMALL.set(f"tasks={text}").compile())
+    survives(lambda: SMALL.set(f"max_trial={text}"))
+
+
+def test_some_spoiled_scenarios_are_still_scenarios() -> None:
+    """The fuzzing above would show nothing if no change were ever accepted."""
+    assert survives(lambda: parse(TOML.decode().replace("0.05", "0.06"), Scenario))
+    assert not survives(lambda: parse(TOML.decode().replace("0.05", "nan"), Scenario))
+
+
+# ---- policies ---------------------------------------------------------------------------------
+
+JSON = json.dumps(dict.fromkeys(STATUSES, "none") | {"0110": {"none": 0.5, "directive": "1/2"}})
+CSV = "status,action,probability\n" + "".join(f"{status},none,1\n" for status in STATUSES)
+
+
+def read_policy(path: Path, mdp: MDP = CARE) -> None:
+    policy = Policy.read(path, mdp)
+    weights = policy.weights(mdp)
+    assert np.add.reduceat(weights, mdp.pair_offsets[:-1]) == pytest.approx(1)
+
+
+@fuzz
+@given(data=st.data())
+def test_policy_bytes(tmp_path: Path, data: st.DataObject) -> None:
+    name, content = data.draw(st.sampled_from([("p.json", JSON), ("p.csv", CSV)]))
+    path = tmp_path / name
+    path.write_bytes(data.draw(st.one_of(spoiled(content.encode()), st.binary(max_size=60))))
+    survives(lambda: read_policy(path))
+
+
+@fuzz
+@given(
+    changes=st.dictionaries(
+        st.sampled_from(STATUSES) | st.sampled_from(AWKWARD), json_values, min_size=1, max_size=3
+    )
+)
+def test_policy_values_in_json(tmp_path: Path, changes: dict[str, Any]) -> None:
+    path = tmp_path / "p.json"
+    text = json.dumps({**json.loads(JSON), **changes}, ensure_ascii=False)
+    path.write_bytes(text.encode("utf-8", "replace"))
+    survives(lambda: read_policy(path))
+    path.write_bytes(json.dumps(next(iter(changes.values()))).encode())
+    survives(lambda: read_policy(path))
+
+
+@fuzz
+@given(data=st.data())
+def test_policy_values_in_csv(tmp_path: Path, data: st.DataObject) -> None:
+    table = [line.split(",") for line in CSV.splitlines()]
+    for _ in range(data.draw(st.integers(1, 3))):
+        row = data.draw(st.sampled_from(table))
+        row[data.draw(st.integers(0, len(row) - 1))] = data.draw(st.sampled_from(AWKWARD))
+    path = tmp_path / "p.csv"
+    path.write_bytes("\n".join(",".join(row) for row in table).encode())
+    survives(lambda: read_policy(path))
+
+
+arrays = st.one_of(
+    st.builds(
+        lambda shape, kind: np.zeros(shape, dtype=kind),
+        st.sampled_from([(16, 4), (17, 4), (16, 4, 1), (4, 16), (0,), (), (64,), (16, 0)]),
+        st.sampled_from(
+            ["f8", "f4", "f2", ">f8", "i8", "u1", "?", "c16", "U3", "S2", "M8[s]", "V8"]
+        ),
+    ),
+    st.lists(st.floats(), min_size=64, max_size=64).map(lambda x: np.array(x).reshape(16, 4)),
+)
+
+
+@fuzz
+@given(data=st.data())
+def test_q_tables(tmp_path: Path, data: st.DataObject) -> None:
+    array, stream = data.draw(arrays), io.BytesIO()
+    if data.draw(st.booleans()):
+        path = tmp_path / "q.npy"
+        np.save(stream, array)
+    else:
+        path = tmp_path / "q.npz"
+        names = data.draw(st.lists(st.sampled_from(["q", "a", "b"]), max_size=2, unique=True))
+        np.savez(stream, **dict.fromkeys(names, array))
+    content = stream.getvalue()
+    path.write_bytes(content)
+    survives(lambda: read_policy(path))
+    path.write_bytes(data.draw(st.one_of(spoiled(content), st.binary(max_size=60))))
+    survives(lambda: read_policy(path))
+
+
+# ---- models -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fuzz")
+
+
+@fuzz
+@given(data=st.data())
+def test_model_bytes(folder: Path, data: st.DataObject) -> None:
+    npz.save(TOY, folder / "good.npz")
+    content = (folder / "good.npz").read_bytes()
+    path = folder / "bad.npz"
+    path.write_bytes(data.draw(st.one_of(spoiled(content), st.binary(max_size=60))))
+    survives(lambda: npz.load(path))
+
+
+numbers = st.one_of(
+    st.integers(-3, 5), st.sampled_from([2**31, 2**62, 2**63 - 1, -(2**63)]), st.just(10**6)
+)
+
+
+@fuzz
+@given(data=st.data())
+def test_model_arrays(folder: Path, data: st.DataObject) -> None:
+    mdp = data.draw(st.sampled_from([TOY, CARE]))
+    npz.save(mdp, folder / "good.npz")
+    with np.load(folder / "good.npz") as archive:
+        members = {name: array.copy() for name, array in archive.items()}
+    for _ in range(data.draw(st.integers(1, 2))):
+        name = data.draw(st.sampled_from([key for key in members if key != "header"]))
+        array = members[name]
+        match data.draw(st.sampled_from(["value", "value", "kind", "shape", "copy", "scale"])):
+            case "value":
+                limits = np.iinfo(array.dtype) if array.dtype.kind in "iu" else None
+                value = data.draw(numbers if limits else st.floats(width=16))
+                place = data.draw(st.integers(0, max(array.size - 1, 0)))
+                if limits is not None:
+                    value = min(max(value, limits.min), limits.max)
+                if array.size and array.dtype.kind in "iuf":
+                    array.flat[place] = value
+            case "kind":
+                kind = data.draw(st.sampled_from(["f8", "i8", "i4", "u1", "f4", "?", "U2"]))
+                with np.errstate(all="ignore"):
+                    members[name] = array.astype(kind)
+            case "shape":
+                members[name] = data.draw(
+                    st.sampled_from([array[:-1], array[None], array.ravel(), array[::2], array[:0]])
+                )
+            case "copy":
+                members[name] = members[data.draw(st.sampled_from(sorted(members)))]
+            case "scale" if array.dtype.kind in "iuf":
+                with np.errstate(all="ignore"):
+                    factor = np.array(data.draw(st.integers(-2, 3))).astype(array.dtype)
+                    members[name] = array * factor
+    path = folder / "bad.npz"
+    np.savez(path, **members)
+    survives(lambda: npz.load(path))
+
+
+@fuzz
+@given(data=st.data())
+def test_model_headers(folder: Path, data: st.DataObject) -> None:
+    npz.save(TOY, folder / "good.npz")
+    with np.load(folder / "good.npz") as archive:
+        members = dict(archive)
+    header = json.loads(members["header"].tobytes())
+    spots: list[tuple[Any, Any]] = []
+
+    def visit(node: Any) -> None:
+        for key in node if isinstance(node, dict) else range(len(node)):
+            spots.append((node, key))
+            if isinstance(node[key], dict | list):
+                visit(node[key])
+
+    visit(header)
+    awkward = st.one_of(json_values, numbers, st.sampled_from(["1/3", "-1", "2"]))
+    for node, key in data.draw(st.lists(st.sampled_from(spots), min_size=1, max_size=2)):
+        node[key] = data.draw(awkward)
+    members["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    path = folder / "bad.npz"
+    np.savez(path, **members)
+    survives(lambda: npz.load(path))
+
+
+@settings(fuzz, max_examples=80)
+@given(data=st.data())
+def test_umb_files(folder: Path, data: st.DataObject) -> None:
+    umb.save(TOY, folder / "good.umb")
+    content, members = (folder / "good.umb").read_bytes(), untarred(folder / "good.umb")
+    for name in data.draw(st.lists(st.sampled_from(sorted(members)), min_size=1, max_size=2)):
+        members[name] = data.draw(spoiled(members[name]))
+    path = folder / "bad.umb"
+    path.write_bytes(data.draw(st.one_of(st.just(tarred(members)), spoiled(content))))
+    survives(lambda: umb.load(path))
