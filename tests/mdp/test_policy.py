@@ -298,7 +298,7 @@ def test_a_row_that_says_nothing_is_an_error_only_where_it_is_asked() -> None:
     table[1] = np.nan  # state y is forced
     assert Policy.by(PLAIN, ["state"], table).choices(PLAIN).tolist() == [0, 1, 0]
     table[2] = np.nan
-    with pytest.raises(ModelError, match=r"says nothing(.|\n)*state z"):
+    with pytest.raises(ModelError, match=r"gives no action(.|\n)*state z"):
         Policy.by(PLAIN, ["state"], table).weights(PLAIN)
 
 
