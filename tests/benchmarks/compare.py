@@ -83,14 +83,9 @@ def reference(workload: Workload) -> tuple[NDArray[np.float64], float]:
 
     At discount 1 the bound is the residual times the number of layers.
     """
-    from exact_mdp.mdp import MDP
     from exact_mdp.solvers import PolicyIteration, solve
 
-    mdp = MDP.from_pairs(
-        workload.state, workload.action, workload.transition, workload.reward,
-        discount=workload.discount,
-    )  # fmt: skip
-    value = solve(mdp, None if "layered" in workload.name else PolicyIteration()).value
+    value = solve(workload.model(), None if "layered" in workload.name else PolicyIteration()).value
     residual = float(np.abs(backup(workload, value) - value).max())
     steps = 5 * workload.size + 1 if workload.discount == 1 else 1 / (1 - workload.discount)
     return value, residual * steps

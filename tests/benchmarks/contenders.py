@@ -37,31 +37,21 @@ Contender = Callable[[Workload], Callable[[], Answer]]
 """Prepares a workload, untimed, and returns what is to be timed."""
 
 
-def _ours(method: str | None) -> Contender:
-    def prepare(work: Workload) -> Callable[[], Answer]:
-        from exact_mdp.mdp import MDP
-        from exact_mdp.solvers import (
-            ModifiedPolicyIteration,
-            PolicyIteration,
-            ValueIteration,
-            solve,
-        )
+def _ours(*, program: bool = False) -> Contender:
+    """Give our solver: the one for such a model, or a linear program."""
 
-        chosen: dict[str | None, Any] = {
-            None: None,
-            "mpi": ModifiedPolicyIteration(tol=TOLERANCE),
-            "pi": PolicyIteration(),
-            "vi": ValueIteration(tol=TOLERANCE),
-        }
-        solver = chosen[method]
-        if method is None and not work.name.startswith("layered"):
+    def prepare(work: Workload) -> Callable[[], Answer]:
+        from exact_mdp.solvers import LinearProgram, ModifiedPolicyIteration, Solver, solve
+
+        solver: Solver | None = None
+        if program:
+            solver = LinearProgram()
+        elif not work.name.startswith("layered"):
             solver = ModifiedPolicyIteration(tol=TOLERANCE)
 
         def run() -> Answer:
             started = perf_counter()
-            mdp = MDP.from_pairs(
-                work.state, work.action, work.transition, work.reward, discount=work.discount
-            )
+            mdp = work.model()
             built = perf_counter()
             solution = solve(mdp, solver)
             bound = solution.error_bound
@@ -71,7 +61,7 @@ def _ours(method: str | None) -> Contender:
                 seconds=ended - started,
                 solving=ended - built,
                 bound=bound,
-                note=solution.method,
+                note="" if program else solution.method,
             )
 
         return run
@@ -185,25 +175,6 @@ def _storm(work: Workload) -> Callable[[], Answer]:
     return run
 
 
-def _linear_program(work: Workload) -> Callable[[], Answer]:
-    from exact_mdp.mdp import MDP
-    from exact_mdp.solvers import LinearProgram, solve
-
-    def run() -> Answer:
-        started = perf_counter()
-        mdp = MDP.from_pairs(
-            work.state, work.action, work.transition, work.reward, discount=work.discount
-        )
-        built = perf_counter()
-        solution = solve(mdp, LinearProgram())
-        bound = solution.error_bound
-        ended = perf_counter()
-        times = {"seconds": ended - started, "solving": ended - built}
-        return Answer(value=solution.value, bound=bound, **times)
-
-    return run
-
-
 def _highs(method: str) -> Contender:
     def prepare(work: Workload) -> Callable[[], Answer]:
         from scipy.optimize import linprog
@@ -230,7 +201,7 @@ def _highs(method: str) -> Contender:
 
 OURS = "exact-mdp"
 GENERAL: dict[str, Contender] = {
-    OURS: _ours(None),
+    OURS: _ours(),
     "quantecon MPI": _quantecon("mpi"),
     "quantecon MPI, k=100": _quantecon("mpi", k=100),
     "mdpsolver MPI": _mdpsolver,
@@ -242,9 +213,9 @@ CONTENDERS: dict[str, dict[str, Contender]] = {
     "grid γ=0.9999": GENERAL,
     "inventory γ=0.9999": GENERAL,
     "layered γ=0.99": GENERAL,
-    "layered γ=1": {OURS: _ours(None), "Storm, topological": _storm},
+    "layered γ=1": {OURS: _ours(), "Storm, topological": _storm},
     "linear program": {
-        OURS + " LP": _linear_program,
+        OURS + " LP": _ours(program=True),
         "HiGHS, interior point": _highs("highs-ipm"),
         "HiGHS, dual simplex": _highs("highs-ds"),
     },

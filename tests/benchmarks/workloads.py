@@ -1,7 +1,7 @@
 """Models to be timed, as plain arrays that every solver can be given.
 
 A workload is pairs of state and action with sparse rows, expected rewards and a discount; the
-states of each pair are sorted. Nothing here imports the project, except for the care model.
+states of each pair are sorted. The project is imported for the care model, and for `model()`.
 """
 
 from __future__ import annotations
@@ -9,10 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+
+if TYPE_CHECKING:
+    from exact_mdp.mdp import MDP
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +46,13 @@ class Workload:
         matrix = self.transition
         return (
             matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes + self.reward.nbytes
+        )
+
+    def model(self) -> MDP:
+        from exact_mdp.mdp import MDP
+
+        return MDP.from_pairs(
+            self.state, self.action, self.transition, self.reward, discount=self.discount
         )
 
     def save(self, path: Path) -> None:

@@ -83,8 +83,6 @@ def imports_of(path: str, source: str) -> list[Import]:
                 base = package[: len(package) - level + 1]
                 for name in [module] if module else [alias.name for alias in names]:
                     yield Import(path, node.lineno, ".".join([*base, name]), at_import_time)
-            case ast.Call(func=ast.Name(id="later"), args=[ast.Constant(value=str(name))]):
-                yield Import(path, node.lineno, name, False)  # loaded when it is first used
             case ast.Call(
                 func=ast.Name(id="import_module" | "__import__" | "load")
                 | ast.Attribute(attr="import_module"),
@@ -92,7 +90,7 @@ def imports_of(path: str, source: str) -> list[Import]:
             ) if not name.startswith("."):
                 yield Import(path, node.lineno, name, at_import_time)
             case ast.Call(func=ast.Name(id="later"), args=[ast.Constant(value=str(name)), *_]):
-                yield Import(path, node.lineno, name, False)
+                yield Import(path, node.lineno, name, False)  # loaded when it is first used
         for field, value in ast.iter_fields(node):
             inside = at_import_time and not (
                 isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)

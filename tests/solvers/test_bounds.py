@@ -14,7 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, models
 
-from exact_mdp.mdp import MDP, ModelError, threads
+from exact_mdp.mdp import MDP, threads
 from exact_mdp.solvers import SolverError
 from exact_mdp.solvers.bounds.bounds import Bounds, bounds, margin_weights
 from exact_mdp.solvers.bounds.gains import gains, greedy
@@ -143,16 +143,6 @@ def test_weights_are_the_smaller_of_levels_and_horizon() -> None:
 def test_a_model_that_has_ended(discount: F) -> None:
     found = bounds(model_of(1, [(0, 0, F(0), {0: F(1)})], discount), np.zeros(1))
     assert (found.error, found.regret) == (0, 0)
-
-
-def test_ends_are_worth_nothing() -> None:
-    with pytest.raises(ValueError, match="terminal"):
-        bounds(model_of(1, [(0, 0, F(0), {0: F(1)})], F(1)), np.ones(1))
-
-
-def test_a_policy_that_never_ends_has_no_bounds() -> None:
-    with pytest.raises(ModelError, match="discount 1 needs every policy to end"):
-        bounds(model_of(1, [(0, 0, F(1), {0: F(1)})], F(1)), np.zeros(1))
 
 
 def test_an_end_too_far_away_is_refused() -> None:

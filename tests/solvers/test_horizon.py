@@ -17,7 +17,6 @@ from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io import npz
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
-from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 
 LAKE, WIDE = "FrozenLake-v1", "FrozenLake8x8-v1"
 OPTIMA = {LAKE: (100, 0.7441903), WIDE: (200, 0.9132202)}
@@ -250,18 +249,6 @@ def test_a_model_beyond_memory_is_refused_before_it_is_built() -> None:
     ) as error:
         solve(MDP.from_gymnasium(LAKE), horizon=10**18)
     assert error.value.where == "horizon"
-
-
-def test_any_solver_takes_the_unrolled_model() -> None:
-    mdp = MDP.from_gymnasium(LAKE)
-    values = {
-        name: solve(mdp, name, horizon=15).start_value
-        for name in ("policy-iteration", "value-iteration", "backward-induction")
-    }
-    assert max(values.values()) - min(values.values()) < 1e-9
-    assert PolicyIteration().solve(mdp.within(15)).start_value == pytest.approx(
-        values["value-iteration"]
-    )
 
 
 def test_extra_states_that_go_on_are_unrolled_as_well() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,15 @@ def same(found: list[dict[str, Any]], wanted: list[dict[str, Any]]) -> bool:
         list(a) == list(b) and all(a[name].tobytes() == b[name].tobytes() for name in a)
         for a, b in zip(found, wanted, strict=True)
     )
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """The bytes of every file below a folder."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 WANTED = [

@@ -22,7 +22,7 @@ import dask
 import numpy as np
 import pytest
 from cli_runner import run
-from pieces_of_work import KEY, WANTED, draws, failing, same
+from pieces_of_work import KEY, WANTED, contents, draws, failing, same
 
 from exact_mdp.analysis.readings import ReadingSpace
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
@@ -173,14 +173,6 @@ def killer(
     yield arrange
     assert len(killed) == 1
     assert killed[0] != os.getpid()
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 def test_a_worker_killed_in_the_middle_loses_nothing(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pieces_of_work import KEY, WANTED, draws, failing, same
+from pieces_of_work import KEY, WANTED, contents, draws, failing, same
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers.learning.q_learning import QLearning
@@ -61,8 +61,7 @@ def test_a_folder_is_used_again_and_more_pieces_may_be_asked_for(tmp_path: Path)
 def test_the_files_are_the_same_bytes_whoever_did_them(tmp_path: Path) -> None:
     for name, n_jobs in (("one", 1), ("two", 2)):
         many(partial(draws, 0), range(6), key=KEY, folder=tmp_path / name, n_jobs=n_jobs)
-    for path in (tmp_path / "one").iterdir():
-        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
 @pytest.mark.parametrize("n_jobs", [1, 2])
@@ -100,9 +99,10 @@ def test_a_folder_of_other_work_is_refused(tmp_path: Path) -> None:
     (tmp_path / "000001.npz").write_bytes(b"PK\x03\x04 cut short")
     with pytest.raises(ModelError, match="damaged"):
         many(partial(draws, 0), range(2), key=KEY, folder=tmp_path)
-    (tmp_path / "work.json").write_text("{")
-    with pytest.raises(ModelError, match="broken JSON"):
-        many(partial(draws, 0), range(2), key=KEY, folder=tmp_path)
+    for text, what in (("{", "broken JSON"), ("[]", "differs")):
+        (tmp_path / "work.json").write_text(text)
+        with pytest.raises(ModelError, match=what):
+            many(partial(draws, 0), range(2), key=KEY, folder=tmp_path)
     with pytest.raises(ModelError, match="cannot make the folder"):
         many(partial(draws, 0), range(2), key=KEY, folder=tmp_path / "work.json" / "below")
 

@@ -1,16 +1,15 @@
-"""Robust values: against exact rationals, linear programs, and what must hold of any of them."""
+"""Robust values: published answers, exact rationals, linear programs, and what must hold of any."""
 
-import json
 from fractions import Fraction
 
 import numpy as np
 import pytest
+from cases.intervals import INTERVAL_CASES, IntervalCase, total_reward
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from strategies import Rows, models
 
-from exact_mdp.analysis.cli.render import to_json
 from exact_mdp.analysis.cli.sensitivity.options import Asked
 from exact_mdp.analysis.cli.sensitivity.robust import robust_report
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
@@ -266,48 +265,6 @@ def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
     assert found.gain.value > 0
 
 
-@pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
-def test_the_report(kind: str) -> None:
-    loaded = load("yuan2025", sets=["tasks=[1]"])
-    found = robust_report(Asked(loaded=loaded, options={"set_kind": kind, "radius": "0.3"}))
-    result = json.loads(to_json(found.result))
-    assert result["worst_case"]["value"] < result["start_value"] < result["best_case"]["value"]
-    assert result["worst_case"]["nominal_policy"]["value"] <= result["worst_case"]["value"] + 1e-9
-    assert result["price_of_robustness"]["value"] >= -1e-9
-    assert result["set_kind"] == kind
-    assert found.tables[0].rows
-    assert "0.3" in found.facts["uncertainty"]
-
-
-def test_the_report_of_a_box() -> None:
-    loaded = load("yuan2025", sets=["tasks=[1]", "max_trial=2"])
-    found = robust_report(Asked(loaded=loaded, options={"set_kind": "box", "radius": "0.1"}))
-    result = json.loads(to_json(found.result))
-    assert result["worst_case"]["nominal_policy"]["low"] < result["start_value"]
-    assert result["worst_case"]["low"] <= result["worst_case"]["high"]
-    assert len(found.tables[0].rows) == len(result["box"]) == 32
-    assert result["best_case"]
-    one = {"set_kind": "box", "ranges": ("base.anger=0:0.2",)}
-    assert list(robust_report(Asked(loaded=loaded, options=one)).result["box"]) == ["base.anger"]
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"set_kind": "intervall"},
-        {"radius": "much"},
-        {"radius": "-1"},
-        {"parameters": ("base.anger",)},
-        {"set_kind": "box", "radius": "0.1", "relative": "0.1"},
-        {"set_kind": "box", "ranges": ("base.angr=0:1",)},
-        {"policy": "always:nothing"},
-    ],
-)
-def test_reports_of_nonsense_are_refused(options: dict) -> None:
-    with pytest.raises(ModelError):
-        robust_report(Asked(loaded=load("yuan2025", sets=["tasks=[1]"]), options=options))
-
-
 def test_a_box_needs_a_scenario(tmp_path) -> None:
     from exact_mdp.mdp.io.load import save_model
 
@@ -327,3 +284,51 @@ def test_the_curve_and_its_figure() -> None:
     assert "reward" in ax.get_ylabel()
     with pytest.raises(ModelError):
         robust_curve(risky(), "interval", [])
+
+
+def interval_model(case: IntervalCase) -> tuple[MDP, Intervals]:
+    """A model with a law inside the intervals of each row, and these."""
+    outcomes, bounds = [], {}
+    for state, action, row in case.rows:
+        least = sum(low for low, *_ in row)
+        room = sum(high for _, high, *_ in row) - least
+        share = (1 - least) / room if room else F(0)
+        outcomes.append((state, action, [(a + share * (b - a), to, r) for a, b, to, r in row]))
+        bounds |= {(state, action, to, gain): (low, high) for low, high, to, gain in row}
+    mdp = MDP.from_outcomes(outcomes, case.discount, start=case.start)
+    both = [
+        bounds[int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), to, gain]
+        for pair in range(mdp.n_pairs)
+        for _, to, gain in mdp.table.row(pair)
+    ]
+    lower, upper = np.array(both, dtype=float).T
+    return mdp, Intervals(lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize("case", INTERVAL_CASES, ids=str)
+def test_published_answer(case: IntervalCase) -> None:
+    mdp, intervals = interval_model(case)
+    for (objective, nature), values in case.values.items():
+        found = solve_robust(mdp, intervals, nature=nature, objective=objective)
+        assert found.error_bound < 1e-5
+        for state, value in values.items():
+            room = found.state_error[state] + case.tolerance
+            assert abs(found.value[state] - float(value)) <= room, (objective, nature, state)
+
+
+@pytest.mark.parametrize("case", INTERVAL_CASES, ids=str)
+def test_the_chain_it_returns_earns_what_it_says(case: IntervalCase) -> None:
+    mdp, intervals = interval_model(case)
+    for objective, nature in case.values:
+        found = solve_robust(mdp, intervals, nature=nature, objective=objective)
+        matrix = np.eye(mdp.n_states) - mdp.discount * found.transition.toarray()
+        earned = np.linalg.solve(matrix, found.reward)
+        assert earned == pytest.approx(found.value, abs=1e-7 + 2 * found.error_bound)
+
+
+def test_an_infinite_total_is_refused() -> None:
+    case = total_reward(F(1))
+    mdp, intervals = interval_model(case)
+    with pytest.raises(ModelError, match="every episode to end") as caught:
+        solve_robust(mdp, intervals)
+    assert "(state 2)" in str(caught.value)

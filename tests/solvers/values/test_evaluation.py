@@ -11,6 +11,7 @@ from random import Random
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from large_models import gridworld
 from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
@@ -163,35 +164,34 @@ def test_a_large_mean_does_not_drown_a_small_spread() -> None:
     assert found.sd == pytest.approx(1e-3, rel=1e-3)
 
 
-WAITING = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-GOING = [["1/2", 0, "1/2"], [0, "1/2", "1/2"], [0, 0, 1]]
+HALL = MDP.from_arrays(
+    [
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        [["1/2", 0, "1/2"], [0, "1/2", "1/2"], [0, 0, 1]],
+    ],
+    [[-1, -2], [-1, -3], [0, 0]],
+    actions=["wait", "go"],
+    states=["hall", "stairs", "out"],
+)
 
 
 def test_a_policy_that_ends_may_be_evaluated_where_others_never_do() -> None:
-    mdp = MDP.from_arrays([WAITING, GOING], [[-1, -2], [-1, -3], [0, 0]])
-    found = evaluate(mdp, [1, 1, 0])
+    found = evaluate(HALL, [1, 1, 0])
     assert found.value.tolist() == [-4.0, -6.0, 0.0]
     assert found.ends
 
 
 def test_a_policy_that_never_ends_is_refused_by_name() -> None:
-    mdp = MDP.from_arrays(
-        [WAITING, GOING],
-        [[-1, -2], [-1, -3], [0, 0]],
-        actions=["wait", "go"],
-        states=["hall", "stairs", "out"],
-    )
     with pytest.raises(ModelError) as caught:
-        evaluate(mdp, [0, 1, 0])
+        evaluate(HALL, [0, 1, 0])
     assert "hall" in caught.value.where
     assert "wait" in caught.value.where
     assert "discount below 1" in caught.value.fix
-    assert evaluate(mdp.with_(discount="1/2"), [0, 1, 0]).mean == -2.0
+    assert evaluate(HALL.with_(discount="1/2"), [0, 1, 0]).mean == -2.0
 
 
 def test_where_no_episode_comes_a_policy_need_not_end() -> None:
-    mdp = MDP.from_arrays([WAITING, GOING], [[-1, -2], [-1, -3], [0, 0]])
-    found = evaluate(mdp, [1, 0, 0])
+    found = evaluate(HALL, [1, 0, 0])
     assert found.value[0] == -4.0
     assert np.isnan(found.value[1])
     assert np.isnan(found.variance).tolist() == [False, True, False]
@@ -234,9 +234,8 @@ def test_a_policy_may_come_in_any_form() -> None:
     ],
 )
 def test_pair_weights_that_are_no_policy_are_refused(weights: list[float], what: str) -> None:
-    mdp = MDP.from_arrays([WAITING, GOING], [[-1, -2], [-1, -3], [0, 0]], discount="1/2")
     with pytest.raises(ModelError, match=what):
-        evaluate(mdp, np.array(weights))
+        evaluate(HALL.with_(discount="1/2"), np.array(weights))
 
 
 def test_a_chain_of_another_model_is_refused() -> None:
@@ -262,22 +261,7 @@ def test_the_occupancy_gives_the_mean_back(case: Case) -> None:
 
 
 def test_large_models_with_cycles_agree_with_the_solvers() -> None:
-    side = 25  # over 500 states: solved by iteration, not by elimination
-
-    def cell(row: int, column: int) -> int:
-        return min(max(row, 0), side - 1) * side + min(max(column, 0), side - 1)
-
-    rows = []
-    for row, column in product(range(side), repeat=2):
-        near = [cell(row + x, column + y) for x, y in ((0, 1), (1, 0), (0, -1), (-1, 0))]
-        here = cell(row, column)
-        if here == side * side - 1:
-            rows.append((here, 0, [(1, here, 0)]))
-            continue
-        for a in range(4):
-            slips = [(F(7, 10) if b == a else F(1, 10), near[b], -1) for b in range(4)]
-            rows.append((here, a, slips))
-    mdp = MDP.from_outcomes(rows)
+    mdp = gridworld(25).with_(discount=1)  # over 500 states: solved by iteration
     found = evaluate(mdp, "random")
     assert found.chain.order is None
     assert abs(found.mean + found.steps) <= found.start.error + found.numbers["steps"].error

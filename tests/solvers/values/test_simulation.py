@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from fractions import Fraction as F
-from itertools import pairwise
 from math import inf, sqrt
 
 import numpy as np
@@ -110,16 +109,6 @@ def test_probabilities_of_large_models_keep_their_digits() -> None:
     assert first.tolist() == [*range(0, 2 * states, 2), 2 * states - 1]
     assert (cumulative[0:-1:2] == 1 - rare).all()
     assert (cumulative[1:-1:2] == 1).all()
-
-
-def test_cumulative_probabilities_are_sums_within_states() -> None:
-    mdp = Scenario.load("yuan2025").compile()
-    chain = PolicyChain.of(mdp, "random")
-    first, cumulative = _cumulative(chain)
-    for begin, end in pairwise(first.tolist()):
-        wanted = np.cumsum(chain.probability[begin:end])
-        np.testing.assert_allclose(cumulative[begin:end], wanted, rtol=1e-14)
-        assert cumulative[end - 1] == 1
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:

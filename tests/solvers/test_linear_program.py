@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 from cases.reference import solve_exact
 from hypothesis import given, settings
+from large_models import garnet
 from oracle import ACTIONS
 from strategies import Rows, models
 
@@ -17,18 +18,6 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.solvers import LinearProgram, ModifiedPolicyIteration, certify, solve
 from exact_mdp.solvers.dynamic import linear_program as programs
 from exact_mdp.solvers.dynamic import policy_iteration
-
-
-def garnet(states: int, discount: float, *, seed: int = 0) -> MDP:
-    rng = np.random.default_rng(seed)
-    count, actions = 5, 3
-    following = rng.integers(0, states, size=(states * actions, count))
-    chances = rng.dirichlet(np.ones(count), size=states * actions)
-    offsets = np.arange(0, following.size + 1, count)
-    matrix = sp.csr_array((chances.ravel(), following.ravel(), offsets), (len(following), states))
-    matrix.sum_duplicates()
-    state, action = np.divmod(np.arange(len(following)), actions)
-    return MDP.from_pairs(state, action, matrix, rng.normal(size=len(following)), discount)
 
 
 @settings(max_examples=60)
@@ -47,7 +36,7 @@ def test_both_sides_hold_the_exact_optimum(rows: Rows) -> None:
 
 
 def test_optimiser_and_generated_constraints_agree() -> None:
-    mdp = garnet(120, 0.95)
+    mdp = garnet(120, seed=0, discount=0.95)
     known = solve(mdp, LinearProgram())
     found = solve(mdp, LinearProgram(start=np.zeros(120, dtype=int)))
     assert known.policy.tolist() == found.policy.tolist()
@@ -66,7 +55,7 @@ def test_optimiser_and_generated_constraints_agree() -> None:
 def test_a_program_too_large_for_an_optimiser_is_proved_from_a_known_policy(
     discount: float,
 ) -> None:
-    mdp = garnet(20_000, discount)
+    mdp = garnet(20_000, seed=0, discount=discount)
     with pytest.raises(ModelError, match=r"factors could take [\d.]+ GB") as refused:
         LinearProgram().solve(mdp)
     assert "LinearProgram(start=solve(mdp))" in refused.value.fix
@@ -137,7 +126,7 @@ def test_a_policy_that_decides_is_a_start() -> None:
 
 
 def test_all_constraints_on_the_way_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    mdp = garnet(200, 0.95, seed=3)
+    mdp = garnet(200, seed=3, discount=0.95)
     seen = []
 
     def evaluated(mdp: MDP, pairs: np.ndarray) -> np.ndarray:
@@ -154,7 +143,7 @@ def test_all_constraints_on_the_way_are_counted(monkeypatch: pytest.MonkeyPatch)
 def test_refusals_of_random_models_need_no_order_of_the_states(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    mdp = garnet(20_000, 0.9)
+    mdp = garnet(20_000, seed=0)
     assert 1000 < programs._density(mdp) <= programs._band(mdp)
     monkeypatch.setattr(programs, "_band", lambda _: pytest.fail("an order was looked for"))
     with pytest.raises(ModelError, match=r"factors could take .* or more"):

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 from fractions import Fraction as F
 from math import inf, isnan, sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
 from cli_runner import run, strict
 
 from exact_mdp.mdp import MDP
+from exact_mdp.mdp.io import npz
 from exact_mdp.solvers import evaluate, return_distribution, simulate
+
+
+def bet(size: float) -> MDP:
+    """Win or lose, with even chances."""
+    return MDP.from_outcomes([(0, 0, [(0.5, 1, size), (0.5, 1, -size)]), (1, 0, [(1, 1, 0)])])
+
+
+def late(chance: F | str) -> MDP:
+    """Earn 1 again and again, and end with a tiny chance."""
+    rows = [(0, 0, [(chance, 1, 1), (1 - F(chance), 0, 1)]), (1, 0, [(1, 1, 0)])]
+    return MDP.from_outcomes(rows, "1/2")
 
 
 def test_steps_of_a_policy_that_never_ends_are_infinite() -> None:
@@ -23,11 +36,9 @@ def test_steps_of_a_policy_that_never_ends_are_infinite() -> None:
 
 
 @pytest.mark.parametrize("chance", ["1/10000000000000000000", F(1, 10**300)])
-def test_an_end_beyond_double_precision_leaves_the_rest(chance: object) -> None:
+def test_an_end_beyond_double_precision_leaves_the_rest(chance: F | str) -> None:
     """When it ends is unknown; the mean, the spread and the events stand."""
-    stay = 1 - F(chance)
-    rows = [(0, 0, [(chance, 1, 1), (stay, 0, 1)]), (1, 0, [(1, 1, 0)])]
-    found = evaluate(MDP.from_outcomes(rows, "1/2"), [0, 0])
+    found = evaluate(late(chance), [0, 0])
     assert found.mean == pytest.approx(2)
     assert found.ends
     assert isnan(found.steps)
@@ -40,8 +51,7 @@ def test_an_end_beyond_double_precision_leaves_the_rest(chance: object) -> None:
 @pytest.mark.parametrize("discount", [0, "1/2", 1])
 def test_spreads_are_right_at_any_scale(size: float, discount: object) -> None:
     """A fair bet of ± size: its sd is the size, whether or not the variance is a float."""
-    rows = [(0, 0, [(0.5, 1, size), (0.5, 1, -size)]), (1, 0, [(1, 1, 0)])]
-    found = evaluate(MDP.from_outcomes(rows, discount), [0, 0])
+    found = evaluate(bet(size).with_(discount=discount), [0, 0])
     assert found.sd == pytest.approx(size, rel=1e-12)
     spread = found.numbers["sd"]
     assert abs(F(spread.value) - F(size)) <= F(spread.error)
@@ -62,15 +72,9 @@ def test_nothing_earned_is_exactly_nothing() -> None:
     assert (found.mean, found.start.error, found.sd, found.steps) == (0, 0, 0, inf)
 
 
-def test_the_command_tells_what_is_unknown(tmp_path: object) -> None:
-    from pathlib import Path
-
-    from exact_mdp.mdp.io import npz
-
-    path = Path(str(tmp_path)) / "late.npz"
-    stay = 1 - F(1, 10**19)
-    rows = [(0, 0, [(1 - stay, 1, 1), (stay, 0, 1)]), (1, 0, [(1, 1, 0)])]
-    npz.save(MDP.from_outcomes(rows, "1/2"), path)
+def test_the_command_tells_what_is_unknown(tmp_path: Path) -> None:
+    path = tmp_path / "late.npz"
+    npz.save(late(F(1, 10**19)), path)
     found = run("evaluate", path, "random", "--json").result
     assert (found["steps"], found["error_bounds"]["steps"]) == (None, "inf")
     assert found["mean"] == pytest.approx(2)
@@ -90,8 +94,7 @@ def test_two_outcomes_give_the_spread_of_a_recursion() -> None:
 @pytest.mark.parametrize("size", [1.7e308, 1e-308])
 def test_sampled_and_listed_returns_of_any_scale(size: float) -> None:
     """Mean and sd of simulations and of distributions neither overflow nor vanish."""
-    rows = [(0, 0, [(0.5, 1, size), (0.5, 1, -size)]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows)
+    mdp = bet(size)
     found = simulate(mdp, [0, 0], 400, rng=3)
     assert found.sd == pytest.approx(size, rel=0.02)
     assert abs(found.mean) < 4 * found.standard_error

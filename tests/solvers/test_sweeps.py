@@ -8,11 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
+from large_models import garnet
 from strategies import exact_gains, exact_values
+from workloads import queue
 
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp import threads as blocks
@@ -30,42 +31,6 @@ from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Judged, Sweeps, swee
 from exact_mdp.solvers.dynamic.stopping import Iterate
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
-
-
-def garnet(
-    states: int, *, seed: int, discount: object = "9/10", ends: bool = False, actions: int = 3
-) -> MDP:
-    """A random model; with an end in its last state where `ends`."""
-    rng = np.random.default_rng(seed)
-    pairs, width = states * actions, 6
-    after = np.sort(rng.integers(0, states, (pairs, width)))
-    chance = rng.dirichlet(np.ones(width), pairs)
-    reward = rng.normal(size=pairs)
-    if ends:
-        after[:, -1] = states - 1
-        last = slice(pairs - actions, pairs)
-        after[last], reward[last] = states - 1, 0.0
-    rows = sp.csr_array(
-        (chance.ravel(), after.ravel(), np.arange(0, pairs * width + 1, width)), (pairs, states)
-    )
-    rows.sum_duplicates()
-    if ends:
-        rows.data[rows.indptr[pairs - actions] :] = 1.0
-    owner, action = np.repeat(np.arange(states), actions), np.tile(np.arange(actions), states)
-    return MDP.from_pairs(owner, action, rows, reward, discount)
-
-
-def queue(states: int, discount: object) -> MDP:
-    """Births and deaths at three service rates, slow to mix."""
-    state, action = np.repeat(np.arange(states), 3), np.tile(np.arange(3), states)
-    up = np.where(state < states - 1, 0.4, 0.0)
-    down = np.where(state > 0, np.array([0.3, 0.4, 0.5])[action], 0.0)
-    row = np.arange(3 * states)
-    ahead, back = np.minimum(state + 1, states - 1), np.maximum(state - 1, 0)
-    entries = (np.tile(row, 3), np.concatenate([ahead, back, state]))
-    rows = sp.coo_array((np.concatenate([up, down, 1 - up - down]), entries), (len(row), states))
-    reward = -state / states - np.array([0.0, 0.3, 1.0])[action]
-    return MDP.from_pairs(state, action, rows.tocsr(), reward, discount)
 
 
 def uneven(mdp: MDP, seed: int) -> MDP:
@@ -320,9 +285,9 @@ def test_large_and_small_models_are_solved_alike(large: MDP) -> None:
         assert (difference <= one.state_error + found[0].state_error).all()
 
 
-@pytest.mark.parametrize("discount", ["99/100", "9999/10000"])
-def test_slow_chains_are_solved_by_their_equations(discount: str) -> None:
-    mdp = queue(3_000, discount)
+@pytest.mark.parametrize("discount", [0.99, 0.9999])
+def test_slow_chains_are_solved_by_their_equations(discount: float) -> None:
+    mdp = queue(3_000, discount).model()
     assert mdp.n_transitions > COMPILED
     one = solve(mdp, ModifiedPolicyIteration(tol=1e-6))
     two = solve(mdp, PolicyIteration())
@@ -352,16 +317,7 @@ def test_small_models_are_solved_without_numba() -> None:
 @pytest.mark.parametrize("states", [1_000, 2_000])
 def test_what_values_have_in_common_costs_no_digits(states: int) -> None:
     """Policies on the way are worth a thousand times the optimum; it is reached all the same."""
-    rates = np.array([0.1, 0.3, 0.5, 0.55, 0.6])
-    state, action = np.repeat(np.arange(states), 5), np.tile(np.arange(5), states)
-    served = np.where(state > 0, rates[action], 0.0)
-    up, down = np.where(state < states - 1, 0.5 * (1 - served), 0.0), 0.5 * served
-    row = np.tile(np.arange(5 * states), 3)
-    column = [np.minimum(state + 1, states - 1), np.maximum(state - 1, 0), state]
-    entries = (np.concatenate([up, down, 1 - up - down]), (row, np.concatenate(column)))
-    rows = sp.coo_array(entries, (5 * states, states)).tocsr()
-    reward = -(state / states) - 0.5 * rates[action] ** 2
-    mdp = MDP.from_pairs(state, action, rows, reward, "9999/10000")
+    mdp = queue(states).model()
     assert (mdp.n_transitions > COMPILED) == (states == 2_000)
     solution = solve(mdp, ModifiedPolicyIteration(tol=1e-6))  # a warning would be an error
     assert solution.error_bound <= 1e-6
@@ -385,16 +341,6 @@ def test_rewards_are_rounded_too() -> None:
     slow, fast = (sweeps.judge(np.full(7, 10 / 3)) for sweeps in both(mdp))
     assert (fast.low, fast.high) == (slow.low, slow.high)
     assert fast.low < fast.high
-
-
-def test_a_fall_is_no_greater_than_the_least_row_lets_it_be() -> None:
-    mdp = garnet(6, seed=24)
-    sweeps = CompiledSweeps(mdp, margin_weights(mdp))
-    for step, least in ((-1.0, -0.5), (1.0, 1.0)):
-        memory = sweeps._memory
-        memory.flow, memory.policy = (0.5, 1.0), memory.policy._replace(rise=0.0)
-        memory.move(memory.before + step)
-        assert least <= memory.policy.rise <= least + 1e-12
 
 
 def test_a_correction_that_goes_astray_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
