@@ -23,8 +23,8 @@ is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has
 ("exact-mdp model"), `version` (1), `name`, `discount` ("p/q"), `start` ([[state, "p/q"], …]),
 `actions`, `columns` ([{"name", "size", "bits", "words"}, …]: a state's number is that of its column
 values in row-major order), `extra` (names of the states after those), `component_names`, `events`
-`parameters` ([{"name", "value", "low", "high"}, …], low and high may be null) and `time_limit` (a
-number of steps or null; older files lack it).
+`parameters` ([{"name", "value", "low", "high"}, …], low and high may be null), `time_limit` (a
+number of steps or null) and `arrays` (the names of the others); older files lack the last two.
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
 """
@@ -233,18 +233,16 @@ def save(model: MDP, path: str | Path) -> None:
     ...     load(f"{folder}/small.npz").table.row(0)
     [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
     """
-    text = json.dumps(as_header(model)).encode("ascii")
     parts = {name: getattr(model.table, name) for name in TABLE}
-    stream = io.BytesIO()
-    np.savez(
-        stream,
-        allow_pickle=False,
-        header=np.frombuffer(text, dtype=np.uint8),
-        pair_state=model.pair_state,
-        pair_action=model.pair_action,
-        components=model.components,
+    arrays = {
+        "pair_state": model.pair_state,
+        "pair_action": model.pair_action,
+        "components": model.components,
         **{name: _as_bytes(array) for name, array in parts.items() if array is not None},
-    )
+    }
+    text = json.dumps(as_header(model) | {"arrays": sorted(arrays)}).encode("ascii")
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, header=np.frombuffer(text, dtype=np.uint8), **arrays)
     write_atomically(path, stream.getvalue())
 
 
@@ -254,6 +252,12 @@ def load(path: str | Path) -> MDP:
         arrays = read_arrays(path, names=_check_names, check=_check_array)
         header = json_of(arrays["header"].tobytes(), "header")
         parts = parts_of(header, pairs=len(arrays["pair_state"]))
+        # One changed byte in an archive's list can hide those of its arrays that a model may lack.
+        listed = header.get("arrays", sorted(arrays.keys() - {"header"}))
+        if listed != sorted(arrays.keys() - {"header"}):
+            raise ModelError(
+                "the archive lacks an array that its header names", fix="save it again"
+            )
         table = OutcomeTable(
             **{name: _as_integers(arrays[name]) for name in TABLE if name in arrays}
         )
