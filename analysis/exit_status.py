@@ -13,6 +13,7 @@ reports of a fault.
 from __future__ import annotations
 
 import errno
+import gc
 import io
 import os
 import signal
@@ -132,6 +133,7 @@ def leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()
+    gc.collect()  # gives back the semaphores of workers that are gone, which nobody holds now
     os._exit(status)
 
 

@@ -58,8 +58,9 @@ def reproduce(out: Path, quick: bool, scheduler: str | None, name: str | None, f
     """
     sizes = QUICK if quick else FULL
     if name is not None:
+        claims = [chosen(name)]  # a wrong name leaves no folder
         store = Store.under(out)
-        (found,) = run_claims([chosen(name)], sizes, store, quick=quick, scheduler=scheduler)
+        (found,) = run_claims(claims, sizes, store, quick=quick, scheduler=scheduler)
         output.print_claim(found)
         return False
     judged, off = run(out, sizes=sizes, quick=quick, scheduler=scheduler)

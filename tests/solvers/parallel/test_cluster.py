@@ -223,7 +223,7 @@ def test_a_piece_that_kills_whoever_does_it_is_named(
     for module in (cluster_module, many_module):
         monkeypatch.setattr(module, "ATTEMPTS", attempts)
     where = cluster.scheduler_address if scheduler else None
-    with pytest.raises(ModelError, match="processes at work died") as caught:
+    with pytest.raises(ModelError, match="worker processes died") as caught:
         many(deadly, range(2), key=KEY, n_jobs=2, scheduler=where, folder=tmp_path)
     assert "memory" in caught.value.fix
 
@@ -556,7 +556,7 @@ def test_workers_that_never_come_back(
     monkeypatch.setattr(cluster_module, "LOOK_AFTER", 0.2)
     address, folder = scheduler.scheduler_address, tmp_path / "kept"
     many(partial(draws, 0), range(1), key=KEY, scheduler=address)  # the worker imports by now
-    with timeout(3), pytest.raises(ModelError, match="no worker has been there") as caught:
+    with timeout(3), pytest.raises(ModelError, match="there has been no worker") as caught:
         many(partial(waiting, str(tmp_path)), range(4), key=KEY, scheduler=address, folder=folder)
     assert "DASK_EXACT_MDP__TIMEOUT" in caught.value.fix
     assert len(list(folder.glob("*.npz"))) == 1
