@@ -126,6 +126,8 @@ def _ranking(study: ReadingStudy) -> Figure:
     figure, (left, right, weight) = plt.subplots(
         1, 3, figsize=(13.5, 8.8), sharey=True, width_ratios=(3, 1.5, 1)
     )
+    # Small letters come out wider on paper than the layout takes them for.
+    figure.set_layout_engine("constrained", rect=(0.04, 0, 0.96, 1))
     chosen = found.completion[numbers]
     for place, (start, average) in enumerate(AVERAGE_RETURN.items()):
         variance = search.variance[numbers, chosen, place]
