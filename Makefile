@@ -83,7 +83,7 @@ test-slow: $(STAMP) ## the tests that take long, and every property on examples 
 # commands, and each optional package that has a bound of its own. Not what takes long.
 LOWEST_TESTS = $(addprefix tests/,mdp solvers/test_solvers.py solvers/test_equations.py \
     solvers/proof solvers/values solvers/robust solvers/parallel \
-    analysis/cli/test_commands.py analysis/cli/test_failures.py analysis/cli/test_train.py \
+    analysis/cli/test_commands.py analysis/cli/test_train.py \
     analysis/gate/test_check_command.py analysis/sensitivity/test_global.py \
     project/test_versions.py)
 
