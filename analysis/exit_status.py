@@ -133,7 +133,8 @@ def leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()
-    gc.collect()  # gives back the semaphores of workers that are gone, which nobody holds now
+    if threading.active_count() == 1:  # others may be inside of what would be taken apart
+        gc.collect()  # gives back the semaphores of workers that are gone
     os._exit(status)
 
 
