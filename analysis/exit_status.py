@@ -13,7 +13,6 @@ reports of a fault.
 from __future__ import annotations
 
 import errno
-import gc
 import io
 import os
 import signal
@@ -133,8 +132,6 @@ def leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()
-    if threading.active_count() == 1:  # others may be inside of what would be taken apart
-        gc.collect()  # gives back the semaphores of workers that are gone
     os._exit(status)
 
 

@@ -34,6 +34,7 @@ from exact_mdp.solvers.parallel.sources import here, require
 
 joblib, tqdm = later("joblib"), later("tqdm")
 loky = later("joblib.externals.loky.process_executor")
+tracker = later("joblib.externals.loky.backend.resource_tracker")
 
 Work = Callable[[Any], Mapping[str, Any]]
 
@@ -167,6 +168,8 @@ def _on_cores(
     # Threads have the code of this process; others may have begun after a file changed.
     do = joblib.delayed(_one if threads else partial(_guarded, here()))
     how = {"backend": "threading"} if threads else {}
+    if not threads:
+        _track_quietly()
     for attempt in range(ATTEMPTS + 1):
         parallel = joblib.Parallel(
             n_jobs=-1 if n_jobs is None else n_jobs,
@@ -183,6 +186,21 @@ def _on_cores(
             except loky.TerminatedWorkerError as error:
                 if attempt == ATTEMPTS:
                     raise died(min(left)) from error
+
+
+def _track_quietly() -> None:
+    """Start the process that gives back the semaphores of a program that a signal ended.
+
+    It outlives the program, and would warn of each semaphore after the program's last word.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
+    try:
+        tracker.ensure_running()
+    finally:
+        del os.environ["PYTHONWARNINGS"]
+        if before is not None:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 @contextmanager
