@@ -9,13 +9,13 @@ are added up. All pairs of a state share the state's scale, so that their right 
 as they are. Numbers are 64-bit integers where they fit and Python integers where they do not.
 
 The hash is SHA-256 of the number of states, discount, start, state and action of every pair, the
-transition matrix (outcomes with the same next state added up) and the expected rewards. Names of
-states and actions, reward components and events are left out: they do not change what is optimal.
-Models hash equally if and only if these exact contents are equal, so that 0.5, 1/2 and 2/4 are one
-and the same, and 0.1 (a dyadic rational) differs from 1/10. Rows are encoded by their values alone:
-those whose numbers all are doubles, exactly, as these, so that a large float model is hashed
-without touching its numbers one by one; any other as integers over their denominator in lowest
-terms.
+transition matrix (outcomes with the same next state added up), the expected rewards, and of the
+sense and the goal where rewards are costs or a goal has to be reached. Names of states and actions,
+labels, reward components and events are left out: they do not change what is optimal. Models hash
+equally if and only if these exact contents are equal, so that 0.5, 1/2 and 2/4 are one and the
+same, and 0.1 (a dyadic rational) differs from 1/10. Rows are encoded by their values alone: those
+whose numbers all are doubles, exactly, as these, so that a large float model is hashed without
+touching its numbers one by one; any other as integers over their denominator in lowest terms.
 """
 
 from __future__ import annotations
@@ -190,6 +190,11 @@ def fingerprint(model: MDP) -> str:
     else:
         gain = reduced(*model.table.expected_gain_exact())
         _add_rationals(digest, *gain, np.arange(model.n_pairs + 1))
+    if model.sense != "max":
+        digest.update(f"\nsense {model.sense}".encode())
+    if model.goal is not None:
+        _add(digest, np.packbits(model.goal), "u1")
+        digest.update(str(model.unreached).encode())
     return digest.hexdigest()
 
 

@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.space import TIME, Column, StateSpace
@@ -28,9 +27,7 @@ from exact_mdp.mdp.table import (
     by_outcome,
     spans,
 )
-from exact_mdp.mdp.validate import Parts, counted
-
-Flags = NDArray[np.bool_]
+from exact_mdp.mdp.validate import Flags, Parts, counted
 
 
 def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags) -> dict[str, Any]:
@@ -85,6 +82,11 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
             [np.tile(model.components[rows], (count, 1)), np.zeros((states, parts))]
         ),
         "time_limit": None,
+        "labels": {
+            name: np.append(np.tile(flags[:own], count + 1), flags[own:])
+            for name, flags in model.labels.items()
+        },
+        "goal": None,  # every episode is over at time N
     }
 
 

@@ -33,7 +33,15 @@ from exact_mdp.mdp.parametric.symbolic import (
     pairs_degree,
 )
 from exact_mdp.mdp.table import Floats, Integers, OutcomeTable
-from exact_mdp.mdp.validate import Parts, as_discount, as_start, check_model, counted
+from exact_mdp.mdp.validate import (
+    Parts,
+    as_discount,
+    as_flags,
+    as_labels,
+    as_start,
+    check_model,
+    counted,
+)
 
 gymnasium = later("exact_mdp.mdp.io.gymnasium")
 
@@ -66,6 +74,14 @@ class MDP(Parts):
     time_limit : int, optional
         The number of steps after which the environment that the model was made from stops. No
         transition knows of it: `within` makes the model of episodes that stop.
+    sense : "max" or "min"
+        Whether rewards are to be maximised, or are costs to be minimised. All numbers of the model
+        and of what is found for it are as given; no sign changes.
+    labels : {str: (S,) bool}
+        Named sets of states; `reaching` and `until` ask about them.
+    goal : (S,) bool, optional
+        Of a model that `until` made: a run that never reaches one of these states is worth
+        `unreached`, which is infinity.
 
     Raises
     ------
@@ -91,6 +107,9 @@ class MDP(Parts):
         fill = object.__setattr__
         if self.time_limit is not None:
             fill(self, "time_limit", counted(self.time_limit, "time_limit"))
+        fill(self, "labels", as_labels(self.labels, self.n_states))
+        if self.goal is not None:
+            fill(self, "goal", as_flags(self.goal, self.n_states, "goal"))
         counts = np.bincount(self.pair_state, minlength=self.n_states)
         fill(self, "pair_offsets", np.concatenate([[0], np.cumsum(counts)]))
         fill(self, "transition", _transition(self.table, self.n_states))
@@ -103,6 +122,12 @@ class MDP(Parts):
             _check_components(self)
         for array in self._arrays():
             array.setflags(write=False)
+        if self.goal is not None and not self.terminal[self.goal].all():
+            raise ModelError(
+                "a run goes on, or earns, in a state of the goal",
+                where="goal",
+                fix="use until, which ends every run there",
+            )
 
     def _arrays(self) -> Iterable[NDArray[Any]]:
         table, matrix = self.table, self.transition
@@ -113,6 +138,7 @@ class MDP(Parts):
         yield from (
             part for part in (table.event, table.weight_doubt, table.gain_doubt) if part is not None
         )
+        yield from (*self.labels.values(), *(() if self.goal is None else (self.goal,)))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -122,7 +148,8 @@ class MDP(Parts):
     def __repr__(self) -> str:
         return (
             f"MDP({self.name or 'unnamed'}: {self.n_states} states, {self.n_actions} actions, "
-            f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate})"
+            f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate}"
+            f"{', costs to minimise' if self.sense == 'min' else ''})"
         )
 
     @property
@@ -248,6 +275,42 @@ class MDP(Parts):
             parts |= {"components": np.empty((0, 0)), "component_names": ("reward",)}
         return replace(self, **parts)
 
+    def negated(self) -> MDP:
+        """Return the model of the other sense, every reward times -1: the same policies are best.
+
+        Its values are those of this model times -1. What maximises takes it instead of a model of
+        costs.
+
+        Returns
+        -------
+        MDP
+
+        Examples
+        --------
+        >>> costs = MDP.from_arrays([[[0, 1], [0, 1]]], ["3/2", 0], sense="min")
+        >>> costs.negated().sense, costs.negated().reward.tolist()
+        ('max', [-1.5, 0.0])
+        """
+        gain = self.table.gain
+        if gain.dtype == np.int64 and gain.min() == np.iinfo(np.int64).min:
+            gain = gain.astype(object)
+        return replace(
+            self,
+            table=replace(self.table, gain=-gain),
+            components=-self.components,
+            sense="max" if self.sense == "min" else "min",
+            unreached=-self.unreached,
+        )
+
+    @property
+    def maximised(self) -> MDP:
+        """The model itself, or its negation where rewards are costs."""
+        return self if self.sense == "max" else self._negated
+
+    @cached_property
+    def _negated(self) -> MDP:
+        return self.negated()
+
     def within(self, steps: int) -> MDP:
         """Return the model of episodes that stop after N steps, without a further reward.
 
@@ -303,7 +366,8 @@ class MDP(Parts):
         discount : number or "p/q"
         start : state, or {state: probability}
         **names
-            `actions` (A words), `states` (S words), `name`.
+            `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
+            are costs; `labels` {name: (S,) truth values}.
 
         Returns
         -------
@@ -411,7 +475,7 @@ class MDP(Parts):
         discount : number or "p/q"
         **names
             `start` where the environment has no `initial_state_distrib`; `actions`, `states`,
-            `name`; `time_limit` instead of the environment's own.
+            `name`, `sense`, `labels`; `time_limit` instead of the environment's own.
 
         Returns
         -------

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from fractions import Fraction
+from math import inf
 
 import numpy as np
+from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.errors import ModelError, check_names, located, suggest
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -21,6 +24,9 @@ from exact_mdp.mdp.table import (
     shown,
 )
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
+
+Flags = NDArray[np.bool_]
+SENSES = ("max", "min")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +47,10 @@ class Parts:
     name: str = ""
     parameters: tuple[Parameter, ...] = ()
     time_limit: int | None = None
+    sense: str = "max"
+    labels: Mapping[str, Flags] = field(default_factory=dict)
+    goal: Flags | None = None
+    unreached: float = inf
 
     @property
     def n_states(self) -> int:
@@ -66,6 +76,7 @@ class Parts:
 def check_model(model: Parts) -> None:
     """Raise ModelError, naming the place and the remedy, unless `model` is a finite MDP."""
     _check_names(model)
+    _check_sense(model)
     _check_pairs(model)
     _check_shapes(model.table, model.n_pairs)
     sound = _sound(model.table, model.n_states)
@@ -82,6 +93,54 @@ def _check_names(model: Parts) -> None:
     check_names(model.actions, "action", where="actions")
     check_names(model.component_names, "component", where="reward components")
     check_names(model.events, "event", where="events")
+
+
+def _check_sense(model: Parts) -> None:
+    if model.sense not in SENSES:
+        raise ModelError(
+            f"the sense is {model.sense!r}",
+            where="sense",
+            fix=f"{suggest(str(model.sense), SENSES)}: rewards are maximised, costs minimised",
+        )
+    if model.unreached not in (inf, -inf):
+        raise ModelError(
+            f"a run that misses the goal is worth {model.unreached}",
+            where="unreached",
+            fix="give math.inf or -math.inf",
+        )
+
+
+def as_labels(labels: object, size: int) -> dict[str, Flags]:
+    """Return labels as read-only arrays (S,) of truth values by name.
+
+    Examples
+    --------
+    >>> as_labels({"goal": [False, True]}, 2)
+    {'goal': array([False,  True])}
+    """
+    if not isinstance(labels, Mapping):
+        raise ModelError(
+            f"labels are a {type(labels).__name__}",
+            where="labels",
+            fix="give {name: (S,) truth values}",
+        )
+    check_names(map(str, labels), "label", where="labels")
+    return {str(name): as_flags(values, size, f"label {name}") for name, values in labels.items()}
+
+
+def as_flags(values: object, size: int, where: str) -> Flags:
+    """Return one truth value for each state (S,), read-only."""
+    array = np.asarray(values)
+    if array.shape != (size,) or array.dtype != bool:
+        raise ModelError(
+            f"an array of type {array.dtype} and shape {array.shape} for {size} states",
+            where=where,
+            fix="give one truth value (bool) for each state",
+        )
+    if array.flags.writeable:
+        array = array.copy()
+        array.setflags(write=False)
+    return array
 
 
 def counted(steps: object, where: str) -> int:

@@ -324,6 +324,7 @@ def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
         events=(SKIP,),
         name=scenario.name,
         parameters=scenario.parameters,
+        labels=rules.labels(rules.space(len(blocks))),
     )
 
 
@@ -378,6 +379,7 @@ def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
             event=None if table.event is None else lay(table.event, outcomes),
         ),
         "space": rules.space(count),
+        "labels": rules.labels(rules.space(count)),
         "pair_state": lay(small.pair_state, rows, moved=True),
         "pair_action": lay(small.pair_action, rows),
         "pair_offsets": ends(np.diff(small.pair_offsets), starts),

@@ -34,6 +34,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.tables import SKIP, Tables, bits_of
 from exact_mdp.mdp.space import Column, StateSpace
@@ -99,6 +100,7 @@ class Rules:
         self.paid = BONUS[self.readings["task_bonus"]]
         self.now, self.next = STATUS_COST[self.readings["status_cost"]]
         self.own = self.readings["skip_timestep"] == "own"
+        self.statuses = scenario.statuses
         self.assistive = len(scenario.actions)
         self.actions = (*scenario.actions, SKIP) if self.own else scenario.actions
         told = {flag for event, flag in self.paid if event == "complete"}
@@ -174,3 +176,16 @@ class Rules:
         if self.flags == 2:
             columns.insert(2, Column(name="skipped", size=2))
         return StateSpace(columns=tuple(columns), extra=("end",))
+
+    def labels(self, space: StateSpace) -> dict[str, NDArray[np.bool_]]:
+        """Return the named sets of states: each status, the end, and after or in a skip.
+
+        *skipped* are the states of a task in which a subtask was skipped, where the bonus depends
+        on it, and those of a skip that takes its own timestep; else no state remembers a skip.
+        """
+        end = np.arange(space.size) == space.regular
+        on = (self.bits[space.values("status")] == 1) & ~end[:, None]
+        skipped = (space.values("trial") == self.trials) & self.own
+        if self.flags == 2:
+            skipped |= space.values("skipped") == 1
+        return {"end": end, "skipped": skipped, **dict(zip(self.statuses, on.T, strict=True))}

@@ -15,6 +15,8 @@ The arrays of an archive, nothing in it being a pickle:
     components    (L, C) float64 expected reward of each pair by component
     weight_doubt  (N,) float64   optional: how far each probability, and each reward, may lie from
     gain_doubt    (N,) or (L,) float64     what it was rounded from, where the arrays do not tell
+    labels        (K, S) uint8   optional: 1 where the label's states are, of the header's names
+    goal          (S,) uint8     optional: 1 in the states that a run has to reach
 
 and any other array of floats that a table of outcomes may have, under its name.
 
@@ -24,7 +26,9 @@ is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has
 `actions`, `columns` ([{"name", "size", "bits", "words"}, …]: a state's number is that of its column
 values in row-major order), `extra` (names of the states after those), `component_names`, `events`
 `parameters` ([{"name", "value", "low", "high"}, …], low and high may be null), `time_limit` (a
-number of steps or null) and `arrays` (the names of the others); older files lack the last two.
+number of steps or null), `sense` ("max" or "min"), `labels` (their names), `unreached` ("inf" or
+"-inf", what a run that misses the goal is worth) and `arrays` (the names of the others); older
+files lack some of the last five.
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
 """
@@ -33,7 +37,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
@@ -83,11 +87,17 @@ def as_header(mdp: MDP) -> dict[str, Any]:
             for p in mdp.parameters
         ],
         "time_limit": mdp.time_limit,
+        "sense": mdp.sense,
+        "labels": list(mdp.labels),
+        "unreached": str(mdp.unreached),
     }
 
 
-def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
-    """Return the constructor's arguments that a header states, for a model of L = `pairs` pairs."""
+def parts_of(content: object, *, pairs: int, labels: Sequence[Any] = ()) -> dict[str, Any]:
+    """Return the constructor's arguments that a header states, for a model of L = `pairs` pairs.
+
+    `labels` are the states of each label, in the header's order.
+    """
     header = _of_kind(content, "header", dict)
     if header.get("format") != FORMAT:
         raise ModelError(
@@ -112,6 +122,16 @@ def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
             fix="every state has at least one pair; save the model again",
         )
     limit = header.get("time_limit")  # files of before there were limits have none
+    named = _words({"labels": []} | header, "labels")
+    if len(named) != len(labels):
+        raise ModelError(
+            f"{len(named)} names of labels for {len(labels)} labels",
+            where="header, labels",
+            fix="save the model again",
+        )
+    unreached = header.get("unreached", "inf")
+    if unreached not in ("inf", "-inf"):
+        raise _wrong("unreached", '"inf" or "-inf"')
     return {
         "space": space,
         "name": _of_kind(header.get("name"), "name", str),
@@ -124,6 +144,9 @@ def parts_of(content: object, *, pairs: int) -> dict[str, Any]:
             map(_parameter, _of_kind(header.get("parameters"), "parameters", list))
         ),
         "time_limit": None if limit is None else _of_kind(limit, "time_limit", int),
+        "sense": _of_kind(header.get("sense", "max"), "sense", str),
+        "labels": dict(zip(named, labels, strict=True)),
+        "unreached": float(unreached),
     }
 
 
@@ -210,6 +233,9 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
 OPTIONAL = tuple(field.name for field in fields(OutcomeTable) if field.default is None)
 """Arrays that a table may lack. Those that are not above are floats."""
 
+FLAGS = ("labels", "goal")
+"""Truth values about states, which a model may lack."""
+
 TABLE = {field.name: FIELDS.get(field.name, ("float64",)) for field in fields(OutcomeTable)}
 KINDS: Mapping[str, tuple[str, ...]] = {
     "header": ("uint8",),
@@ -217,6 +243,8 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "pair_action": ("int64",),
     **TABLE,
     "components": ("float64",),
+    "labels": ("uint8",),
+    "goal": ("uint8",),
 }
 WIDTH = 8
 
@@ -240,6 +268,10 @@ def save(model: MDP, path: str | Path) -> None:
         "components": model.components,
         **{name: _as_bytes(array) for name, array in parts.items() if array is not None},
     }
+    if model.labels:
+        arrays["labels"] = np.array(list(model.labels.values()), dtype=np.uint8)
+    if model.goal is not None:
+        arrays["goal"] = model.goal.astype(np.uint8)
     text = json.dumps(as_header(model) | {"arrays": sorted(arrays)}).encode("ascii")
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, header=np.frombuffer(text, dtype=np.uint8), **arrays)
@@ -251,7 +283,14 @@ def load(path: str | Path) -> MDP:
     with located(str(path)):
         arrays = read_arrays(path, names=_check_names, check=_check_array)
         header = json_of(arrays["header"].tobytes(), "header")
-        parts = parts_of(header, pairs=len(arrays["pair_state"]))
+        flags = {name: arrays[name] == 1 for name in FLAGS if name in arrays}
+        for name in flags:
+            if arrays[name].max() > 1:
+                raise ModelError(
+                    "a truth value is neither 0 nor 1", where=name, fix="save it again"
+                )
+        parts = parts_of(header, pairs=len(arrays["pair_state"]), labels=flags.get("labels", ()))
+        parts["goal"] = flags.get("goal")
         # One changed byte in an archive's list can hide those of its arrays that a model may lack.
         listed = header.get("arrays", sorted(arrays.keys() - {"header"}))
         if listed != sorted(arrays.keys() - {"header"}):
@@ -267,7 +306,7 @@ def load(path: str | Path) -> MDP:
 
 def _check_names(names: Collection[str]) -> None:
     """Raise ModelError unless an archive holds the arrays of a model, by their names."""
-    needed = {name for name in KINDS if name not in OPTIONAL}
+    needed = {name for name in KINDS if name not in (*OPTIONAL, *FLAGS)}
     if not needed <= set(names) <= KINDS.keys():
         raise ModelError(
             f"the archive holds {', '.join(names)[:200] or 'nothing'}",
@@ -279,7 +318,7 @@ def _check_array(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Non
     """Raise ModelError unless an array has a type and a shape that the format allows."""
     kinds, kind = KINDS[name], str(dtype.newbyteorder("="))
     bytewise = kind == "uint8" and len(kinds) > 1
-    dimensions = 2 if bytewise or name == "components" else 1
+    dimensions = 2 if bytewise or name in ("components", "labels") else 1
     if (
         kind not in kinds
         or len(shape) != dimensions

@@ -53,6 +53,7 @@ from exact_mdp.mdp.io.umb_read import (
     Content,
     component_key,
     key_of,
+    label_key,
     read,
 )
 from exact_mdp.mdp.lazy import later
@@ -146,7 +147,10 @@ def _others(content: Content, path: Path, discount: object, start: object) -> MD
 def _own(content: Content, header: Mapping[str, Any], discount: object, start: object) -> MDP:
     """Return a model that `save` wrote, with everything that the header says of it."""
     choices = np.diff(content.state_to_choices)
-    parts = parts_of(header, pairs=len(content.actions))
+    keys = map(label_key, range(len(content.labels)))
+    labels = [content.labels[key] for key in keys if key in content.labels]
+    parts = parts_of(header, pairs=len(content.actions), labels=labels)
+    parts["goal"] = content.goal
     initial = {state for state, yes in enumerate(content.initial) if yes}
     for what, same in (
         ("a state without choices", bool(choices.all())),
@@ -336,6 +340,10 @@ def _umb_of(model: MDP) -> Any:
             values = model.components[:, number].tolist()
             _annotate(umb, "rewards", component_key(number), "choices", values, alias=name)
     _annotate(umb, "aps", TERMINAL, "states", model.terminal.tolist())
+    for number, (name, states) in enumerate(model.labels.items()):
+        _annotate(umb, "aps", label_key(number), "states", states.tolist(), alias=name)
+    if model.goal is not None:
+        _annotate(umb, GROUP, "goal", "states", model.goal.tolist())
     chances = [start.get(state, Fraction(0)) for state in range(model.n_states)]
     header = json.dumps(as_header(model))
     _annotate(umb, GROUP, CARRIER, "states", chances, about=header)

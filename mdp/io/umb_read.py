@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
@@ -62,6 +63,11 @@ def key_of(name: str) -> str:
 def component_key(number: int) -> str:
     """Return the identifier of the reward model that holds a component."""
     return f"component-{number}"
+
+
+def label_key(number: int) -> str:
+    """Return the identifier of the annotation that holds a label."""
+    return f"label-{number}"
 
 
 def _damaged(what: str, where: str) -> ModelError:
@@ -143,6 +149,8 @@ class Content:
     doubts: Mapping[str, list[float]]  # (N,) or (C,)
     components: list[list[float]]  # of (C,)
     ours: bool  # the rewards are those that the other annotations belong to
+    labels: Mapping[str, NDArray[np.bool_]]  # (S,) by identifier
+    goal: NDArray[np.bool_] | None  # (S,)
 
 
 def read(path: str | Path, reward: str | None) -> Content:
@@ -161,13 +169,16 @@ def read(path: str | Path, reward: str | None) -> Content:
         rewards, own = listed.get("rewards") or {}, listed.get(GROUP) or {}
         chosen, header = _chosen(rewards, reward), _header(own)
         ours = chosen == REWARD
-        umb.annotations = {"rewards": {}, GROUP: {}}
+        umb.annotations = {"rewards": {}, "aps": {}, GROUP: {}}
         names = (header or {}).get("component_names")
         keys = map(component_key, range(len(names) if isinstance(names, list) else 0))
         parts = [key for key in keys if ours and key in rewards]
         for name in (chosen, *parts):
             _read_annotation(decoder, umb, "rewards", name, rewards[name])
-        for name in (CARRIER, "event", *(("gain", *map(key_of, DOUBTS)) if ours else ())):
+        for name, about in (listed.get("aps") or {}).items():
+            if about.applies_to == ["states"]:
+                _read_annotation(decoder, umb, "aps", name, about)
+        for name in (CARRIER, "event", "goal", *(("gain", *map(key_of, DOUBTS)) if ours else ())):
             if name in own:
                 _read_annotation(decoder, umb, GROUP, name, own[name])
         return _content(umb, chosen, header, parts)
@@ -326,7 +337,16 @@ def _content(
         doubts={n: next(iter(own[key_of(n)].values())) for n in DOUBTS if key_of(n) in own},
         components=[umb.annotations["rewards"][key]["choices"] for key in parts],
         ours=chosen == REWARD,
+        labels={
+            key: _flags(values["states"], states, f"aps/{key}")
+            for key, values in umb.annotations["aps"].items()
+        },
+        goal=_flags(own["goal"]["states"], states, "goal") if "goal" in own else None,
     )
+
+
+def _flags(values: Sequence[Any], size: int, where: str) -> NDArray[np.bool_]:
+    return np.array(_of_length(values, size, where), dtype=bool)
 
 
 def _actions(

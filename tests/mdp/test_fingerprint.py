@@ -45,6 +45,17 @@ def test_floats_and_rationals_agree() -> None:
     assert len({fingerprint(mdp) for mdp in (floats, rational, sparse, joint)}) == 1
 
 
+def test_costs_and_goals_are_other_models_and_labels_are_not() -> None:
+    walk, end = [[["1/2", "1/2"], [0, 1]]], [False, True]
+    plain = MDP.from_arrays(walk, [1, 0])
+    of_three = plain.with_(sense="min"), plain.with_(goal=end), plain.negated()
+    assert len({fingerprint(mdp) for mdp in (plain, *of_three)}) == 4
+    assert fingerprint(plain.with_(labels={"end": end})) == fingerprint(plain)
+    assert fingerprint(plain.negated().negated()) == fingerprint(plain)
+    # As it was before models had any of these.
+    assert fingerprint(plain).startswith("14507d5d3475dc90")
+
+
 def test_a_tenth_is_not_the_float_nearest_to_it() -> None:
     tenth = fingerprint(MDP.from_arrays([[[1]]], ["1/10"], "1/2"))
     assert tenth != fingerprint(MDP.from_arrays([[[1]]], [0.1], "1/2"))

@@ -47,5 +47,9 @@ MODELS = {
             Parameter(name="q", value=Fraction(-3), high=Fraction(7, 3)),
         ),
     ),
+    "costs": MDP.from_arrays(
+        [[["1/3", "2/3"], [0, 1]]], [["2/7"], [0]], sense="min", goal=[False, True],
+        labels={"goal": [False, True], "nowhere": [False, False], "a-b c": [True, False]},
+    ),
     "gymnasium": MDP.from_gymnasium(TAXI, "9/10"),
 }  # fmt: skip

@@ -33,6 +33,11 @@ def assert_whole(ours: MDP, theirs: MDP) -> None:
         if field.name in DERIVED:
             continue
         left, right = getattr(ours, field.name), getattr(theirs, field.name)
+        if field.name == "labels":
+            assert {name: flags.tolist() for name, flags in left.items()} == {
+                name: flags.tolist() for name, flags in right.items()
+            }
+            continue
         same = np.array_equal(left, right) if isinstance(left, np.ndarray) else left == right
         assert same, field.name
     assert np.array_equal(ours.reward, theirs.reward)
@@ -108,6 +113,12 @@ def models(draw: st.DrawFn) -> MDP:
         space=StateSpace(columns=(Column(name=draw(NAMES), size=size, words=tuple(words)),)),
         name=draw(NAMES),
         component_names=(draw(NAMES),),
+        sense=draw(st.sampled_from(["max", "min"])),
+        labels=draw(
+            st.dictionaries(
+                NAMES, st.lists(st.booleans(), min_size=size, max_size=size), max_size=3
+            )
+        ),
     )
 
 
