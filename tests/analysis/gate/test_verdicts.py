@@ -14,12 +14,14 @@ from hypothesis import strategies as st
 from strategies import Rows, models
 
 from exact_mdp.analysis import Audit, assert_policy_optimal, check
+from exact_mdp.analysis.gate import regret as regret_module
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.forgiveness import of_floats
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.io.load import save_model
 from exact_mdp.solvers import Bounded, Certified, Claim
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 from exact_mdp.solvers.values.visits import visits
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
@@ -343,6 +345,25 @@ def test_a_bounded_zero_is_no_zero() -> None:
         found = replace(audit, regret=narrow)
         assert (found.passed, found.undecided) == (False, True)
         assert "do not decide" in found.message()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("learned", [[1, 0], "random"])
+def test_a_bounded_regret_keeps_the_errors_of_both_values(
+    monkeypatch: pytest.MonkeyPatch, learned: Any, sign: int
+) -> None:
+    """Values as far off as their errors allow: the interval holds the exact regret all the same."""
+    mdp = choice(F(5), F(1), discount=F(1, 2))
+    true = check(mdp, learned).regret.at_start.value
+    chain = PolicyChain.of(mdp, policy_of(mdp, learned))
+    own, best = evaluate(mdp, chain), regret_module._optimum(mdp)
+    shift = sign * best.weight / 8
+    far = replace(own, value=own.value - 2 * shift, error=own.error + 2 * abs(shift))
+    monkeypatch.setattr(regret_module, "evaluate", lambda *_: far)
+    off = replace(best, value=best.value + shift, low=-0.126, high=0.126)
+    low, high = regret_module._bounded(mdp, chain, off).at_start.interval
+    assert low <= true <= high
+    assert high - low < 0.8  # no wider than twice both errors
 
 
 @settings(max_examples=40)
