@@ -29,6 +29,7 @@ from typing import Any, NoReturn, TextIO
 
 import click
 
+from exact_mdp.analysis.gate.github import inert
 from exact_mdp.mdp.errors import ModelError, short, shown_text
 
 DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
@@ -138,7 +139,7 @@ def leave(status: int) -> NoReturn:
 def say(text: str) -> None:
     """Print on standard error, wherever that leads."""
     try:
-        print(text, file=sys.stderr, flush=True)
+        print(*map(inert, text.split("\n")), sep="\n", file=sys.stderr, flush=True)
     except OSError:
         _silence(sys.stderr)
 

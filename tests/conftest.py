@@ -13,6 +13,9 @@ settings.register_profile(
 settings.register_profile(
     "explore", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
+for name in ("GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY"):  # tests that need them set them
+    os.environ.pop(name, None)
+
 settings.load_profile("explore" if os.environ.get("EXPLORE") else "fixed")
 
 

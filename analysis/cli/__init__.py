@@ -18,6 +18,7 @@ import click
 from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.commands import COMMANDS
 from exact_mdp.analysis.exit_status import Told, leave, run
+from exact_mdp.analysis.gate import github
 
 PROGRAM = "exact-mdp"
 GATE = commands.check
@@ -50,9 +51,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _reporting(words: list[str]) -> Told | None:
-    """Let the JUnit report of a check say at once that it has not ended, and later why it did not.
+    """Let the reports of a check say why it did not end: its JUnit file, GitHub's page of the run.
 
-    So no report of an earlier run stays, whatever happens to this one.
+    The file says so from the start, so that no report of an earlier run stays, whatever happens to
+    this one.
     """
     if next((word for word in words if not word.startswith("-")), None) != GATE.name:
         return None
@@ -62,17 +64,22 @@ def _reporting(words: list[str]) -> Told | None:
     anything: dict[str, Any] = {"ignore_unknown_options": True, "allow_extra_args": True}
     with GATE.make_context(GATE.name, rest, resilient_parsing=True, **anything) as context:
         path, model = context.params.get("junit"), context.params.get("model") or "?"
-    if not isinstance(path, str) or not path.lower().endswith(".xml"):
-        return None  # the command refuses it
-    if not Path(path).parent.is_dir():
-        return None
+    known = isinstance(path, str) and path.lower().endswith(".xml") and Path(path).parent.is_dir()
+    title = f"{PROGRAM} check {model}"
 
     def write(message: str) -> None:
         junit = import_module("exact_mdp.analysis.gate.junit")
         first = message.partition("\n")[0]
         case = junit.Case(name="check", error=first, text=message)
         with suppress(ValueError, OSError):  # reported by the command, or about something worse
-            junit.write_junit(path, f"{PROGRAM} check {model}", [case], seconds=0.0, properties={})
+            junit.write_junit(path, title, [case], seconds=0.0, properties={})
 
-    write("the check did not end: the process was killed, or is still at work")
-    return lambda _, message: write(message)
+    def told(_: int, message: str) -> None:
+        if known:
+            write(message)
+        with suppress(ValueError, OSError):
+            github.report_error(title, message)
+
+    if known:  # the command refuses any other name
+        write("the check did not end: the process was killed, or is still at work")
+    return told

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import replace
 from fractions import Fraction
 from math import inf, nextafter
 from time import perf_counter
 from typing import Any
 
+import click
+
 from exact_mdp.analysis.cli.options import check_outputs, given
-from exact_mdp.analysis.cli.render import Report, Table, cell
+from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
+from exact_mdp.analysis.gate import github
 from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit
 from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
+from exact_mdp.analysis.pages.audit import audit_page
+from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.solution import Certified
 
 PASSED, FAILED = 0, 1
 SHOWN = 10  # disagreements in the table for people
+ON_PAGE = 2000  # and on a page
 LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
+COLUMNS = (
+    "yours: what the policy does; optimal: what it should do; value lost: expected visits times "
+    "what each loses; share: of all that is lost"
+)
 
 
 def check(
@@ -28,13 +40,14 @@ def check(
     max_regret: str | None,
     max_relative_regret: str | None,
     junit: str | None,
+    html: str | None,
     certify: bool,
     no_explain: bool,
     **shared: Any,
 ) -> Report:
     """Audit a policy."""
     started = perf_counter()
-    check_outputs((junit, (".xml",)))
+    check_outputs((junit, (".xml",)), (html, (".html",)))
     asked = given(policy=learned, **shared)
     audit = gate.check(
         asked.mdp,
@@ -48,12 +61,42 @@ def check(
         seconds = perf_counter() - started
         _junit(junit, asked.loaded.name, learned, audit, seconds, explain=why is not None)
     result = {"learned": learned} | _result(audit) | _reasons(audit, why)
-    return asked.report(
+    report = asked.report(
         result,
         _facts(audit, why),
         _tables(result),
         notes=[UNEXPLAINED] if not no_explain and audit.unexplained else [],
         status=PASSED if audit.passed else FAILED,
+    )
+    if html is not None:
+        write_atomically(html, _page(report, audit, asked.loaded.name, learned))
+    title = f"{learned} in {asked.loaded.name}: {'passed' if audit.passed else 'failed'}"
+    github.summarise(markdown(report, title))
+    if not audit.passed:
+        github.annotate(title, audit.message(explain=why is not None))
+    return report
+
+
+def _page(report: Report, audit: Audit, model: str, learned: str) -> str:
+    """Return the page of a report, its tables at full length."""
+    words = click.get_current_context().find_root().obj
+    listed = [replace(each, first=ON_PAGE) for each in report.tables if len(each.rows)]
+    return audit_page(
+        audit,
+        model=model,
+        policy=learned,
+        facts={name: fact(value) for name, value in report.facts.items() if value is not None},
+        tables=[
+            {
+                "heading": each.heading(),
+                "note": each.note,
+                "columns": list(each.columns),
+                "numeric": each.numeric(),
+                "rows": each.cells(),
+            }
+            for each in listed
+        ],
+        rerun=shlex.join(["exact-mdp", *words]),
     )
 
 
@@ -81,6 +124,7 @@ def _junit(
 def _result(audit: Audit) -> dict[str, Any]:
     mdp, lost = audit.mdp, audit.regret
     exact = isinstance(lost.at_start, Certified)
+    costs = sum(each.cost for each in audit.disagreements)
     by_state = zip(mdp.space.labels(range(mdp.n_states)), lost.by_state.tolist(), strict=True)
     return {
         "passed": audit.passed,
@@ -98,7 +142,7 @@ def _result(audit: Audit) -> dict[str, Any]:
         "agreement": audit.agreement,
         "agreement_by_visits": audit.agreement_by_visits,
         "unclear": audit.unclear,
-        "disagreements": [_disagreement(mdp, each) for each in audit.disagreements],
+        "disagreements": [_disagreement(mdp, each, costs) for each in audit.disagreements],
         "regret_by_state": dict(by_state) if mdp.n_states <= LISTED_STATES else None,
         "q_error": audit.q_error,
     }
@@ -110,7 +154,7 @@ def _float_below(number: Fraction) -> float:
     return rounded if rounded <= number else nextafter(rounded, -inf)
 
 
-def _disagreement(mdp: MDP, each: Disagreement) -> dict[str, Any]:
+def _disagreement(mdp: MDP, each: Disagreement, lost: float) -> dict[str, Any]:
     return {
         "state": each.label,
         "number": each.state,
@@ -121,6 +165,7 @@ def _disagreement(mdp: MDP, each: Disagreement) -> dict[str, Any]:
         "gap": each.gap,
         "expected_visits": each.expected_visits,
         "cost": each.cost,
+        "share": each.cost / lost if lost else 0.0,
         "gain_if_corrected": each.gain_if_corrected,
         "loss_if_alone": each.loss_if_alone,
     }
@@ -182,8 +227,9 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
     }
     if q := audit.q_error:
         facts["Q-table"] = (
-            f"promises {cell(q.promised)} at the start; root mean square error "
-            f"{cell(q.root_mean_square)}, at most {cell(q.largest)} in {q.where}"
+            f"promises {cell(q.promised)} at the start; its error: mean {cell(q.mean)}, root mean "
+            f"square {cell(q.root_mean_square)} ({cell(q.visited)} by visits), at most "
+            f"{cell(q.largest)} in {q.where}"
         )
     if why is not None:
         best = why.best
@@ -198,23 +244,23 @@ def _tables(result: dict[str, Any]) -> list[Table]:
     memory = result["memory"] or ()
     return [
         Table(
-            title="not optimal, the costliest first (gain: if this state alone is corrected)",
+            title="where it is not optimal, the costliest first",
+            note=COLUMNS,
             rows=result["disagreements"],
             columns={
-                "state": lambda row: (
-                    f"{row['state']}\n{row['learned']}, not {' or '.join(row['optimal_actions'])}"
-                ),
-                "gap": "gap:.6g",
+                "state": "state",
+                "yours": "learned",
+                "optimal": lambda row: " or ".join(row["optimal_actions"]),
+                "value lost": "cost:.6g",
                 "visits": "expected_visits:.6g",
-                "cost": "cost:.6g",
-                "gain": "gain_if_corrected:.6g",
+                "share": "share:.1%",
             },
             first=SHOWN,
         ),
         Table(
             title="rows of the policy, each changed alone",
             rows=[vars(change) for change in result["rows"] or ()],
-            columns={"row": "row", "learned": "learned", "better": "best", "gain": "gain"},
+            columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
         ),
         Table(
             title="the value of remembering more",

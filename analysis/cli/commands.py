@@ -49,9 +49,10 @@ def command(
 
     def declare(function: Function) -> click.Command:
         @wraps(function)
-        def work(*, as_json: bool, **options: Any) -> int:
+        def work(*, as_json: bool, as_markdown: bool = False, **options: Any) -> int:
             report = getattr(import_module(f"{HERE}.{module}"), name)(**options)
-            status: int = import_module(f"{HERE}.render").show(report, as_json=as_json)
+            show = import_module(f"{HERE}.render").show
+            status: int = show(report, as_json=as_json, as_markdown=as_markdown)
             return status
 
         return click.command(short_help=help_line, epilog=epilog)(work)
@@ -232,6 +233,8 @@ def simulate() -> None:
 @click.option(
     "--max-relative-regret", metavar="X", help="Greatest regret over the absolute optimal value."
 )
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
+@click.option("--html", metavar="FILE", help="Write a page with the picture of the policy: .html.")
 @click.option("--junit", metavar="FILE", help="Write a JUnit report: .xml.")
 @click.option("--certify", is_flag=True, help="Use rational arithmetic, however long it takes.")
 @click.option(

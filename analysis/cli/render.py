@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
@@ -29,7 +30,8 @@ from fractions import Fraction
 from operator import itemgetter
 from typing import Any, Literal
 
-from exact_mdp.mdp.errors import shown_text
+from exact_mdp.analysis.gate import github
+from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.mdp.lazy import later
 from exact_mdp.solvers.solution import Bounded, Certified, Estimated
 
@@ -59,6 +61,8 @@ class Table:
         the row that returns the value, alone or with such a format. Numbers stand to the right.
     first : int
         Number of rows shown; the title says where there are more.
+    note : str
+        What the columns mean, in a line below the title.
 
     Examples
     --------
@@ -72,6 +76,7 @@ class Table:
     rows: Any
     columns: Mapping[str, Column]
     first: int = SHOWN
+    note: str = ""
 
     def cells(self) -> list[list[str]]:
         """Return the texts of the rows that are shown."""
@@ -138,12 +143,16 @@ class Report:
     status: int = 0
 
 
-def show(report: Report, *, as_json: bool) -> int:
+def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> int:
     """Print a report, as JSON or for people, and return its exit status."""
     for note in report.notes:
         print(f"note: {note}", file=sys.stderr)
-    if as_json:
-        print(to_json(report.result))
+    if as_json and as_markdown:
+        raise ModelError("two forms of one output", where="--markdown", fix="leave out --json")
+    if as_json or as_markdown:
+        # "##[" in a name would begin a command to a runner.
+        found = to_json(report.result) if as_json else markdown(report)
+        print(found.replace("##[", "##\\u005b") if github.running() else found)
         return report.status
     out = console.Console(no_color=True, highlight=False, markup=False, emoji=False)
     with out.capture() as captured:
@@ -162,10 +171,46 @@ def show(report: Report, *, as_json: bool) -> int:
             for row in each.cells():
                 grid.add_row(*(_text(shown) for shown in row))
             out.print(_text(f"\n{each.heading()}"))
+            if each.note:
+                out.print(_text(each.note))
             out.print(grid)
     for line in captured.get().splitlines():
-        print(line.rstrip())
+        print(github.inert(line.rstrip()))
     return report.status
+
+
+def markdown(report: Report, title: str = "") -> str:
+    """Return facts and tables as Markdown; no name in them is read as markup.
+
+    Examples
+    --------
+    >>> print(markdown(Report(result={}, facts={"model": "a|b", "discount": 0.5})))
+    |  |  |
+    | --- | --- |
+    | model | a\\|b |
+    | discount | 0.5 |
+    <BLANKLINE>
+    """
+    facts = [[name, fact(value)] for name, value in report.facts.items() if value is not None]
+    parts = [f"## {_escaped(title)}\n"] if title else []
+    parts.append(_pipes(["", ""], [False, False], facts))
+    for each in report.tables:
+        if len(each.rows):
+            note = f"{_escaped(each.note)}\n\n" if each.note else ""
+            grid = _pipes(list(each.columns), each.numeric(), each.cells())
+            parts.append(f"### {_escaped(each.heading())}\n\n{note}{grid}")
+    return "\n".join(parts)
+
+
+def _pipes(headings: Sequence[str], right: Sequence[bool], rows: Sequence[Sequence[str]]) -> str:
+    sides = ["---:" if side else "---" for side in right]
+    lines = [[_escaped(each) for each in row] for row in (headings, *rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in (lines[0], sides, *lines[1:]))
+
+
+def _escaped(said: str) -> str:
+    """Return a text that Markdown shows as it is, on one line."""
+    return re.sub(r"([\\`*_\[\]<>|~$&#])", r"\\\1", shown_text(said))
 
 
 def _text(said: str) -> Any:

@@ -295,8 +295,8 @@ class Audit(Result):
         if self.unclear:
             lines.append(f"in {self.unclear} more the bounds leave it open")
         lines += [
-            f"  ({each.label}): {each.learned}, not {' or '.join(each.optimal)};"
-            f" gap {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
+            f"  {each.label}: yours {each.learned}, optimal {' or '.join(each.optimal)};"
+            f" loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
             for each in listed[:SHOWN]
         ]
         if len(listed) > SHOWN:
@@ -462,8 +462,9 @@ def assert_policy_optimal(
     Traceback (most recent call last):
     AssertionError: failed: the regret is zero; it is 2 (certified)
     optimal value 3, learned 1; not optimal in 1 of 1 states with a choice
-      (state 0): 0, not 1; gap 2 x 1 visits = 2
+      state 0: yours 0, optimal 1; loses 2 x 1 visits = 2
     """
+    __tracebackhide__ = True  # pytest shows the line of the test, not this one
     audit = check(
         model,
         policy,

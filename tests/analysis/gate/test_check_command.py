@@ -257,7 +257,7 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
     assert "3 passed" in done.stdout
     assert "1 failed" in done.stdout
     assert "failed: the regret is zero; it is" in done.stdout
-    assert "(subtask 0, trial 0, status 0000): none, not non-directive" in done.stdout
+    assert "subtask 0, trial 0, status 0000: yours none, optimal non-directive" in done.stdout
     assert "Traceback" not in done.stdout
     cases = {
         case.get("name"): case for case in ElementTree.parse(report).getroot().iter("testcase")

@@ -302,7 +302,7 @@ def test_assertion_names_the_costly_states_and_returns_the_audit() -> None:
     assert assert_policy_optimal(TWO_WAYS, [1, 0], 0.2).regret.at_start.value == F(1, 10)
     with pytest.raises(AssertionError) as error:
         assert_policy_optimal(TWO_WAYS, [1, 0])
-    assert "(state 0): 1, not 0; gap 0.1 x 1 visits = 0.1" in str(error.value)
+    assert "state 0: yours 1, optimal 0; loses 0.1 x 1 visits = 0.1" in str(error.value)
     with pytest.raises(AssertionError):
         assert_policy_optimal(TWO_WAYS, [1, 0], 0.2, max_relative_regret="1/100")
 

@@ -1,0 +1,228 @@
+"""What `check` shows besides its text: Markdown, a page, GitHub's annotations and summary."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import Done, launch, run
+
+from exact_mdp.analysis import check
+from exact_mdp.analysis.cli.render import Report, Table, markdown
+from exact_mdp.analysis.gate import github
+from exact_mdp.analysis.layout import arrange, symbols
+from exact_mdp.analysis.pages.audit import audit_page
+from exact_mdp.analysis.pages.page import render
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.io.load import save_model
+
+NASTY = [
+    "<script>alert(1)</script>", "$x^$", "::error::x", "##[add-mask]x", "a | b", "`|` *b* _c_",
+    "\"q\" 'r'", "&amp; {{ 7*7 }} {% if %}", "</title><img src=x onerror=alert(1)>",
+]  # fmt: skip
+
+
+def corridor(names: list[str]) -> MDP:
+    """States in a row; `names[0]` earns 1 and moves on, `names[1]` stays put and earns nothing."""
+    last = len(names) - 1
+    rows = [(s, 0, [(1, s + 1, 1)]) for s in range(last)] + [(last, 0, [(1, last, 0)])]
+    rows += [(s, 1, [(1, s, 0)]) for s in range(last)]
+    return MDP.from_outcomes(sorted(rows), discount="1/2", states=names, actions=names[:2])
+
+
+class Seen(HTMLParser):
+    """The elements and the text of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags, self.texts = list[tuple[str, dict[str, str | None]]](), list[str]()
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+@pytest.fixture
+def nasty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    save_model(corridor(NASTY), tmp_path / "m.npz")
+    np.save(tmp_path / "lazy.npy", np.ones(len(NASTY), dtype=int) * ([1] * 8 + [0]))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def checked(*words: str) -> Done:
+    done = run("check", "m.npz", "lazy.npy", *words)
+    assert done.status == 1, done.err
+    return done
+
+
+def test_a_page_holds_verdict_table_picture_and_how_to_rerun(nasty: Path) -> None:
+    checked("--html", "p.html")
+    page = (nasty / "p.html").read_text("utf-8")
+    seen, found = Seen(page), json.loads(checked("--json").out)
+    assert [tag for tag, _ in seen.tags].count("script") == 1
+    assert not [a for _, a in seen.tags if {"src", "href", "onerror"} & set(a)]
+    assert "default-src 'none'" in page
+    for name in NASTY[:-1]:
+        assert f"state {name}" in seen.texts  # a cell that holds the name and nothing else
+    assert f"✗ failed: the regret is zero; it is {found['regret']:.10g} (certified)" in seen.texts
+    rerun = shlex.split(next(text for text in seen.texts if text.startswith("exact-mdp")))
+    assert rerun == ["exact-mdp", "check", "m.npz", "lazy.npy", "--html", "p.html"]
+    cells = [a for tag, a in seen.tags if tag == "td" and a.get("class") in ("wrong", "idle", "")]
+    assert len(cells) == len(NASTY)
+    wrong = [a["title"] for a in cells if a["class"] == "wrong"]
+    assert len(wrong) == len(found["disagreements"]) == len(NASTY) - 1
+    for each in found["disagreements"]:
+        said = f"{each['state']}: yours {each['learned']}, optimal {each['optimal']}; "
+        assert [title for title in wrong if str(title).startswith(said)]
+
+
+def test_shares_sum_to_one_and_values_lost_to_the_regret(nasty: Path) -> None:
+    found = json.loads(checked("--json").out)
+    assert sum(each["share"] for each in found["disagreements"]) == pytest.approx(1)
+    assert sum(each["cost"] for each in found["disagreements"]) == pytest.approx(found["regret"])
+    text = checked().out
+    assert re.search(r"state +yours +optimal +value lost +visits +share", text)
+    assert "yours: what the policy does" in text
+
+
+def test_markdown_shows_names_as_they_are(nasty: Path) -> None:
+    out = checked("--markdown").out
+    rows = [line for line in out.splitlines() if line.startswith("| state")]
+    assert len(rows) == len(NASTY)  # the headings, and a row for each wrong state
+    for row, name in zip(rows[1:], NASTY[:-1], strict=True):
+        assert len(re.split(r"(?<!\\)\|", row)) == 8  # six cells
+        first = re.split(r"(?<!\\)\|", row)[1].strip()
+        assert re.sub(r"\\(.)", r"\1", first) == f"state {name}"
+        assert not re.search(r"(?<!\\)[<>`*_$&\[]", first)
+    assert run("check", "m.npz", "lazy.npy", "--markdown", "--json").status == 2
+
+
+def test_markdown_shows_facts_and_notes() -> None:
+    table = Table(title="t", rows=[{"a": 1}], columns={"a": "a"}, note="what a is")
+    report = Report(result={}, facts={"x": None, "y": 2}, tables=[table])
+    assert markdown(report, "*").splitlines() == [
+        r"## \*", "", "|  |  |", "| --- | --- |", "| y | 2 |", "", "### t", "", "what a is", "",
+        "| a |", "| ---: |", "| 1 |",
+    ]  # fmt: skip
+
+
+def test_a_page_that_cannot_be_written_is_refused_before_any_work(nasty: Path) -> None:
+    for name in ("p.txt", "nowhere/p.html"):
+        done = run("check", "m.npz", "lazy.npy", "--html", name)
+        assert (done.status, done.out) == (2, "")
+    assert not (nasty / "p.txt").exists()
+
+
+def test_unsafe_characters_are_written_as_codes() -> None:
+    """Names cannot hold them, but names of files and messages can."""
+    page = render("base.html.j2")
+    assert "\x1b" not in page
+    audit = check(corridor(["a", "b"]), [1, 0])
+    shown = audit_page(
+        audit, model="m\x1b[31m\u202e", policy="p", facts={}, tables=[], rerun="x\ny"
+    )
+    assert r"m\x1b[31m\u202e" in shown
+    assert "x\ny" in shown
+
+
+# ---- places ------------------------------------------------------------------------------------
+
+
+def test_every_state_has_a_place_of_its_own() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+    for words in ({}, {"across": ["trial"]}, {"down": ["status"], "across": ["trial", "subtask"]}):
+        found = arrange(mdp, **words)
+        places = set(zip(found.row[found.shown], found.column[found.shown], strict=True))
+        assert len(places) == len(found.shown) == mdp.space.regular
+        assert len(found.rows) * len(found.columns) == mdp.space.regular
+    part = arrange(mdp, subtask=1, trial=0)
+    assert len(part.shown) == len(part.columns) == 16
+    assert {mdp.space.label(s).split(",")[0] for s in part.shown} == {"subtask 1"}
+    for bad in ({"subtask": 5}, {"nothing": 0}, {"shape": (3, 4)}):
+        with pytest.raises(ModelError):
+            arrange(mdp, **bad)
+
+
+@pytest.mark.parametrize(
+    ("actions", "expected"),
+    [
+        ("UP down Left right", "↑↓←→"),
+        ("north east south west", "↑→↓←"),
+        ("u d l r", "↑↓←→"),
+        ("s m", "sm"),
+        ("stop go", ["a0", "a1"]),  # where some names are long, "a1" must not be a name too
+    ],
+)
+def test_signs_of_actions(actions: str, expected: str | list[str]) -> None:
+    assert symbols(actions.split()) == list(expected)
+
+
+# ---- GitHub Actions ----------------------------------------------------------------------------
+
+
+def on_github(monkeypatch: pytest.MonkeyPatch, summary: Path) -> None:
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
+
+
+def commands(text: str) -> list[str]:
+    """Return what a runner takes for commands, as its source reads lines."""
+    lines = text.splitlines()
+    return [line for line in lines if line.lstrip().startswith("::") or "##[" in line]
+
+
+def test_a_failed_check_is_annotated_and_summed_up(
+    nasty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_github(monkeypatch, nasty / "summary.md")
+    done = checked()
+    assert commands(done.out) == []
+    (told,) = commands(done.err)
+    assert told.startswith("::error title=lazy.npy in m%3A failed::failed: the regret is zero")
+    assert "%0A" in told
+    summary = (nasty / "summary.md").read_text("utf-8")
+    assert summary.startswith("## lazy.npy in m: failed\n")
+    assert "| state | yours | optimal |" in summary
+    assert commands(checked("--json").out) == []
+    assert json.loads(checked("--json").out)["disagreements"][3]["state"] == f"state {NASTY[3]}"
+    assert (run("check", "m.npz", "optimal").status, run("check", "m.npz", "optimal").err) == (
+        0,
+        "",
+    )
+    assert "optimal in m: passed" in (nasty / "summary.md").read_text("utf-8")
+
+
+def test_bad_input_is_annotated_and_summed_up(tmp_path: Path) -> None:
+    summary, report = tmp_path / "s.md", tmp_path / "r.xml"
+    words = ("check", "tea", "no``where.csv", "--junit", report)
+    done = launch(*words, GITHUB_ACTIONS="true", GITHUB_STEP_SUMMARY=str(summary))
+    assert done.status == 2
+    (told,) = commands(done.err)
+    assert told.startswith("::error title=exact-mdp check tea::ModelError")
+    assert "no verdict" in summary.read_text("utf-8")
+    assert "<error " in report.read_text("utf-8")
+
+
+def test_a_summary_that_cannot_be_written_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_github(monkeypatch, tmp_path / "no" / "s.md")
+    done = run("check", "tea", "optimal")
+    assert (done.status, done.out) == (2, "")
+    assert "GITHUB_STEP_SUMMARY" in done.err
+
+
+def test_nothing_is_said_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
+    github.annotate("a", "b")
+    github.summarise("c")
+    assert capsys.readouterr() == ("", "")
+    assert github.inert("::error::x ##[y]") == "::error::x ##[y]"
