@@ -73,6 +73,7 @@ def together(*options: Options) -> Options:
 
 # ---- options that commands share ---------------------------------------------------------------
 
+as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 of_model = together(
     click.option(
         "--set",
@@ -85,7 +86,7 @@ of_model = together(
     click.option(
         "--discount", metavar="G", help="Discount instead of the model's own: 0.95 or 19/20."
     ),
-    click.option("--json", "as_json", is_flag=True, help="Print one JSON object."),
+    as_json,
 )
 horizon = click.option(
     "--horizon", metavar="N", help="Stop every episode after N steps, without a further reward."
@@ -102,6 +103,27 @@ of_policy = together(
 )
 model = click.argument("model")
 policy = click.argument("policy")
+
+
+# ---- a scenario of one's own -------------------------------------------------------------------
+
+
+@command("scenario:new", "Write a commented scenario to change.")
+@click.argument("file")
+@as_json
+def new() -> None:
+    """Write FILE, a .toml scenario with every key explained, which solves as it is."""
+
+
+@command("scenario:lint", "Everything that is wrong with a scenario file.")
+@click.argument("file")
+@as_json
+def lint() -> None:
+    """List all problems of the scenario FILE, with their lines; exit status 1 where there are any.
+
+    An error keeps the scenario from being read; a warning is about numbers that can be read, and
+    are probably not what was meant.
+    """
 
 
 # ---- the model itself --------------------------------------------------------------------------
@@ -475,6 +497,8 @@ def perception() -> None:
 
 
 COMMANDS = (
+    new,
+    lint,
     info,
     solve,
     evaluate,

@@ -46,6 +46,7 @@ SKIP = "skip"
 MOST_STATUSES = 14
 MOST_STATES = 200_000_000  # 27 bytes for each while solving without a matrix: 5.4 GB
 SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
+BONUSES = ("subtask-complete", "task-complete")  # the weights that are gains; others are costs
 
 
 @dataclass(frozen=True, kw_only=True)

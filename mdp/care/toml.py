@@ -1,14 +1,18 @@
-"""Reading a scenario from TOML: every number exact, every name checked.
+"""Reading a scenario from TOML: every number exact, every name checked, every problem kept.
 
 Tables flatten to parameter names: `[influence.anger]` `confusion = 0.08` is the parameter
 `influence.anger.confusion`. Numbers may be written 0.08, 1 or "2/25". An influence that is left
 out is 0; any other number that is missing, or a name that is not known, is an error.
+`template.toml` explains each key to people, `schema.json` to editors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
 from fractions import Fraction
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,16 +28,42 @@ from exact_mdp.mdp.care.tables import (
     exact_at,
     known,
 )
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import LONGEST, ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.validate import as_discount
 
-TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
-SETTINGS = ("name", "title", "source", "statuses", "actions", "tasks", "max_trial", "discount")
 T = TypeVar("T", bound=Tables)
-KEYS = (*SETTINGS, "readings", "status_weight", *TABLES)
+V = TypeVar("V")
+SETTINGS: Mapping[str, str] = {
+    "name": "Name of the scenario; that of the file unless given.",
+    "title": "What the scenario is, in one line.",
+    "source": "Where the numbers come from.",
+    "statuses": "Names of the statuses; each is present or absent.",
+    "actions": "Names of the actions.",
+    "tasks": "Number of subtasks of each task, in order.",
+    "max_trial": "Trials allowed in a subtask before it is skipped.",
+    "discount": "From 0 to 1; 1 unless given.",
+}
+TABLES: Mapping[str, str] = {
+    "base": "STATUS = probability that it appears without assistance.",
+    "persistence": "STATUS = probability that it stays without assistance.",
+    "influence": "[influence.ROW] STATUS = what a present ROW adds to the probability of STATUS; "
+    "left out means 0.",
+    "assistance": "[assistance.ACTION.STATUS] persistence and onset of STATUS under ACTION; left "
+    "out means as without assistance.",
+    "skip": "[skip.STATUS] persistence when a subtask is skipped; or other, alone and with-other.",
+    "reward": "A weight for each status, trial, subtask-complete, subtask-skip, timestep and "
+    "task-complete; [reward.assist] one for each action.",
+}
+KEYS: Mapping[str, str] = {
+    **SETTINGS,
+    "readings": "How open points of the paper's text are read.",
+    "status_weight": "STATUS = name of the weight that it is charged to; its own unless given.",
+    **TABLES,
+}
+"""Every key of a scenario file with its meaning: the one list of them."""
 
 
 def shipped() -> list[str]:
@@ -65,144 +95,222 @@ def load(name: str | Path, kind: type[T]) -> T:
 
 def parse(text: str, kind: type[T], *, where: str = "scenario") -> T:
     """Return the scenario that a TOML text states, as `kind`; `where` names it in errors."""
-    content = toml_of(text, where)
-    try:
-        return _scenario(content, kind, default_name=Path(where).stem)
-    except ModelError as error:
+    reader = Reader(toml_of(text, where))
+    scenario = reader.read(kind, default_name=Path(where).stem)
+    for _, error in reader.problems:
         place = f"{where}, {error.where}" if error.where else where
         raise ModelError(error.what, where=place, fix=error.fix) from error
+    assert scenario is not None
+    return scenario
 
 
-def _scenario(content: dict[str, Any], kind: type[T], *, default_name: str) -> T:
-    for key in content:
-        known(key, KEYS, "key", "top level")
-    statuses, actions = _words(content, "statuses"), _words(content, "actions")
-    if SKIP in actions:
-        raise ModelError(
-            f"an action is called {SKIP!r}", where="actions", fix="choose another name for it"
+@dataclass(kw_only=True)
+class Reader:
+    """What the content of a TOML file states, and all that is wrong with it.
+
+    Attributes
+    ----------
+    content : dict
+    unread : collection of str
+        Keys that the file has, but whose values cannot be read: they are not missing.
+    problems : list of (key, ModelError)
+    """
+
+    content: dict[str, Any] = field(kw_only=False)
+    unread: Collection[str] = ()
+    problems: list[tuple[str, ModelError]] = field(default_factory=list)
+
+    def take(self, key: str, make: Callable[..., V], *given: Any, otherwise: V) -> V:
+        """Return `make(*given)`; keep a ModelError of it as a problem of a key."""
+        try:
+            return make(*given)
+        except ModelError as error:
+            self.problems.append((key, error))
+            return otherwise
+
+    def read(self, kind: type[T], *, default_name: str) -> T | None:
+        """Return the scenario; where there are problems, one without what they are about, or None.
+
+        What cannot be read is taken as 0, or as the least that it may be.
+        """
+        for key in list(self.content):
+            if not self.take(key, known, key, KEYS, "key", "top level", otherwise=""):
+                meant = _meant(key, [k for k in TABLES if k not in self.content])
+                self.content |= dict.fromkeys(meant, self.content[key])
+        statuses, actions = self._words("statuses"), self._words("actions")
+        if SKIP in actions:
+            self._add("actions", f"an action is called {SKIP!r}", "choose another name")
+        readings = {name: options[0] for name, options in READINGS.items()}
+        for name, option in self._table("readings").items():
+            first = READINGS.get(name, ("",))[0]
+            readings[name] = self.take(
+                f"readings.{name}", check_reading, name, option, otherwise=first
+            )
+        texts: dict[str, Any] = {
+            key: self.take(key, _text, self.content, key, default, otherwise=default)
+            for key, default in (("name", default_name), ("title", ""), ("source", ""))
+        }
+        tasks: Any = self.content.get("tasks", [1] if "tasks" in self.unread else ())
+        trials = self.content.get("max_trial", 1 if "max_trial" in self.unread else "missing")
+        rate, least = self.content.get("discount", 1), tuple[int, ...]((1,))
+        settings: dict[str, Any] = {
+            "tasks": self.take("tasks", as_tasks, tasks, otherwise=least),
+            "max_trial": self.take("max_trial", as_max_trial, trials, otherwise=1),
+            "discount": self.take("discount", as_discount, rate, otherwise=Fraction(1)),
+        }
+        if not statuses or not actions:
+            return None
+        weights = self._weights(statuses)
+        others, flat = self._flatten(statuses)
+        make = partial(
+            kind,
+            **texts,
+            **settings,
+            statuses=statuses,
+            actions=actions,
+            readings={name: readings[name] for name in READINGS},
+            parameters=self._parameters(flat, self._names(statuses, actions, others, weights)),
+            others=others,
+            weights=weights,
         )
-    readings = {name: options[0] for name, options in READINGS.items()}
-    for name, option in _table(content, "readings").items():
-        readings[name] = check_reading(name, option)
-    weights = _weights(content, statuses)
-    others, flat = _flatten(content)
-    for status, other in others.items():
-        if status not in statuses or other not in statuses or other == status:
-            raise ModelError(
-                f"the other status is {other!r}",
-                where=f"skip.{status}.other",
-                fix=suggest(other, [name for name in statuses if name != status]),
+        return self.take("", make, otherwise=None)
+
+    def _add(self, key: str, what: str, fix: str, where: str = "") -> None:
+        self.problems.append((key, ModelError(what, where=where or key, fix=fix)))
+
+    def _parameters(
+        self, flat: Mapping[str, Fraction], wanted: Mapping[str, tuple[Any, Any]]
+    ) -> tuple[Parameter, ...]:
+        missing = [
+            name
+            for name in wanted
+            if name not in flat and not name.startswith("influence.") and name not in self.unread
+        ]
+        for name in flat:
+            table = name.partition(".")[0]
+            if not self.take(name, known, name, wanted, "number", table, otherwise=""):
+                for meant in _meant(name, missing):
+                    missing.remove(meant)
+        for name in missing:
+            table = name.partition(".")[0]
+            self._add(name, f"the number {name} is missing", "state it", table)
+        nothing = Fraction(0)
+        return tuple(
+            self.take(
+                name,
+                partial(Parameter, name=name, value=flat.get(name, nothing), low=low, high=high),
+                otherwise=Parameter(name=name, value=nothing, low=low, high=high),
             )
-    wanted = _names(content, statuses, actions, others, weights)
-    for name in flat:
-        known(name, wanted, "number", name.partition(".")[0])
-    for name in wanted:
-        if name not in flat and not name.startswith("influence."):
-            raise ModelError(
-                f"the number {name} is missing", where=name.partition(".")[0], fix="state it"
-            )
-    return kind(
-        name=_text(content, "name", default_name),
-        title=_text(content, "title", ""),
-        source=_text(content, "source", ""),
-        statuses=statuses,
-        actions=actions,
-        tasks=as_tasks(content.get("tasks", ())),
-        max_trial=as_max_trial(content.get("max_trial", "missing")),
-        discount=as_discount(content.get("discount", 1)),
-        readings=readings,
-        parameters=tuple(
-            Parameter(name=name, value=flat.get(name, Fraction(0)), low=low, high=high)
             for name, (low, high) in wanted.items()
-        ),
-        others=others,
-        weights=weights,
-    )
+        )
 
-
-def _names(
-    content: dict[str, Any],
-    statuses: tuple[str, ...],
-    actions: tuple[str, ...],
-    others: Mapping[str, str],
-    weights: Mapping[str, str],
-) -> dict[str, tuple[Fraction | None, Fraction | None]]:
-    """Return every parameter that the scenario has, with its range, in the paper's order."""
-    assistance = _table(content, "assistance")
-    for action in assistance:
-        known(action, actions, "action", "assistance")
-        for status in _table(assistance, action):
-            known(status, statuses, "status", f"assistance.{action}")
-    names = [f"{table}.{status}" for table in ("base", "persistence") for status in statuses]
-    names += [f"influence.{r}.{c}" for r in statuses for c in statuses if r != c]
-    for action in actions:
+    def _names(
+        self,
+        statuses: tuple[str, ...],
+        actions: tuple[str, ...],
+        others: Mapping[str, str],
+        weights: Mapping[str, str],
+    ) -> dict[str, tuple[Fraction | None, Fraction | None]]:
+        """Return every parameter that the scenario has, with its range, in the paper's order."""
+        assistance: dict[str, list[str]] = {}
+        for action in self._table("assistance"):
+            key = f"assistance.{action}"
+            if self.take(key, known, action, actions, "action", "assistance", otherwise=""):
+                assistance[action] = list(self._table("assistance", action))
+            for status in assistance.get(action, ()):
+                self.take(f"{key}.{status}", known, status, statuses, "status", key, otherwise="")
+        names = [f"{table}.{status}" for table in ("base", "persistence") for status in statuses]
+        names += [f"influence.{r}.{c}" for r in statuses for c in statuses if r != c]
+        for action in actions:
+            for status in statuses:
+                if status in assistance.get(action, ()):
+                    rule = f"assistance.{action}.{status}"
+                    names += [f"{rule}.persistence", f"{rule}.onset"]
         for status in statuses:
-            if status in assistance.get(action, {}):
-                rule = f"assistance.{action}.{status}"
-                names += [f"{rule}.persistence", f"{rule}.onset"]
-    for status in statuses:
-        rules = ("alone", "with-other") if status in others else ("persistence",)
-        names += [f"skip.{status}.{rule}" for rule in rules]
-    rewards = [*(weights[status] for status in statuses), *SHARED_WEIGHTS]
-    rewards += [f"assist.{action}" for action in actions]
-    return {
-        **dict.fromkeys(names, (Fraction(0), Fraction(1))),
-        **{f"reward.{weight}": (None, None) for weight in rewards},
-    }
+            rules = ("alone", "with-other") if status in others else ("persistence",)
+            names += [f"skip.{status}.{rule}" for rule in rules]
+        rewards = [*(weights[status] for status in statuses), *SHARED_WEIGHTS]
+        rewards += [f"assist.{action}" for action in actions]
+        return {
+            **dict.fromkeys(names, (Fraction(0), Fraction(1))),
+            **{f"reward.{weight}": (None, None) for weight in rewards},
+        }
+
+    def _flatten(self, statuses: tuple[str, ...]) -> tuple[dict[str, str], dict[str, Fraction]]:
+        """Return the `other` statuses of the skip rules, and every number by its dotted name."""
+        others: dict[str, str] = {}
+        flat: dict[str, Fraction] = {}
+
+        def visit(prefix: str, value: object) -> None:
+            parts = prefix.split(".")
+            if isinstance(value, dict):
+                for key, below in value.items():
+                    visit(f"{prefix}.{key}", below)
+            elif parts[0] == "skip" and parts[-1] == "other" and len(parts) == 3:
+                options = [name for name in statuses if name != parts[1]]
+                given = (parts[1], str(value), options if parts[1] in statuses else [])
+                other = self.take(prefix, _other, *given, otherwise=(*options, "")[0])
+                if other:
+                    others[parts[1]] = other
+            else:
+                flat[prefix] = self.take(prefix, exact_at, prefix, value, otherwise=Fraction(0))
+
+        for table in TABLES:
+            visit(table, self._table(table))
+        return others, flat
+
+    def _weights(self, statuses: tuple[str, ...]) -> dict[str, str]:
+        given = self._table("status_weight")
+        for status in given:
+            key = f"status_weight.{status}"
+            self.take(key, known, status, statuses, "status", "status_weight", otherwise="")
+        weights = {status: str(given.get(status, status)) for status in statuses}
+        taken = [*weights.values(), *SHARED_WEIGHTS, "assist"]
+        if len(set(taken)) != len(taken) or any("." in weight for weight in taken):
+            self._add(
+                "status_weight",
+                "two reward weights have the same name, or one has a dot in it",
+                "give each status a weight name of its own",
+            )
+        return weights
+
+    def _words(self, key: str) -> tuple[str, ...]:
+        words = self.content.get(key)
+        if words is None and key in self.unread:
+            return ()
+        listed = isinstance(words, list) and all(isinstance(word, str) and word for word in words)
+        if not listed or not words or "." in "".join(words) or len(set(words)) != len(words):
+            fix = 'write, for example, ["forgetfulness", "anger"], without dots'
+            self._add(key, f"{key} is not a list of different names", fix)
+            return ()
+        return tuple(words)
+
+    def _table(self, *path: str) -> dict[str, Any]:
+        """Return the table at a path; one that is no table is a problem once, and then empty."""
+        key, within = ".".join(path), self.content
+        for part in path[:-1]:
+            within = within[part]
+        table = within.get(path[-1], {})
+        if isinstance(table, dict):
+            return table
+        self._add(key, f"{key} is not a table", f"write it as [{key}]")
+        within[path[-1]] = {}
+        return {}
 
 
-def _flatten(content: dict[str, Any]) -> tuple[dict[str, str], dict[str, Fraction]]:
-    """Return the `other` statuses of the skip rules, and every number by its dotted name."""
-    others: dict[str, str] = {}
-    flat: dict[str, Fraction] = {}
-
-    def visit(prefix: str, value: object) -> None:
-        parts = prefix.split(".")
-        if isinstance(value, dict):
-            for key, below in value.items():
-                visit(f"{prefix}.{key}", below)
-        elif parts[0] == "skip" and parts[-1] == "other" and len(parts) == 3:
-            others[parts[1]] = str(value)
-        else:
-            flat[prefix] = exact_at(prefix, value)
-
-    for table in TABLES:
-        visit(table, _table(content, table))
-    return others, flat
+def _meant(name: str, missing: Collection[str]) -> list[str]:
+    """Return the missing name that an unknown one is a slip for, if any."""
+    return get_close_matches(name[:LONGEST], missing, n=1, cutoff=0.6)
 
 
-def _weights(content: dict[str, Any], statuses: tuple[str, ...]) -> dict[str, str]:
-    given = _table(content, "status_weight")
-    for status in given:
-        known(status, statuses, "status", "status_weight")
-    weights = {status: str(given.get(status, status)) for status in statuses}
-    taken = [*weights.values(), *SHARED_WEIGHTS, "assist"]
-    if len(set(taken)) != len(taken) or any("." in weight for weight in taken):
+def _other(status: str, other: str, options: Collection[str]) -> str:
+    if other not in options:
         raise ModelError(
-            "two reward weights have the same name, or one has a dot in it",
-            where="status_weight",
-            fix="give each status a weight name of its own",
+            f"the other status is {other!r}",
+            where=f"skip.{status}.other",
+            fix=suggest(other, options) if options else "name two statuses of this scenario",
         )
-    return weights
-
-
-def _words(content: dict[str, Any], key: str) -> tuple[str, ...]:
-    words = content.get(key)
-    listed = isinstance(words, list) and all(isinstance(word, str) and word for word in words)
-    if not listed or not words or "." in "".join(words) or len(set(words)) != len(words):
-        raise ModelError(
-            f"{key} is not a list of different names",
-            where=key,
-            fix='write, for example, ["forgetfulness", "anger"], without dots',
-        )
-    return tuple(words)
-
-
-def _table(content: Mapping[str, Any], key: str) -> dict[str, Any]:
-    table = content.get(key, {})
-    if not isinstance(table, dict):
-        raise ModelError(f"{key} is not a table", where=key, fix=f"write it as [{key}]")
-    return table
+    return other
 
 
 def _text(content: dict[str, Any], key: str, default: str) -> str:

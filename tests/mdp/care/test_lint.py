@@ -1,0 +1,164 @@
+"""The linter against the reader: the same faults, all at once, with the line and the remedy."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from importlib.resources import files
+from pathlib import Path
+
+import jsonschema
+import pytest
+from cli_runner import run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from own_scenarios import own_text
+
+from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.care import schema
+from exact_mdp.mdp.care.lint import lint
+from exact_mdp.mdp.care.toml import KEYS, Reader, parse, shipped
+from exact_mdp.mdp.io.structured import toml_of
+
+CARE = files("exact_mdp.mdp.care")
+TEMPLATE = (CARE / "template.toml").read_text(encoding="utf-8")
+OWN = own_text(3, 3)
+
+FAULTS = [  # what a line becomes, what is said of it, and the remedy
+    ("forgetfulness = 0.3", "forgetfulness = 30%", "cannot be read: 30%", "= 0.3"),
+    ("forgetfulness = 0.9", "forgetfulness = 90", "outside [0, 1]", "did you mean 0.9?"),
+    ("frustration = 0.8", "frustraton = 0.8", "unknown number", "persistence.frustration?"),
+    ("forgetfulness = 0.2", "forgetfulness = 0,2", "cannot be read", "= 0.2"),
+    ("persistence = 0.2", "persistence = '20 %'", "not a finite", "did you mean 0.2?"),
+    ("onset = 0.05", "onset = -0.05", "outside [0, 1]", "did you mean 0.05?"),
+    ("persistence = 0.1", "persistence = 2/3", "cannot be read", '= "2/3"'),
+    ("onset = 0\n", "onset = .5\n", "cannot be read", "= 0.5"),
+    ("actions = [", "actions = [wait, ", "cannot be read", 'write actions = ["wait", "wait"'),
+    ("tasks = [2]", "tasks = [0]", "tasks is not a list", "[3, 1]"),
+    ("max_trial = 3", "max_trial = 3\nmax_trial = 4", "given twice, first in line", "keep one"),
+    ("discount = 1", "discount = 95", "outside [0, 1]", "did you mean 0.95?"),
+    ("timestep = 0", "timestap = 0", "unknown number 'reward.timestap'", "reward.timestep?"),
+    ("wait = 0", "wait = no", "cannot be read", "a number"),
+    ("[status_weight]", "[base]", "[base] stands twice, first in line", "join"),
+    ("[readings]", "[readings]\nskip_onsets = 'base'", "unknown reading", "skip_onset?"),
+    ("trial = -1\n", "trial -1\n", "neither", "correct that line"),
+]
+
+
+def test_the_template_explains_every_key_and_solves() -> None:
+    scenario = parse(TEMPLATE, Scenario)
+    assert lint(TEMPLATE, "template") == ()
+    assert set(KEYS) <= set(re.findall(r"^#? ?\[?([a-z_]+)", TEMPLATE, re.MULTILINE))
+    assert scenario.compile().n_states == 2 * 3 * 4 + 1
+    with_options = re.sub(r"^# (\w+ = \"[\w-]+\" *#)", r"\1", TEMPLATE, flags=re.MULTILINE)
+    assert set(Reader(toml_of(with_options, "x")).content["readings"]) == set(scenario.readings)
+    assert lint(with_options, "x") == ()
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_nothing_is_said_of_shipped_scenarios(name: str) -> None:
+    text = (files("exact_mdp.mdp") / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
+    assert lint(text, name) == ()
+
+
+@pytest.mark.parametrize(("old", "new", "what", "fix"), FAULTS)
+def test_each_fault(old: str, new: str, what: str, fix: str) -> None:
+    assert old in TEMPLATE
+    before, after = TEMPLATE.split(old, 1)
+    (found,) = [each for each in lint(before + new + after, "x") if what in each.what]
+    fault = before.count("\n") + 1 + new.rstrip("\n").count("\n")
+    assert (found.line, found.severity) == (fault, "error")
+    assert fix in found.fix
+    assert found.text == (before + new + after).split("\n")[fault - 1].strip()
+
+
+def test_all_faults_at_once() -> None:
+    text = TEMPLATE
+    for old, new, _, _ in FAULTS:
+        text = text.replace(old, new, 1)
+    found = [f"{each.what} {each.fix}" for each in lint(text, "x")]
+    for _, _, what, fix in FAULTS:
+        assert any(what in each and fix in each for each in found), (what, fix)
+    assert len(found) <= len(FAULTS) + 3  # the trial weight of the broken line is missing, too
+
+
+def test_suspicions_are_warnings() -> None:
+    text = TEMPLATE.replace("frustration = -4", "frustration = 4").replace(
+        "frustration = 0.1\n\n# ...", "frustration = 0.95\n\n# ..."
+    )
+    sign, clipped = sorted(lint(text, "x"), key=lambda each: "cut off" in each.what)
+    assert (sign.severity, sign.text) == ("warning", "frustration = 4")
+    assert sign.fix == "did you mean -4?"
+    assert clipped.severity == "warning"
+    assert "1.05 is cut off at 1" in clipped.what
+    assert clipped.text == "frustration = 0.95"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        parse(text, Scenario).compile()
+
+
+def refused(text: str) -> bool:
+    try:
+        parse(text, Scenario)
+    except ModelError:
+        return True
+    return False
+
+
+EDITS = st.sampled_from(["", *'01-.=[]"#x% ', "\n", "s0", "a1"])
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), text=st.sampled_from([TEMPLATE, OWN]))
+def test_an_error_is_found_exactly_where_the_reader_refuses(data: st.DataObject, text: str) -> None:
+    for _ in range(data.draw(st.integers(1, 4))):
+        place, cut = data.draw(st.integers(0, len(text))), data.draw(st.integers(0, 6))
+        text = text[:place] + data.draw(EDITS) + text[place + cut :]
+    found = [each for each in lint(text, "x") if each.severity == "error"]
+    assert bool(found) == refused(text), found
+    lines = text.split("\n")
+    for each in found:
+        assert each.what
+        assert each.fix
+        assert each.line is None or each.text == lines[each.line - 1].strip()
+
+
+# ---- schema and commands ---------------------------------------------------------------------
+
+
+def test_the_shipped_schema_is_that_of_the_keys() -> None:
+    assert schema.FILE.read_text(encoding="utf-8") == schema.text()
+    assert set(schema.schema()["properties"]) == set(KEYS)
+
+
+@pytest.mark.parametrize("text", [TEMPLATE, OWN])
+def test_the_schema_takes_what_the_reader_takes(text: str) -> None:
+    check = jsonschema.Draft7Validator(schema.schema())
+    content = json.loads(json.dumps(toml_of(text, "x", number=float)))
+    assert list(check.iter_errors(content)) == []
+    for key in ("statuses", "actions", "tasks", "max_trial"):
+        assert not check.is_valid({k: v for k, v in content.items() if k != key})
+    for table, value in [("base", {"x": 1.5}), ("bse", {}), ("readings", {"skip_onset": "no"})]:
+        assert not check.is_valid(content | {table: value})
+
+
+def test_commands(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    assert run("new", path, "--json").result == {"written": str(path)}
+    first = path.read_text(encoding="utf-8").partition("\n")[0]
+    assert Path(first.removeprefix("#:schema file://")).read_text("utf-8") == schema.text()
+    assert run("lint", path, "--json").result["problems"] == []
+    again = run("new", path)
+    assert (again.status, again.out) == (2, "")
+    assert "there already" in again.err
+    path.write_text(path.read_text("utf-8").replace("trial = -1", "trial = 1"), encoding="utf-8")
+    done = run("lint", path, "--json")
+    assert done.status == 1
+    (problem,) = done.result["problems"]
+    assert problem.keys() == {"line", "text", "what", "fix", "severity"}
+    shown = run("lint", path)
+    assert "trial = 1" in shown.out
+    for words in (("new", tmp_path / "x.json"), ("lint", tmp_path / "none.toml"), ("lint", "tea")):
+        done = run(*words)
+        assert (done.status, done.out) == (2, "")
