@@ -20,7 +20,7 @@ touching its numbers one by one; any other as integers over their denominator in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from hashlib import sha256
 from typing import TYPE_CHECKING
@@ -40,6 +40,7 @@ from exact_mdp.mdp.table import (
     merged,
     multiply,
     reduced,
+    spans,
 )
 
 if TYPE_CHECKING:
@@ -88,6 +89,19 @@ class BellmanRows:
         """Return (L,) scale less the sum of weights: positive where γ times the row sum is < 1."""
         return np.asarray(self.scale[self.pair_state] - row_sums(self.weight, self.offsets))
 
+    def of_pairs(self, pairs: Integers) -> BellmanRows:
+        """Return the equations of the policy that takes `pairs` (S,), one of each state."""
+        first, last = self.offsets[pairs], self.offsets[pairs + 1]
+        entries = spans(first, last)
+        return replace(
+            self,
+            pair_offsets=np.arange(len(self.scale) + 1),
+            constant=self.constant[pairs],
+            offsets=np.concatenate([[0], np.cumsum(last - first)]),
+            next=self.next[entries],
+            weight=self.weight[entries],
+        )
+
 
 def bellman_rows(model: MDP) -> BellmanRows:
     """Return the Bellman equations of a model in integers.
@@ -123,6 +137,29 @@ def bellman_rows(model: MDP) -> BellmanRows:
         next=following,
         weight=weight,
     )
+
+
+def per_step(model: MDP) -> MDP:
+    """Return the model in which all steps count alike: discount 1, each row divided by its sum.
+
+    An average reward per step needs rows that sum to 1 exactly; those of floats need not.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0.9, 0.1], [0.1, 0.9]]], [1, 0], discount=0.5)
+    >>> mdp.table.sums_to_one, per_step(mdp).table.sums_to_one, per_step(mdp).discount
+    (False, True, 1.0)
+    """
+    table = model.table
+    if not table.sums_to_one:
+        weight, below = table.integer_weights()
+        whole = replace(
+            table, weight=weight, denominator=below, weight_doubt=table.weight_rounding()
+        )
+        table = replace(whole, denominator=whole.row_sums())
+    if table is model.table and model.discount_exact == 1:
+        return model
+    return model.with_(discount=1, table=table)
 
 
 def row_sums(values: Numbers, offsets: Integers) -> Numbers:

@@ -36,6 +36,7 @@ SOLVERS: dict[str, type[Solver]] = {
     "backward-induction": BackwardInduction,
     "linear-program": LinearProgram,
 }
+CRITERIA = ("total", "average")
 Found = TypeVar("Found", covariant=True)
 
 
@@ -156,6 +157,14 @@ def solve(
             return _within(BackwardInduction().solve(mdp), tol)
         solver = ModifiedPolicyIteration()
     return _with_tolerance(_named(solver), tol).solve(mdp)
+
+
+def is_average(criterion: str) -> bool:
+    """Return whether the average reward is asked for; raises ModelError for an unknown word."""
+    if criterion not in CRITERIA:
+        fix = suggest(str(criterion), CRITERIA)
+        raise ModelError(f"unknown criterion {criterion!r}", where="criterion", fix=fix)
+    return criterion == "average"
 
 
 def _named(solver: Any) -> Solver:

@@ -11,6 +11,7 @@ from exact_mdp.analysis.cli.options import given
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.mdp.io.files import LARGEST, read_text
 from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.solution import Bounded
 
@@ -38,6 +39,8 @@ def verify(*, certificate: str, **shared: Any) -> Report:
         facts["start value"] = start
         if isinstance(proof, Certificate):
             result |= {"exact_start_value": proof.start_value, "unique": proof.unique}
+        if isinstance(proof, AverageCertificate):
+            result |= {"exact_start_value": proof.start_value, "criterion": "average"}
     table = Table(
         title="violations",
         rows=[{"what": violation} for violation in violations],
@@ -46,19 +49,25 @@ def verify(*, certificate: str, **shared: Any) -> Report:
     return asked.report(result, facts, [table], status=FAILS if violations else HOLDS)
 
 
-def _read(path: str) -> Certificate | BoundedCertificate:
-    """Read a certificate of either kind."""
+KINDS: dict[object, type[Certificate | BoundedCertificate | AverageCertificate]] = {
+    "bounded": BoundedCertificate,
+    "average": AverageCertificate,
+}
+
+
+def _read(path: str) -> Certificate | BoundedCertificate | AverageCertificate:
+    """Read a certificate of any kind."""
     try:
         content = json.loads(read_text(path, most=LARGEST))
-        bounded = isinstance(content, dict) and content.get("kind") == "bounded"
+        kind = str(content.get("kind")) if isinstance(content, dict) else ""
     except (ValueError, RecursionError):  # integers of over 4,300 decimal digits among them
-        bounded = False  # reading it as a certificate says what is wrong
-    return BoundedCertificate.load(path) if bounded else Certificate.load(path)
+        kind = ""  # reading it as a certificate says what is wrong
+    return KINDS.get(kind, Certificate).load(path)
 
 
-def _start(proof: Certificate | BoundedCertificate, mdp: MDP) -> Bounded:
+def _start(proof: Certificate | BoundedCertificate | AverageCertificate, mdp: MDP) -> Bounded:
     """Return what a sound certificate proves of the start value."""
-    if isinstance(proof, Certificate):
+    if not isinstance(proof, BoundedCertificate):
         value = float(proof.start_value)
         return Bounded(value=value, error=ulp(value))
     middle = proof.value

@@ -20,7 +20,7 @@ import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers, spans
+from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.proof.rationals import fraction
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -137,17 +137,7 @@ def exact_visits(chain: PolicyChain) -> Floats:
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
     """Return the Bellman rows of the model in which each state has the policy's mixed pair."""
     if len(chain.pairs) == len(rows.scale):  # one pair a state: its row as it is
-        first, last = rows.offsets[chain.pairs], rows.offsets[chain.pairs + 1]
-        entries = spans(first, last)
-        return BellmanRows(
-            pair_offsets=np.arange(len(rows.scale) + 1),
-            terminal=rows.terminal,
-            scale=rows.scale,
-            constant=rows.constant[chain.pairs],
-            offsets=np.concatenate([[0], np.cumsum(last - first)]),
-            next=rows.next[entries],
-            weight=rows.weight[entries],
-        )
+        return rows.of_pairs(chain.pairs)
     offsets, following, weight = rows.offsets.tolist(), rows.next.tolist(), rows.weight.tolist()
     constant, scale = rows.constant.tolist(), rows.scale.tolist()
     scales, constants, lengths = list[int](), list[int](), list[int]()

@@ -23,16 +23,22 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.average.certificate import AverageCertificate
+from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.checker import UNIT, gains
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
-from exact_mdp.solvers.solver import mdp_of, solve
+from exact_mdp.solvers.solver import is_average, mdp_of, solve
 
 
 @overload
-def certify(model: MDP | Scenario, *, bounded: Literal[False] = ...) -> Certificate: ...
+def certify(
+    model: MDP | Scenario, *, bounded: Literal[False] = ..., criterion: Literal["total"] = ...
+) -> Certificate: ...
+@overload
+def certify(model: MDP | Scenario, *, criterion: Literal["average"]) -> AverageCertificate: ...
 @overload
 def certify(
     model: MDP | Scenario,
@@ -47,7 +53,8 @@ def certify(
     bounded: bool = False,
     tol: float | None = None,
     solution: Solution | None = None,
-) -> Certificate | BoundedCertificate:
+    criterion: str = "total",
+) -> Certificate | BoundedCertificate | AverageCertificate:
     """Return a proof of the optimal values: exact, or as bounds in floats.
 
     Parameters
@@ -61,10 +68,13 @@ def certify(
         Only with `bounded`: the greatest `error_bound` to accept.
     solution : Solution, optional
         Only with `bounded`: a solution of this model to prove bounds around; solved unless given.
+    criterion : "total" or "average"
+        What is optimal: the total reward, discounted as the model says, or the average reward per
+        step, exactly, whatever the discount.
 
     Returns
     -------
-    Certificate or BoundedCertificate
+    Certificate, BoundedCertificate or AverageCertificate
 
     Raises
     ------
@@ -87,13 +97,21 @@ def certify(
     >>> certificate.violations()
     []
     """
-    mdp = mdp_of(model)
+    mdp, average = mdp_of(model), is_average(criterion)
+    if bounded and average:
+        raise ModelError(
+            "bounds prove a total reward, not an average",
+            where="certify",
+            fix='leave out bounded=True; solve(model, criterion="average") bounds its error',
+        )
     if bounded:
         return _bounded(mdp, tol, solution)
     if tol is not None or solution is not None:
         raise ModelError(
             "tol and solution apply only to bounds", where="certify", fix="add bounded=True"
         )
+    if average:
+        return certify_average(mdp)
     rows = bellman_rows(mdp)
     rank, weight = _proof(mdp, rows)
     found = solve_exactly(rows)

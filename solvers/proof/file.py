@@ -1,10 +1,10 @@
 """Certificates as files: JSON, to be read by any program.
 
-Both kinds have the keys
+All kinds have the keys
 
     format        "exact-mdp certificate"
     version       1
-    kind          "exact" or "bounded"
+    kind          "exact", "bounded" or "average"
     model         SHA-256 of the model, see `mdp.exact`
     states        S
     policy        [S action numbers]
@@ -29,6 +29,11 @@ bounded certificate has
 
     lower, upper, weight   [S floats], each a string in C99's hexadecimal form, such as "0x1.8p+1"
 
+and one of an average reward per step
+
+    start_value   [numerator, denominator]
+    g, h, w       {"top": [S integers], "below": integer}: gain, bias, and the bias of -h
+
 What is read is checked for its form; whether its claims hold is for `violations` to say.
 """
 
@@ -47,29 +52,42 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
 from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.average.checker import AverageClaims, Rationals
 from exact_mdp.solvers.proof.checker import BoundedClaims, ExactClaims
 from exact_mdp.solvers.proof.rationals import fraction
 
 FORMAT, VERSION = "exact-mdp certificate", 1
 VECTORS = ("lower", "upper", "weight")
+AVERAGES = ("g", "h", "w")
 
 Read = Callable[[Any], Any]
 
 
-def save(found: ExactClaims | BoundedClaims, path: str | Path) -> None:
+def save(found: ExactClaims | BoundedClaims | AverageClaims, path: str | Path) -> None:
     """Write a certificate, whole or not at all."""
-    exact = isinstance(found, ExactClaims)
+    kind, body = _body(found)
     head = {
         "format": FORMAT,
         "version": VERSION,
-        "kind": "exact" if exact else "bounded",
+        "kind": kind,
         "model": found.model,
         "states": len(found.policy),
         "policy": found.policy.tolist(),
     }
-    body = _exact(found) if isinstance(found, ExactClaims) else _bounded(found)
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in (head | body).items()]
     write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
+
+
+def _body(found: ExactClaims | BoundedClaims | AverageClaims) -> tuple[str, dict[str, object]]:
+    if isinstance(found, ExactClaims):
+        return "exact", _exact(found)
+    if isinstance(found, BoundedClaims):
+        return "bounded", _bounded(found)
+    start, vectors = found.start_value, {name: getattr(found, name) for name in AVERAGES}
+    return "average", {
+        "start_value": _hex([start.numerator, start.denominator]),
+        **{name: {"top": _hex(x.top), "below": f"{x.below:x}"} for name, x in vectors.items()},
+    }
 
 
 def _exact(found: ExactClaims) -> dict[str, object]:
@@ -130,6 +148,18 @@ def bounded_fields(path: str | Path) -> dict[str, Any]:
     vectors = {name: np.array(file.get(name, _list_of(_float, states))) for name in VECTORS}
     names = {"model": file.get("model", _digest), "policy": file.get("policy", _array_of(states))}
     return names | vectors
+
+
+def average_fields(path: str | Path) -> dict[str, Any]:
+    """Read the fields of a certificate of an average; raises ModelError where it is not one."""
+    file = _File(path, "average")
+    states = file.get("states", _count)
+    vectors = {name: file.get(name, _rationals(states)) for name in AVERAGES}
+    return vectors | {
+        "model": file.get("model", _digest),
+        "policy": file.get("policy", _array_of(states)),
+        "start_value": file.get("start_value", _fraction),
+    }
 
 
 class _File:
@@ -201,6 +231,12 @@ def _positive(text: str) -> int:
 def _fraction(pair: list[str]) -> Fraction:
     top, bottom = pair
     return fraction(_integer(top), _positive(bottom))
+
+
+def _rationals(length: int) -> Read:
+    return lambda parts: Rationals(
+        _list_of(_integer, length)(parts["top"]), _positive(parts["below"])
+    )
 
 
 def _count(value: object) -> int:

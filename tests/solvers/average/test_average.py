@@ -1,0 +1,217 @@
+"""The best average reward per step: exact, certified, against every policy and against limits."""
+
+import re
+from dataclasses import replace
+from fractions import Fraction as F
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from average_oracle import best, gain_and_bias
+from cases import BY_NAME
+from forest import forest
+from hypothesis import assume, given, settings
+from strategies import Rows, models
+
+from exact_mdp import MDP, ModelError, certify
+from exact_mdp.mdp.exact import bellman_rows, per_step
+from exact_mdp.solvers.average import checker
+from exact_mdp.solvers.average.certificate import AverageCertificate
+from exact_mdp.solvers.average.chain import ExactAverages
+from exact_mdp.solvers.average.checker import Rationals
+
+SMALL = models(discounts=[F(1, 2)])
+
+
+def few(rows: Rows, most: int = 40) -> bool:
+    """Whether a model has so few policies that all of them can be looked at."""
+    counts = np.bincount([s for s, *_ in rows.pairs])
+    return prod(counts.tolist()) <= most and rows.n_states <= 5
+
+
+def proven(mdp: MDP) -> AverageCertificate:
+    found = certify(mdp, criterion="average")
+    assert found.violations() == []
+    return found
+
+
+@given(SMALL)
+@settings(max_examples=60)
+def test_no_policy_does_better(rows: Rows) -> None:
+    assume(few(rows))
+    gain, bias = best(rows.n_states, rows.pairs)
+    found = proven(rows.model())
+    assert tuple(found.gain) == gain
+    assert tuple(found.bias) == bias
+    chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(found.policy)]
+    assert gain_and_bias(chosen) == (gain, bias)
+
+
+@given(SMALL)
+@settings(max_examples=30)
+def test_discounted_values_approach_gain_and_bias(rows: Rows) -> None:
+    """V = g / (1 - γ) + h + terms of order 1 - γ."""
+    rate = F(1, 10**20)
+    found, near = proven(rows.model()), certify(rows.model().with_(discount=1 - rate))
+    size = 1 + max(map(abs, near.value)) * rate
+    for g, h, v in zip(found.gain, found.bias, near.value, strict=True):
+        assert abs(v * rate - g - h * rate) <= size * rate ** F(3, 2)
+
+
+# model, gain of each state, and who published it
+WAIT = F(4) * F(9, 10) ** 9
+KNOWN = {
+    # pymdptoolbox src/tests/test_RelativeValueIteration.py: 3.24; 3.885235246, an iterate that
+    # stopped before 35/9; 1.549681956
+    "forest-3-9/10": [F(81, 25)] * 3,
+    "toolbox-small-9/10": [F(35, 9)] * 2,
+    "forest-10-24/25": [WAIT] * 10,
+    # Puterman, example 9.1.1; msdm msdm/tests/domains/__init__.py
+    "puterman-multichain-1/2": [F(3), F(2), F(2)],
+    # Puterman, sections 3.1 and 8.2: leaving a state of gain 5 - ... ends at -1 for ever
+    "puterman-two-state-1/2": [F(-1), F(-1)],
+}
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_published_gains(name: str) -> None:
+    case = BY_NAME[name]
+    mdp = Rows(n_states=case.n_states, pairs=case.pairs, discount=case.discount).model()
+    assert proven(mdp).gain.tolist() == KNOWN[name]
+
+
+def test_howards_taxicab() -> None:
+    """Howard (1960), chapter 4: 13.34 a trip, at the stand in every town."""
+    case = BY_NAME["howard-taxicab"]
+    found = proven(Rows(n_states=3, pairs=case.pairs, discount=case.discount).model())
+    assert found.policy.tolist() == [1, 1, 1]
+    assert float(found.gain[0]) == pytest.approx(13.34454, abs=5e-6)
+
+
+def test_periodic_chains_average_out() -> None:
+    """Two states in turn, of rewards 0 and 4; from a third, a third of the runs earn 9 for ever."""
+    rows = [[0, 1, 0, 0], [1, 0, 0, 0], ["2/3", 0, 0, "1/3"], [0, 0, 0, 1]]
+    found = proven(MDP.from_arrays([rows], [[0], [4], [7], [9]]))
+    assert found.gain.tolist() == [2, 2, F(13, 3), 9]
+    assert found.bias[:2].tolist() == [-1, 1]
+
+
+def test_rows_of_floats_are_divided_by_their_sums() -> None:
+    wait, cut = [[0.1, 0.9, 0], [0.1, 0, 0.9], [0.1, 0, 0.9]], [[1, 0, 0]] * 3
+    mdp = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], 0.5)
+    assert sum(p for p, *_ in mdp.table.row(0)) != 1
+    found, (grow, old) = proven(mdp), (F(0.9), F(0.1))
+    assert found.gain[0] == 4 * (grow / (grow + old)) ** 2
+    step = per_step(mdp)
+    assert per_step(step) is step
+    assert step.table.weight_rounding().any()
+
+
+def test_expansions_in_fractions_satisfy_their_equations() -> None:
+    mdp = forest("1/2")
+    rows = bellman_rows(per_step(mdp)).of_pairs(np.array([0, 3, 4]))
+    chain = ExactAverages(rows)
+    g, h, w = chain.expansion(chain.reward)
+    following = [dict(enumerate(row)) for row in ([F(1, 10), F(9, 10), 0], [1, 0, 0])]
+    for s, row in enumerate(following):
+        onward = [sum(p * x[t] for t, p in row.items()) for x in (g, h, w)]
+        assert onward[0] == g[s]
+        assert g[s] + h[s] - onward[1] == chain.reward[s]
+        assert h[s] + w[s] - onward[2] == 0
+    assert chain.mean(h).tolist() == chain.mean(w).tolist() == [0]
+
+
+# ---- certificates --------------------------------------------------------------------------------
+
+
+def moved(vector: Rationals, by: int, place: int | None = None) -> Rationals:
+    top = [x + by if place in (None, s) else x for s, x in enumerate(vector.top)]
+    return Rationals(top, vector.below)
+
+
+def multichain() -> MDP:
+    case = BY_NAME["puterman-multichain-1/2"]
+    return Rows(n_states=3, pairs=case.pairs, discount=F(1, 2)).model()
+
+
+POLICY, BETTER = "the policy does not attain the", "improves on the"
+FAULTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "higher gains": (f"{POLICY} relative values", {"g": lambda x: moved(x, 1)}),
+    "lower gains": (f"{BETTER} relative values", {"g": lambda x: moved(x, -1)}),
+    "one higher gain": (f"{POLICY} gains", {"g": lambda x: moved(x, 1, 1)}),
+    "one lower gain": (f"{BETTER} relative values", {"g": lambda x: moved(x, -1, 0)}),
+    "a gain that can be left": (f"{BETTER} gains", {"g": lambda x: moved(x, -1, 1)}),
+    "one bias": (f"{POLICY} relative values", {"h": lambda x: moved(x, 1, 1)}),
+    "shifted biases": (f"{POLICY} biases", {"h": lambda x: moved(x, 1)}),
+    "second bias": (f"{BETTER} biases", {"w": lambda x: moved(x, -1, 1)}),
+    "denominator": ("integers over a positive one", {"g": lambda x: Rationals(x.top, -x.below)}),
+    "float": ("integers over a positive one", {"h": lambda x: Rationals([0.5, 1, 2], x.below)}),
+    "length": ("states", {"w": lambda x: Rationals(x.top[:2], x.below)}),
+    "policy": (f"{POLICY} gains", {"policy": lambda x: np.array([1, *x[1:]])}),
+    "policy, same gain": (f"{POLICY} relative", {"policy": lambda x: np.array([x[0], 0, x[2]])}),
+    "action": ("not available", {"policy": lambda x: np.array([*x[:2], 1])}),
+    "no action": ("of type float64", {"policy": lambda x: x * 1.0}),
+    "start": ("start value", {"start_value": lambda x: x + 1}),
+    "model": ("another model", {"model": lambda x: x[::-1]}),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_planted_faults_are_found(fault: str) -> None:
+    said, changes = FAULTS[fault]
+    found = proven(multichain())
+    wrong = replace(found, **{key: change(getattr(found, key)) for key, change in changes.items()})
+    assert any(said in each for each in wrong.violations()), wrong.violations()
+
+
+def test_a_policy_of_less_bias_is_found() -> None:
+    """Both ways to the end earn its gain; one of them earns 5 on the way."""
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 1)])])
+    good, worse = proven(mdp), proven(mdp.with_(table=mdp.table.of_pairs(np.array([0, 0, 2]))))
+    found = replace(worse, model=good.model, mdp=mdp)
+    said = "state (state 0), action 1, improves on the relative values claimed"
+    assert found.violations() == [said]
+    assert good.bias.tolist() == [4, 0]
+    assert good.losses[1].tolist() == [5, 0, 0]
+
+
+def test_a_policy_of_the_same_relative_values_and_less_bias_is_found() -> None:
+    """To stay is worth 0; to go and come back earns 1 and costs 1 in turn, but the 1 first."""
+    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 0, -1)])])
+    good = proven(mdp)
+    assert good.bias.tolist() == [F(1, 2), F(-1, 2)]
+    worse = proven(mdp.with_(table=mdp.table.of_pairs(np.array([0, 0, 2]))))
+    found = replace(worse, model=good.model, mdp=mdp)
+    assert found.violations() == ["state (state 0), action 1, improves on the biases claimed"]
+    assert worse.bias.tolist() == [0, -1]
+
+
+def test_files(tmp_path: Path) -> None:
+    found, path = proven(multichain()), tmp_path / "proof.json"
+    found.save(path)
+    read = AverageCertificate.load(path)
+    assert read.violations(multichain()) == []
+    assert (read.g, read.h, read.w, read.start_value) == (found.g, found.h, found.w, 3)
+    with pytest.raises(ModelError, match="does not contain the model"):
+        read.violations()
+    for old, new in (('"g": {', '"g": ['), ('"below": "1"', '"below": "0"'), ("average", "exact")):
+        path.write_text(path.read_text().replace(old, new, 1))
+        with pytest.raises(ModelError, match=r"is missing or damaged|not JSON|not 'average'"):
+            AverageCertificate.load(path)
+        found.save(path)
+
+
+def test_the_checker_imports_no_solver() -> None:
+    source = Path(checker.__file__).read_text("utf-8")
+    taken = re.findall(r"^from exact_mdp\.(\S+) import", source, re.M)
+    assert {name for name in taken if not name.startswith("mdp.")} == {"solvers.proof.checker"}
+
+
+def test_what_does_not_apply_is_refused() -> None:
+    mdp = forest("9/10")
+    with pytest.raises(ModelError, match=r"(?s)unknown criterion 'averge'.*average"):
+        certify(mdp, criterion="averge")  # type: ignore[call-overload]
+    with pytest.raises(ModelError, match="not an average"):
+        certify(mdp, criterion="average", bounded=True)  # type: ignore[call-overload]
