@@ -15,6 +15,7 @@ from exact_mdp.mdp.lazy import names_later
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.check import Audit, assert_policy_optimal, check
     from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
+    from exact_mdp.analysis.sensitivity.curve import value_function
 
 __all__ = [
     "Audit",
@@ -22,6 +23,7 @@ __all__ = [
     "assert_policy_optimal",
     "best_policy",
     "check",
+    "value_function",
     "value_of_memory",
 ]
 
@@ -35,6 +37,7 @@ __getattr__, __dir__ = names_later(
             "best_policy",
             "value_of_memory",
         ],
+        "exact_mdp.analysis.sensitivity.curve": ["value_function"],
     },
 )
 

@@ -7,6 +7,7 @@
 1 (certified)
 """
 
+from exact_mdp.analysis.sensitivity.curve import value_function
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.gradient import gradient
@@ -53,4 +54,5 @@ __all__ = [
     "tornado",
     "two_way",
     "uncertainty",
+    "value_function",
 ]

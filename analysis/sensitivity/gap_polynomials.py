@@ -11,9 +11,10 @@ exactly where no h is negative, so that their sign changes are all the threshold
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,6 +38,10 @@ if TYPE_CHECKING:
 flint = later("flint")
 
 CYCLIC_DEGREE = 200
+
+Mix = Sequence[Sequence[tuple[int, "fmpq"]]]
+"""Of each state, the pairs that a policy takes there, with their probabilities."""
+Ratio = tuple["fmpq_poly", "fmpq_poly"]
 
 
 class Rows:
@@ -69,7 +74,7 @@ class Rows:
             if not self.terminal[self.state[pair]] and not self.terminal[state]:
                 self.following[pair].append((state, p * rate))
         self.order = self._order()
-        live = self.terminal.count(False)
+        live = len(self.live)
         if self.order is None and (live > LARGEST or self.degree > CYCLIC_DEGREE):
             raise ModelError(
                 f"{live} states on cycles give rational functions of degree {self.degree}",
@@ -89,12 +94,58 @@ class Rows:
             return None
         return [int(state) for state in np.argsort(order, kind="stable")]
 
+    @cached_property
+    def live(self) -> list[int]:
+        """The states that are not terminal."""
+        return [state for state, end in enumerate(self.terminal) if not end]
+
     @property
     def degree(self) -> int:
         """Degree of D and of D V, for models with cycles."""
         rows = max((p.degree() for row in self.following for _, p in row), default=0)
         rewards = max((p.degree() for p in self.reward), default=0)
-        return self.terminal.count(False) * max(rows, 0) + max(rewards, 0)
+        return len(self.live) * max(rows, 0) + max(rewards, 0)
+
+    def points(self, inside: tuple[Fraction, Fraction]) -> list[fmpq]:
+        """Return as many points between two as fix a polynomial of that degree."""
+        count, (low, high) = self.degree + 1, inside
+        return [rational(low + (high - low) * (k + 1) / (count + 1)) for k in range(count)]
+
+    def solved(self, y: fmpq, mix: Mix) -> tuple[dict[int, fmpq], fmpq]:
+        """Return the values of a policy at one point, by state, and D there."""
+        live, zero = self.live, rational(0)
+        place, count = {state: k for k, state in enumerate(live)}, len(live)
+        entries, side = [zero] * count**2, [zero] * count
+        for k, state in enumerate(live):
+            entries[k * count + k] += 1
+            for pair, share in mix[state]:
+                side[k] += share * self.reward[pair](y)
+                for following, p in self.following[pair]:
+                    entries[k * count + place[following]] -= share * p(y)
+        matrix = flint.fmpq_mat(count, count, entries)
+        value = matrix.solve(flint.fmpq_mat(count, 1, side)).entries()
+        return dict(zip(live, value, strict=True)), matrix.det()
+
+    def start(self, value: Sequence[Any] | Mapping[int, Any]) -> Any:
+        """Return the value at the start, of values that are numbers or polynomials."""
+        alive = ((state, weight) for state, weight in self.mdp.start if not self.terminal[state])
+        return sum((value[state] * rational(weight) for state, weight in alive), rational(0))
+
+    def worth(self, mix: Mix, inside: tuple[Fraction, Fraction]) -> Ratio:
+        """Return what a policy held fixed is worth at the start: N and D, polynomials of y."""
+        poly = flint.fmpq_poly
+        if self.order is None:
+            points = self.points(inside)
+            found = [self.solved(point, mix) for point in points]
+            scaled = [self.start(value) * scale for value, scale in found]
+            return _through(points, scaled), _through(points, [scale for _, scale in found])
+        value = [poly()] * self.mdp.n_states
+        for state in self.order:
+            if not self.terminal[state]:
+                for pair, share in mix[state]:
+                    ahead = sum((p * value[to] for to, p in self.following[pair]), poly())
+                    value[state] = value[state] + share * (self.reward[pair] + ahead)
+        return poly([0]) + self.start(value), poly([1])
 
 
 class Gaps:
@@ -105,6 +156,8 @@ class Gaps:
     gap : list of fmpq_poly, of length L
     renewed : set of int
         Pairs whose polynomial the last change of policy has touched.
+    worth : (fmpq_poly, fmpq_poly)
+        N and D of the policy's value N / D at the start.
     """
 
     def __init__(self, rows: Rows, inside: tuple[Fraction, Fraction]) -> None:
@@ -124,6 +177,7 @@ class Gaps:
             self._interpolate(pairs.tolist())
         else:
             self._substitute(self.rows.order, pairs.tolist())
+            self.worth = (flint.fmpq_poly() + self.rows.start(self.value), flint.fmpq_poly([1]))
         self._fresh = False
 
     def _substitute(self, order: list[int], pairs: list[int]) -> None:
@@ -150,36 +204,26 @@ class Gaps:
                 self.renewed.add(pair)
 
     def _interpolate(self, pairs: list[int]) -> None:
-        count, (low, high) = self.rows.degree + 1, self.inside
-        points = [rational(low + (high - low) * (k + 1) / (count + 1)) for k in range(count)]
+        points = self.rows.points(self.inside)
         samples = [self._sample(point, pairs) for point in points]
-        for pair, column in enumerate(zip(*samples, strict=True)):
-            self.gap[pair] = _through(points, column)
-            self.renewed.add(pair)
+        *gaps, top, below = (_through(points, column) for column in zip(*samples, strict=True))
+        self.gap, self.worth = gaps, (top, below)
+        self.renewed = set(range(len(gaps)))
 
     def _sample(self, y: fmpq, pairs: list[int]) -> list[fmpq]:
-        """Return (L,) D h at one point."""
+        """Return (L,) D h, and after them D V at the start, and D, at one point."""
         rows, zero = self.rows, rational(0)
-        live = [state for state, end in enumerate(rows.terminal) if not end]
-        place, count = {state: k for k, state in enumerate(live)}, len(live)
-        at = [[(s, p(y)) for s, p in row] for row in rows.following]
-        earned = [p(y) for p in rows.reward]
-        entries = [zero] * count**2
-        for k, state in enumerate(live):
-            entries[k * count + k] += 1
-            for following, p in at[pairs[state]]:
-                entries[k * count + place[following]] -= p
-        matrix = flint.fmpq_mat(count, count, entries)
-        side = flint.fmpq_mat(count, 1, [earned[pairs[state]] for state in live])
-        value = dict(zip(live, matrix.solve(side).entries(), strict=True))
-        scale, found = matrix.det(), []
+        value, scale = rows.solved(y, [[(pair, rational(1))] for pair in pairs])
+        found = []
         for pair, state in enumerate(rows.state):
             if rows.terminal[state]:
                 found.append(zero)
                 continue
-            q = earned[pair] + sum((p * value[to] for to, p in at[pair]), zero)
+            q = rows.reward[pair](y) + sum(
+                (p(y) * value[to] for to, p in rows.following[pair]), zero
+            )
             found.append(scale * (value[state] - q))
-        return found
+        return [*found, scale * rows.start(value), scale]
 
 
 def _through(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.exact_chain import rational
-from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps, Rows
+from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps, Ratio, Rows
 from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
@@ -50,12 +50,15 @@ class Stretch:
         The pairs that are optimal throughout.
     touches : list of (low, high, pair)
         Points inside at which one more pair is as good, and no better.
+    worth : (fmpq_poly, fmpq_poly)
+        N and D, polynomials of the parameter: the optimal value at the start is N / D throughout.
     """
 
     before: Bracket
     after: Bracket
     optimal: Mask
     touches: list[tuple[Fraction, Fraction, int]]
+    worth: Ratio
 
 
 class Sweep:
@@ -78,11 +81,13 @@ class Sweep:
         while found := self._next(here):
             root = found.narrowed(WIDTH / 16)
             optimal, touches = self._optimal(), self._touches(here, root.low)
+            worth = self.gaps.worth
             here, after = self._cross(root, here)
-            yield self._stretch(before, after, optimal, touches)
+            yield self._stretch(before, after, optimal, touches, worth)
             before = after
         touches = self._touches(here, self.high)
-        yield self._stretch(before, (self.high, self.high), self._optimal(), touches)
+        end = (self.high, self.high)
+        yield self._stretch(before, end, self._optimal(), touches, self.gaps.worth)
 
     def _stretch(
         self,
@@ -90,12 +95,14 @@ class Sweep:
         after: Bracket,
         optimal: Mask,
         touches: list[tuple[Fraction, Fraction, int]],
+        worth: Ratio,
     ) -> Stretch:
         return Stretch(
             before=(before[0] + self.origin, before[1] + self.origin),
             after=(after[0] + self.origin, after[1] + self.origin),
             optimal=optimal,
             touches=touches,
+            worth=moved(worth, self.origin),
         )
 
     def _optimal(self) -> Mask:
@@ -216,6 +223,14 @@ class Sweep:
         if not found or low == root.low == root.high:
             return not found
         return len(found) == 1 and root.equals(self._simple(pair, poly)) is not None
+
+
+def moved(worth: Ratio, origin: Fraction) -> Ratio:
+    """Return N and D, polynomials of θ - origin, as polynomials of θ in their lowest terms."""
+    top, below = worth
+    shared = top.gcd(below)
+    shift = flint.fmpq_poly([rational(-origin), 1])
+    return (top / shared)(shift), (below / shared)(shift)
 
 
 def _turns(poly: fmpq_poly, root: Root) -> bool:

@@ -21,7 +21,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.gap_polynomials import Rows
-from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Stretch, Sweep
+from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Sweep
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable
@@ -221,15 +221,9 @@ def thresholds(
     """
     family = parametric(model)
     span = range_of(family, name, ranges, relative)
-    inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
-    stretches: list[Stretch] = []
-    checked_at: int | None = None
-    for low, high in pairwise(sorted({span.low, *inside, span.high})):
-        middle = (low + high) / 2
-        base = family.at({name: middle})
-        change = row_change(family, name, Piece(low=low, high=high), origin=middle, base=base)
-        checked_at = checked_at if change.checked is None else change.checked
-        stretches += Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high)
+    sections = sections_of(family, name, span)
+    stretches = [stretch for section in sections for stretch in section]
+    checked_at = next((c for each in sections if (c := each.rows.change.checked) is not None), None)
     mdp = family.at({})
     found: list[Threshold] = []
     for left, right in pairwise(stretches):
@@ -251,6 +245,18 @@ def thresholds(
     found.sort(key=lambda threshold: threshold.low)
     parameter = parameter_of(family, name)
     return Thresholds(parameter=parameter, range=span, found=tuple(found), checked=checked_at)
+
+
+def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep]:
+    """Return a sweep, which yields stretches, over each section on which rows are polynomials."""
+    inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
+    found = []
+    for low, high in pairwise(sorted({span.low, *inside, span.high})):
+        middle = (low + high) / 2
+        base = family.at({name: middle})
+        change = row_change(family, name, Piece(low=low, high=high), origin=middle, base=base)
+        found.append(Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high))
+    return found
 
 
 def _switches(mdp: MDP, before: Mask, after: Mask, *, met: tuple[Mask, ...]) -> tuple[Switch, ...]:

@@ -1,0 +1,244 @@
+"""The optimal value at the start as an exact function of one parameter, piece by piece.
+
+Between two thresholds one policy π stays optimal, and its value is a ratio of polynomials,
+
+    V*(θ) = V_π(θ) = N(θ) / D(θ),      D = 1 where the model is acyclic, else det(I - γ P_π),
+
+in lowest terms (`.gap_polynomials`). A threshold is known up to 1e-12. Within such a bracket V* is
+the greater of the values on both sides, which are those of policies, optimal up to the threshold
+and from it on. The value of a policy held fixed is such a ratio, too, between
+the points at which the rows pass from one polynomial to another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from exact_mdp.analysis.sensitivity.exact_chain import rational
+from exact_mdp.analysis.sensitivity.gap_polynomials import Ratio
+from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Sweep, moved
+from exact_mdp.analysis.sensitivity.ranges import Range, range_of
+from exact_mdp.analysis.sensitivity.thresholds import sections_of
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import exact, shown
+from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+Bracket = tuple[Fraction, Fraction]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RationalFunction:
+    """A ratio of two polynomials, with coefficients from the constant up.
+
+    Examples
+    --------
+    >>> RationalFunction(numerator=(Fraction(1),), denominator=(Fraction(1), Fraction(-1))).at(
+    ...     Fraction(1, 2)
+    ... )
+    Fraction(2, 1)
+    """
+
+    numerator: tuple[Fraction, ...]
+    denominator: tuple[Fraction, ...]
+
+    @classmethod
+    def of(cls, ratio: Ratio) -> RationalFunction:
+        """Return N / D with the constant of D, or its first coefficient that is not 0, made 1."""
+        top, below = (
+            [Fraction(int(c.p), int(c.q)) for c in poly.coeffs()] or [Fraction(0)] for poly in ratio
+        )
+        unit = next(c for c in below if c)
+        return cls(
+            numerator=tuple(c / unit for c in top), denominator=tuple(c / unit for c in below)
+        )
+
+    def at(self, value: Fraction) -> Fraction:
+        """Return the ratio at a point."""
+        return _horner(self.numerator, value) / _horner(self.denominator, value)
+
+
+def _horner(coefficients: Sequence[Fraction], value: Fraction) -> Fraction:
+    total = Fraction(0)
+    for c in reversed(coefficients):
+        total = total * value + c
+    return total
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CurvePiece:
+    """What is optimal between two thresholds, and what it is worth.
+
+    Attributes
+    ----------
+    low, high : (Fraction, Fraction)
+        Brackets of both ends.
+    optimal : (L,) bool
+        The pairs that are optimal throughout.
+    value : RationalFunction
+        The optimal value at the start.
+    fixed : RationalFunction or None
+        That of the policy held fixed.
+    """
+
+    low: Bracket
+    high: Bracket
+    optimal: Mask
+    value: RationalFunction
+    fixed: RationalFunction | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ValueFunction(Result):
+    """The optimal value at the start over a range of one parameter.
+
+    Attributes
+    ----------
+    parameter : Parameter
+    range : Range
+    pieces : tuple of CurvePiece
+        In rising order; each begins in the bracket in which the one before ends.
+    mdp : MDP
+        The model today.
+    chain : PolicyChain or None
+        The policy held fixed, in the model today.
+    checked : int or None
+        Points at which the degree of a family's rows was checked, where it is not proven.
+    """
+
+    parameter: Parameter
+    range: Range
+    pieces: tuple[CurvePiece, ...]
+    mdp: MDP
+    chain: PolicyChain | None = None
+    checked: int | None = None
+
+    @property
+    def claim(self) -> Claim:
+        """Certified, or estimated where the degree of the rows is checked and not proven."""
+        return Claim.CERTIFIED if self.checked is None else Claim.ESTIMATED
+
+    def around(self, value: object) -> list[CurvePiece]:
+        """Return the piece that a value of the parameter is in, or both that it is between."""
+        at = exact(value)
+        found = [piece for piece in self.pieces if piece.low[0] <= at <= piece.high[1]]
+        if not found:
+            raise ModelError(
+                f"{self.parameter.name} is {shown(at)}, outside the range of the curve",
+                where=f"parameter {self.parameter.name}",
+                fix=f"choose a value from {self.range.low} to {self.range.high}",
+            )
+        return found
+
+    def at(self, value: object) -> Fraction:
+        """Return the optimal value at the start at a value of the parameter."""
+        where = exact(value)
+        return max(piece.value.at(where) for piece in self.around(where))
+
+    def fixed_at(self, value: object) -> Fraction | None:
+        """Return the value of the policy held fixed there."""
+        where = exact(value)
+        fixed = self.around(where)[0].fixed
+        return None if fixed is None else fixed.at(where)
+
+    def frame(self) -> DataFrame:
+        """Return one row for each piece."""
+        return pandas.DataFrame(
+            {
+                "parameter": self.parameter.name,
+                "low": float(piece.low[0]),
+                "high": float(piece.high[1]),
+                "degree": len(piece.value.numerator) - 1,
+                "value_low": float(piece.value.at(piece.low[1])),
+                "value_high": float(piece.value.at(piece.high[0])),
+                "claim": str(self.claim),
+            }
+            for piece in self.pieces
+        )
+
+
+def value_function(
+    model: Scenario | MDP | Parametric,
+    name: str,
+    ranges: Any = None,
+    *,
+    relative: object | None = None,
+    policy: PolicyLike | None = None,
+) -> ValueFunction:
+    """Return the optimal value at the start as an exact function of a parameter.
+
+    Parameters
+    ----------
+    model : Scenario, MDP or Parametric
+    name : str
+        The parameter; the others are held.
+    ranges : (low, high) or {name: (low, high)}, optional
+        Today's value ± 20 % unless given, within what the model admits.
+    relative : number, optional
+        Another share than 20 %.
+    policy : PolicyLike, optional
+        A policy held fixed, whose value is followed, too.
+
+    Returns
+    -------
+    ValueFunction
+
+    Raises
+    ------
+    ModelError
+        As `thresholds` does.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
+    >>> found = value_function(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
+    >>> len(found.pieces), found.at("1/2"), found.at("19/20")  # Puterman (1994), section 3.1
+    (2, Fraction(9, 1), Fraction(-60, 7))
+    """
+    family = parametric(model)
+    span = range_of(family, name, ranges, relative)
+    mdp, sections = family.at({}), sections_of(family, name, span)
+    chain = None if policy is None else PolicyChain.of(mdp, policy)
+    return ValueFunction(
+        parameter=parameter_of(family, name),
+        range=span,
+        pieces=tuple(piece for section in sections for piece in _pieces(section, chain)),
+        mdp=mdp,
+        chain=chain,
+        checked=next((c for e in sections if (c := e.rows.change.checked) is not None), None),
+    )
+
+
+def _pieces(section: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
+    fixed = None
+    if chain is not None:
+        weights = map(chain.exact_weights, range(chain.mdp.n_states))
+        mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
+        worth = section.rows.worth(mix, (section.low, section.high))
+        fixed = RationalFunction.of(moved(worth, section.origin))
+    return [
+        CurvePiece(
+            low=stretch.before,
+            high=stretch.after,
+            optimal=np.array(stretch.optimal),
+            value=RationalFunction.of(stretch.worth),
+            fixed=fixed,
+        )
+        for stretch in section
+    ]
