@@ -13,7 +13,13 @@ from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.care.scenario import Scenario
-    from exact_mdp.mdp.errors import ModelError, ScenarioWarning
+    from exact_mdp.mdp.errors import (
+        DistributionError,
+        ModelError,
+        NegativeError,
+        ScenarioWarning,
+        ShapeError,
+    )
     from exact_mdp.mdp.model import MDP
     from exact_mdp.mdp.parametric.family import Family, moving
     from exact_mdp.mdp.parametric.parameter import Parameter
@@ -23,13 +29,16 @@ if TYPE_CHECKING:
 __all__ = [
     "MDP",
     "Column",
+    "DistributionError",
     "Family",
     "ModelError",
+    "NegativeError",
     "Parameter",
     "Policy",
     "PolicyLike",
     "Scenario",
     "ScenarioWarning",
+    "ShapeError",
     "StateSpace",
     "moving",
 ]
@@ -38,7 +47,13 @@ __getattr__, __dir__ = names_later(
     __name__,
     {
         "exact_mdp.mdp.care.scenario": ["Scenario"],
-        "exact_mdp.mdp.errors": ["ModelError", "ScenarioWarning"],
+        "exact_mdp.mdp.errors": [
+            "DistributionError",
+            "ModelError",
+            "NegativeError",
+            "ScenarioWarning",
+            "ShapeError",
+        ],
         "exact_mdp.mdp.model": ["MDP"],
         "exact_mdp.mdp.parametric.parameter": ["Parameter"],
         "exact_mdp.mdp.parametric.family": ["Family", "moving"],

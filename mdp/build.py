@@ -8,7 +8,8 @@ as floats; else as integers over one denominator for each row.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from fractions import Fraction
 from functools import reduce
 from math import isfinite
@@ -19,7 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, ShapeError, located
+from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     Floats,
@@ -39,6 +41,9 @@ from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.validate import as_discount, as_start
 
 MOST_UNNAMED_ACTIONS = 100_000
+LAYOUTS = {"ass": 1, "sas": 0}
+"""Orders of the indices of P, and which of them is that of the states; where both fit, the first
+is taken: action, state, next state."""
 
 Outcomes = dict[tuple[int, Any, bool], Any]
 """Probabilities by next state, reward, and whether that may be a rounded one."""
@@ -47,29 +52,52 @@ Parts = dict[str, Any]
 """What `MDP` takes, by name."""
 
 
-def from_arrays(P: Any, R: Any, discount: object, *, start: object = 0, **names: Any) -> Parts:
+def from_arrays(
+    P: Any, R: Any, discount: object, *, layout: str | None = None, start: object = 0, **names: Any
+) -> Parts:
     """Return the parts of the model that `MDP.from_arrays` makes."""
-    stacked, actions, states = _stacked(P, "P", "transitions")
+    if layout != "ass" and listed.is_listed(P):
+        rows, found = listed.rows_of(P, R, costs=names.get("sense") == "min")
+        return from_outcomes(rows, discount, start=start, **(found | names))
+    stacked, (states, actions), layout = _stacked(P, "P", "transitions", layout)
     pair = np.arange(actions * states)
     state, action = pair // actions, pair % actions
     by_move = _is_sparse_list(R)
-    rewards = _stacked(R, "R", "rewards")[0] if by_move else _dense(_numbers(R, "R"))
-    if by_move and rewards.shape == (actions * states, states):
-        reward = rewards
-    elif rewards.shape == (states,):
-        reward = np.repeat(rewards, actions)
-    elif rewards.shape == (states, actions):
-        reward = rewards.reshape(-1)
-    elif rewards.shape == (actions, states, states):
-        reward = rewards.transpose(1, 0, 2).reshape(actions * states, states)
+    rewards = None if by_move else _dense(_numbers(R, "R"))
+    if rewards is None or rewards.ndim == 3:
+        reward, sizes, _ = _stacked(R, "R", "rewards", layout if states == actions else None)
     else:
-        raise ModelError(
-            f"rewards have shape {(actions, *R[0].shape) if by_move else rewards.shape}",
+        sizes = {(states,): (states, actions)}.get(rewards.shape, rewards.shape)
+        reward = np.repeat(rewards, actions) if rewards.ndim == 1 else rewards.reshape(-1)
+    if sizes != (states, actions):
+        turned = f"transitions have shape {np.shape(P)}, (S, A, S), and " if layout == "sas" else ""
+        shape = (len(R), *R[0].shape) if rewards is None else rewards.shape
+        raise ShapeError(
+            f"{turned}rewards have shape {shape}",
             where="R",
             fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
         )
     names.setdefault("actions", [str(number) for number in range(actions)])
+    kept = _offered(reward, names)
+    if kept is not None:
+        state, action, stacked, reward = state[kept], action[kept], stacked[kept], reward[kept]
     return _from_rows(state, action, stacked, reward, discount, start, names)
+
+
+@contextmanager
+def hinting(P: Any, layout: str | None) -> Iterator[None]:
+    """Add to an error that P may be meant as (S, A, S), where its shape does not tell."""
+    try:
+        yield
+    except ModelError as error:
+        try:
+            shape = np.shape(P)
+        except ValueError:  # rows of different lengths
+            shape = ()
+        if layout is None and len(shape) == 3 and len(set(shape)) == 1:
+            fix = f'{error.fix}; for P (S, A, S) say layout="sas"'
+            raise type(error)(error.what, where=error.where, fix=fix) from error
+        raise
 
 
 def from_pairs(
@@ -89,20 +117,23 @@ def from_pairs(
     if rewards.shape != rows.shape:
         rewards = _dense(rewards)
     if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
-        raise ModelError(
+        raise ShapeError(
             f"{len(state)} states and {len(action)} actions for transitions of shape {rows.shape}",
             where="pairs",
             fix="give one state, one action and one row of (L, S) for each pair",
         )
     if rewards.shape != (len(state),) and rewards.shape != rows.shape:
-        raise ModelError(
+        raise ShapeError(
             f"rewards have shape {rewards.shape}, not ({len(state)},)",
             where="reward",
             fix="give one reward for each pair",
         )
+    order = _offered(rewards, names)
     ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
     if not (ahead | (level & (action[1:] >= action[:-1]))).all():
-        order = np.lexsort((action, state))
+        sorted_ = np.lexsort((action, state))
+        order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
+    if order is not None:
         state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
     return _from_rows(state, action, rows, rewards, discount, start, names)
 
@@ -343,43 +374,67 @@ def _assemble(
         space=space,
         actions=actions,
         discount_exact=as_discount(discount),
-        start=as_start(start),
+        start=as_start(start, space) if space.size else (),
         **names,
     )
+
+
+def _offered(reward: Any, names: dict[str, Any]) -> Integers | None:
+    """Return the pairs whose reward is not the infinity of actions not offered; None: all are."""
+    never = np.inf if names.get("sense") == "min" else -np.inf
+    if sp.issparse(reward):
+        return None
+    missing: Any = np.asarray(reward == never, dtype=bool)
+    missing = missing.all(axis=1) if missing.ndim == 2 else missing
+    return np.flatnonzero(~missing) if missing.any() else None
 
 
 def _is_sparse_list(values: Any) -> bool:
     return isinstance(values, Sequence) and any(sp.issparse(matrix) for matrix in values)
 
 
-def _stacked(values: Any, where: str, what: str) -> tuple[Any, int, int]:
-    """Return P, or R by transition, as (L, S) rows in pair order, and how many A and S are."""
+def _stacked(
+    values: Any, where: str, what: str, layout: str | None
+) -> tuple[Any, tuple[int, int], str]:
+    """Return P, or R by transition, as (L, S) rows in pair order, (S, A), and the layout."""
+    array: Any
     if _is_sparse_list(values):
         if not all(sp.issparse(matrix) for matrix in values):
             raise ModelError(
                 f"{where} mixes sparse and dense matrices", where=where, fix="use one kind"
             )
-        actions, shapes = len(values), {matrix.shape for matrix in values}
-        states = values[0].shape[0]
-        if shapes != {(states, states)}:
-            raise ModelError(
+        shapes = {matrix.shape for matrix in values}
+        if len(shapes) > 1 or len(values[0].shape) != 2:
+            raise ShapeError(
                 f"matrices of {what} have shapes {sorted(shapes)}",
                 where=where,
                 fix="give A square matrices of the same size",
             )
-        listed = [_numbers(matrix, where) for matrix in values]
-        rows = sp.vstack(listed, format="csr")
-        order = np.arange(actions * states).reshape(actions, states).T.reshape(-1)
-        return sp.csr_array(rows[order]), actions, states
-    array = values if sp.issparse(values) else _numbers(values, where)
-    if array.ndim != 3 or array.shape[1] != array.shape[2] or sp.issparse(array) or not array.size:
-        raise ModelError(
-            f"{'sparse ' if sp.issparse(array) else ''}{what} have shape {array.shape}",
+        array, shape, what = values, (len(values), *values[0].shape), f"matrices of {what}"
+    else:
+        array = values if sp.issparse(values) else _numbers(values, where)
+        shape = array.shape
+    flat = sp.issparse(array) or len(shape) != 3 or 0 in shape
+    fits = [] if flat else [name for name, at in LAYOUTS.items() if shape[at] == shape[2]]
+    if layout is not None and layout not in LAYOUTS:
+        raise ModelError(f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"')
+    if not fits or layout not in (None, *fits):
+        raise ShapeError(
+            f"{'sparse ' if sp.issparse(array) else ''}{what} have shapes {shape}"
+            if _is_sparse_list(values)
+            else f"{'sparse ' if sp.issparse(array) else ''}{what} have shape {shape}",
             where=where,
-            fix="give (A, S, S), or a list of A sparse (S, S) matrices",
+            fix="give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
+            + (f"; this is not {layout!r}" if fits else ""),
         )
-    actions, states = array.shape[:2]
-    return array.transpose(1, 0, 2).reshape(actions * states, states), actions, states
+    layout = layout or fits[0]
+    sizes = (shape[0], shape[1]) if layout == "sas" else (shape[1], shape[0])
+    rows = sizes[0] * sizes[1]
+    if not isinstance(array, np.ndarray):
+        stacked = sp.csr_array(sp.vstack([_numbers(matrix, where) for matrix in values], "csr"))
+        order = np.arange(rows).reshape(shape[:2]).T.reshape(-1)
+        return stacked if layout == "sas" else stacked[order], sizes, layout
+    return (array if layout == "sas" else array.transpose(1, 0, 2)).reshape(rows, -1), sizes, layout
 
 
 def _numbers(values: object, where: str) -> Any:

@@ -78,6 +78,18 @@ class ModelError(ValueError):
         return _rebuild, (type(self), self.what, self.where, self.fix)
 
 
+class DistributionError(ModelError):
+    """Probabilities that do not sum to 1, or of which one is negative or no number."""
+
+
+class NegativeError(DistributionError):
+    """A probability below 0."""
+
+
+class ShapeError(ModelError):
+    """An array whose shape fits no reading."""
+
+
 class ScenarioWarning(UserWarning):
     """The tables of a scenario, as they are read, state a probability above 1."""
 
@@ -104,7 +116,7 @@ def located(where: str, *, instead: bool = False) -> Iterator[None]:
         if error.where.startswith(shown_text(short(where))):
             raise
         place = f"{where}, {error.where}" if error.where and not instead else where
-        raise ModelError(error.what, where=place, fix=error.fix) from error
+        raise type(error)(error.what, where=place, fix=error.fix) from error
 
 
 def short(text: str, most: int = LONGEST) -> str:

@@ -12,19 +12,20 @@ The layout follows the state-action-pair formulation of Puterman, Markov Decisio
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp import build
+from exact_mdp.mdp import build, lazy
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.horizon import unrolled
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric.symbolic import (
     arrays_degree,
     changed_degree,
@@ -43,7 +44,8 @@ from exact_mdp.mdp.validate import (
     counted,
 )
 
-gymnasium = later("exact_mdp.mdp.io.gymnasium")
+gymnasium = lazy.later("exact_mdp.mdp.io.gymnasium")
+LOADER = "exact_mdp.mdp.io.load"  # by name: it knows every kind of model, this one among them
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +251,7 @@ class MDP(Parts):
         Parameters
         ----------
         discount : number or "p/q", optional
-        start : state, or {state: probability}, optional
+        start : state, {state: probability} or (S,) probabilities, optional
         **parts
             Any other attribute of the constructor, such as `name` or `actions`.
 
@@ -270,7 +272,7 @@ class MDP(Parts):
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
         if start is not None:
-            parts["start"] = as_start(start)
+            parts["start"] = as_start(start, parts.get("space", self.space))
         if "table" in parts and "components" not in parts:
             parts |= {"components": np.empty((0, 0)), "component_names": ("reward",)}
         return replace(self, **parts)
@@ -352,19 +354,31 @@ class MDP(Parts):
     @classmethod
     @followed(arrays_degree)
     def from_arrays(
-        cls, P: object, R: object, discount: object = 1, *, start: object = 0, **names: Any
+        cls,
+        P: object,
+        R: object,
+        discount: object = 1,
+        *,
+        layout: str | None = None,
+        start: object = 0,
+        **names: Any,
     ) -> MDP:
-        """Build from transition and reward arrays; every action is available in every state.
+        """Build from transition and reward arrays, or from dictionaries, lists and quadruples.
 
         Parameters
         ----------
-        P : (A, S, S) array, or A sparse (S, S) matrices
+        P : (A, S, S) or (S, A, S) array, or A sparse (S, S) matrices
             Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
-            keeps its exact value, a float that of the binary fraction that it is.
+            keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
+            dictionaries and lists, or quadruples (s, a, t, p): see `mdp.forms.listed`.
         R : (S,), (S, A) or (A, S, S) array, a sparse (S, A) matrix, or A sparse (S, S) ones
-            Rewards of states, of pairs, or of transitions.
+            Rewards of states, of pairs, or of transitions. An action with the reward -inf (inf
+            where rewards are costs) is not available, whatever P says of it; all others are.
         discount : number or "p/q"
-        start : state, or {state: probability}
+        layout : "ass" or "sas", optional
+            Order of the indices action and state. Needed where A = S: P is (A, S, S) unless this
+            is "sas"; elsewhere the shape says it.
+        start : state, {state: probability}, or (S,) probabilities
         **names
             `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
             are costs; `labels` {name: (S,) truth values}.
@@ -384,7 +398,8 @@ class MDP(Parts):
         >>> mdp.table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        return cls(**build.from_arrays(P, R, discount, start=start, **names))
+        with build.hinting(P, layout):
+            return cls(**build.from_arrays(P, R, discount, layout=layout, start=start, **names))
 
     @classmethod
     @followed(pairs_degree)
@@ -463,6 +478,97 @@ class MDP(Parts):
         [0.5, 0.0]
         """
         return cls(**build.from_outcomes(rows, discount, start=start, **names))
+
+    @classmethod
+    def from_function(
+        cls,
+        start: Any,
+        actions: Callable[[Any], Iterable[Hashable]],
+        outcomes: Callable[[Any, Any], Iterable[tuple[Any, Hashable, Any]]],
+        discount: object = 1,
+        *,
+        max_states: int = explore.MOST_STATES,
+        labels: Mapping[str, Any] | None = None,
+        **names: Any,
+    ) -> MDP:
+        """Build by exploring: from the start to all that can follow.
+
+        Parameters
+        ----------
+        start : state, or {state: probability}
+            States are any hashable objects; `mdp.space.number(state)` is the number of one.
+        actions : function of a state
+            Its actions, any hashable objects. A state without any is an end.
+        outcomes : function of a state and an action
+            A list of (probability, next state, reward), each number exact or a float.
+        discount : number or "p/q"
+        max_states : int
+            Give up when more states than this have been found.
+        labels : {name: function of a state}, optional
+            Which states a name is of; (S,) truth values are taken as well.
+        **names
+            As in `from_arrays`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where there are too many states; for states that cannot be keys, or outcomes of another
+            form; and as the constructor does.
+
+        Examples
+        --------
+        >>> def bet(money, stake):
+        ...     return [("2/5", money + stake, 0), ("3/5", money - stake, 0)]
+        >>> def stakes(money):
+        ...     return range(1, min(money, 4 - money) + 1)
+        >>> mdp = MDP.from_function(2, stakes, bet)
+        >>> mdp, mdp.actions
+        (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
+        """
+        rows, parts = explore.explored(start, actions, outcomes, max_states, labels)
+        return cls.from_outcomes(rows, discount, **(parts | names))
+
+    @classmethod
+    def load(cls, path: str | Path, *, discount: object | None = None) -> MDP:
+        """Read a model from a file that `save` wrote, or another program.
+
+        Parameters
+        ----------
+        path : str or path
+            `.npz` or `.umb`; a scenario's `.toml` is compiled.
+        discount : number or "p/q", optional
+            Instead of the file's own.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where the file cannot be read, or holds no model.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], [1, 0]).save(f"{folder}/small.npz")
+        ...     MDP.load(f"{folder}/small.npz").table.row(0)
+        [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
+        """
+        found: MDP = lazy.load(LOADER).load_model(path, discount=discount)
+        return found
+
+    def save(self, path: str | Path) -> None:
+        """Write all of the model as `.npz`, or as `.umb` for model checkers; whole or not at all.
+
+        Raises ModelError for another ending, and where the path cannot be written to.
+        """
+        lazy.load(LOADER).save_model(self, path)
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:

@@ -7,8 +7,9 @@ product, such as an absorbing end. Nothing is stored per state, so a million sta
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from math import prod
 
 import numpy as np
@@ -24,6 +25,8 @@ TIME = "time"
 class Column:
     """One named coordinate of a state: values 0 … size-1, printed as numbers, bits or words.
 
+    `objects` are what the words are the names of, where a model was made of such; files lack them.
+
     Examples
     --------
     >>> Column(name="status", size=16, bits=4).label(4)
@@ -34,10 +37,21 @@ class Column:
     size: int
     bits: int = 0
     words: tuple[str, ...] = ()
+    objects: tuple[Hashable, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_names((self.name,), "column", where="state space")
         check_names(self.words, "value", where=f"column {self.name}")
+
+    @cached_property
+    def _value(self) -> dict[str, int]:
+        """The value of each word, the first of equal ones."""
+        return {word: value for value, word in reversed([*enumerate(self.words)])}
+
+    @cached_property
+    def of_object(self) -> dict[Hashable, int]:
+        """The value of each object."""
+        return {thing: value for value, thing in enumerate(self.objects)}
 
     def label(self, value: int) -> str:
         """Return the printed form of one value."""
@@ -50,8 +64,8 @@ class Column:
         text = label.strip()
         if self.words:
             for word in (label, text):
-                if word in self.words:
-                    return self.words.index(word)
+                if word in self._value:
+                    return self._value[word]
             fix = suggest(text, self.words)
         elif self.bits:
             if len(text) == self.bits and set(text) <= {"0", "1"}:
@@ -150,14 +164,57 @@ class StateSpace:
             number = number * column.size + value
         return number
 
-    def label(self, state: int) -> str:
-        """Return the printed form of one state."""
+    @cached_property
+    def _number(self) -> dict[str, int]:
+        """The number of each state by its printed form."""
+        return {self.label(state): state for state in range(self.size)}
+
+    def number(self, state: object) -> int:
+        """Return the number of a state, given as that, as an object, by name or by column values.
+
+        Examples
+        --------
+        >>> space = StateSpace(
+        ...     columns=(Column(name="row", size=2), Column(name="side", size=2, words=("l", "r"))),
+        ...     extra=("end",),
+        ... )
+        >>> [space.number(state) for state in (2, "3", (1, "r"), "row 0, side r", "end")]
+        [2, 3, 3, 1, 4]
+        """
+        alone = self.columns[0] if len(self.columns) == 1 else Column(name="", size=0)
+        if isinstance(state, Hashable) and state in alone.of_object:
+            return alone.of_object[state]
+        if isinstance(state, tuple) and len(state) == len(self.columns):
+            cells = zip(self.columns, state, strict=True)
+            return self.index(
+                **{c.name: c.parse(x) if isinstance(x, str) else int(x) for c, x in cells}
+            )
+        if isinstance(state, str):
+            if state in alone._value:
+                return alone._value[state]
+            if state in self._number:
+                return self._number[state]
+            if not (state.isascii() and state.isdigit() and len(state) < 19):
+                known = [*alone.words, *self.extra] or self._number
+                raise ModelError(f"unknown state {state!r}", where="", fix=suggest(state, known))
+            state = int(state)
+        whole = isinstance(state, int | np.integer) and not isinstance(state, bool)
+        if not whole or any(isinstance(thing, int) for thing in alone.objects):
+            raise ModelError(f"{state!r} is not a state", fix="give its number, or its name")
+        return self._inside(int(state))  # type: ignore[call-overload]
+
+    def _inside(self, state: int) -> int:
         if not 0 <= state < self.size:
             raise ModelError(
                 f"state {state} is outside 0 … {self.size - 1}",
                 where="state space",
                 fix="choose a state in that range",
             )
+        return state
+
+    def label(self, state: int) -> str:
+        """Return the printed form of one state."""
+        state = self._inside(state)
         if state >= self.regular:
             return self.extra[state - self.regular]
         parts = []

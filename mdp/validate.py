@@ -10,7 +10,15 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, located, suggest
+from exact_mdp.mdp.errors import (
+    DistributionError,
+    ModelError,
+    NegativeError,
+    ShapeError,
+    check_names,
+    located,
+    suggest,
+)
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -173,21 +181,35 @@ def _check_discount(value: Fraction) -> None:
         )
 
 
-def as_start(start: object) -> tuple[tuple[int, Fraction], ...]:
-    """Return an initial distribution from a state or from {state: probability}."""
-    if isinstance(start, int | np.integer) and not isinstance(start, bool):
-        return ((int(start), Fraction(1)),)
-    whole = int | np.integer
-    if isinstance(start, dict) and all(isinstance(state, whole) for state in start):
-        weights = {int(state): exact(weight) for state, weight in start.items()}
-        return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
-    raise ModelError(f"{start!r} is not a start", fix="give a state, or {state: probability}")
+def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ...]:
+    """Return an initial distribution from a state, from {state: probability}, or from a vector."""
+    with located("start"):
+        if isinstance(start, Mapping):
+            weights = {space.number(state): exact(weight) for state, weight in start.items()}
+        elif (isinstance(start, np.ndarray) and start.ndim == 1) or (
+            isinstance(start, list | tuple) and not _is_state(start, space)
+        ):
+            if len(start) != space.size:
+                raise ShapeError(
+                    f"{len(start)} entries for {space.size} states",
+                    fix="give one for each state, a state, or {state: probability}",
+                )
+            weights = {state: exact(weight) for state, weight in enumerate(start)}
+        else:
+            weights = {space.number(start): Fraction(1)}
+    return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
+
+
+def _is_state(given: object, space: StateSpace) -> bool:
+    """Return whether a tuple is a state: column values, or the object that a state is."""
+    many = len(space.columns) > 1 and len(given) == len(space.columns)  # type: ignore[arg-type]
+    return isinstance(given, tuple) and (many or any(column.objects for column in space.columns))
 
 
 def _check_pairs(model: Parts) -> None:
     state, action = model.pair_state, model.pair_action
     if state.shape != action.shape or state.ndim != 1:
-        raise ModelError(
+        raise ShapeError(
             f"pair_state has shape {state.shape}, pair_action {action.shape}",
             where="pairs",
             fix="give one state and one action for each pair",
@@ -244,7 +266,7 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
     for name, lengths in wanted.items():
         array = getattr(table, name)
         if array is not None and (array.ndim != 1 or len(array) not in lengths):
-            raise ModelError(
+            raise ShapeError(
                 f"{name} has shape {array.shape}, not ({min(lengths)},)",
                 where="outcome table",
                 fix="give one entry for each row or outcome",
@@ -298,7 +320,7 @@ def _check_numbers(model: Parts, *, sound: bool) -> None:
             if len(array) and not (np.isfinite(array.min()) and np.isfinite(array.max())):
                 index = int(np.flatnonzero(~np.isfinite(array))[0])
                 what = "probability" if name == "weight" else "reward"
-                raise ModelError(
+                raise (DistributionError if name == "weight" else ModelError)(
                     f"a {what} is {array[index]}",
                     where=model.where(_pair_of(table, index, len(array))),
                     fix="give a finite number",
@@ -334,15 +356,16 @@ def _check_rows(model: Parts) -> None:
     table = model.table
     steps = np.diff(table.offsets)
     if steps.min() == 0:
-        raise ModelError(
+        raise DistributionError(
             "transition probabilities sum to 0, not 1",
             where=model.where(int(np.flatnonzero(steps == 0)[0])),
-            fix="add the outcomes of this pair",
+            fix="add the outcomes of this pair; an action that is not available has no row, or the "
+            "reward -inf in an array",
         )
     if not table.weight.min() > 0:
         index = int(np.flatnonzero(table.weight <= 0)[0])
         pair = _pair_of(table, index, len(table.next))
-        raise ModelError(
+        raise NegativeError(
             f"a probability is {_shown(table, index, pair)}",
             where=model.where(pair),
             fix="probabilities are positive; leave out those that are 0",
@@ -360,7 +383,7 @@ def _check_rows(model: Parts) -> None:
         total = exact(sums[pair]) / exact(table.denominator[pair])
         off = total - 1
         near = f"1 {'+' if off > 0 else '-'} {shown(abs(off), 3)}"
-        raise ModelError(
+        raise DistributionError(
             f"transition probabilities sum to {near if abs(off) < 1e-9 else shown(total, 12)}, "
             "not 1",
             where=model.where(pair),
@@ -401,7 +424,7 @@ def _check_start(model: Parts) -> None:
         )
     total = sum(weights, Fraction(0))
     if any(weight < 0 for weight in weights) or abs(total - 1) > FLOAT_ROW_TOLERANCE:
-        raise ModelError(
+        raise DistributionError(
             f"start probabilities sum to {beside(total, Fraction(1))}, not 1, or one is negative",
             where="start",
             fix="give a distribution over states",

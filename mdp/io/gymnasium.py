@@ -22,17 +22,37 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeGuard
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.mdp.validate import as_start
 
 gymnasium = later("gymnasium")
 
 END = "end"
+NOWHERE = -1  # a next state that some tables write where the episode is over
+TOY_TEXT = "gymnasium.envs.toy_text"
+GRID = (Column(name="row", size=0), Column(name="column", size=0))
+PLACES = ("Red", "Green", "Yellow", "Blue")
+TOYS = {
+    "FrozenLakeEnv": (("LEFT", "DOWN", "RIGHT", "UP"), GRID),
+    "CliffWalkingEnv": (("UP", "RIGHT", "DOWN", "LEFT"), GRID),
+    "TaxiEnv": (
+        ("SOUTH", "NORTH", "EAST", "WEST", "PICKUP", "DROPOFF"),
+        (
+            Column(name="row", size=5),
+            Column(name="column", size=5),
+            Column(name="passenger", size=5, words=(*PLACES, "taxi")),
+            Column(name="destination", size=4, words=PLACES),
+        ),
+    ),
+}
+"""Actions by number, and what the number of a state is made of."""
 
 Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
@@ -58,16 +78,18 @@ def outcomes_of(env: object, **names: Any) -> tuple[Listed, dict[str, Any]]:
             return outcomes_of(made, **names)
         finally:
             made.close()
-    bare = getattr(env, "unwrapped", env)
+    bare = env if isinstance(env, Mapping) else getattr(env, "unwrapped", env)
     names.setdefault("name", _name(env))
     names.setdefault("time_limit", _time_limit(env))
-    where = names["name"]
+    where = names["name"] or "P"
     rows, states, actions = _rows(bare, where)
+    known, columns = _named(bare, states, actions)
+    names.setdefault("actions", known)
+    words = names.pop("states", ())
+    columns = StateSpace.plain(states, words).columns if words or not columns else columns
     start = names.pop("start", None)
-    if start is None:
-        start = _start(bare, states, where)
-    begins = start if isinstance(start, Mapping) else {start: 1}
-    ends, targets = _ends(rows, {int(state) for state, weight in begins.items() if weight})
+    start = as_start(_start(bare) if start is None else start, StateSpace(columns=columns))
+    ends, targets = _ends(rows, {state for state, _ in start})
     goal, appended = states, bool(targets - ends)
     listed: Listed = [
         (
@@ -81,11 +103,26 @@ def outcomes_of(env: object, **names: Any) -> tuple[Listed, dict[str, Any]]:
     listed += [(end, 0, [(1, end, 0)]) for end in sorted(ends)]
     if appended:
         listed.append((goal, 0, [(1, goal, 0)]))
-    names.setdefault("actions", [str(number) for number in range(actions)])
-    words = names.pop("states", ())
-    plain = StateSpace.plain(states, words)
-    names["space"] = StateSpace(columns=plain.columns, extra=(END,) if appended else ())
-    return listed, names | {"start": start}
+    space = StateSpace(columns=columns, extra=(END,) if appended else ())
+    return listed, names | {"start": dict(start), "space": space}
+
+
+def _named(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:
+    """Return the names of the actions, and the columns of the states where they are known.
+
+    Those of Gymnasium's toy-text environments are as their documentation and `decode` have them.
+    """
+    kind = next(
+        (each.__name__ for each in type(env).__mro__ if each.__module__.startswith(TOY_TEXT)), ""
+    )
+    names, columns = TOYS.get(kind, ((), ()))
+    shape = getattr(env, "shape", (getattr(env, "nrow", 0), getattr(env, "ncol", 0)))
+    if columns == GRID:
+        columns = tuple(
+            replace(each, size=int(size)) for each, size in zip(GRID, shape, strict=True)
+        )
+    fits = StateSpace(columns=columns).size == states and len(names) == actions
+    return (list(names), columns) if fits else ([str(number) for number in range(actions)], ())
 
 
 def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
@@ -95,11 +132,11 @@ def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
     the set enters alive; states that stay put without reward are ends however they are entered.
     """
     targets = {n for outcomes in rows.values() for _, n, _, over in outcomes if over}
-    idle = set(targets)
+    idle = targets - {NOWHERE}
     for (state, _), outcomes in rows.items():
         if any(n != state or r != 0 for _, n, r, _ in outcomes):
             idle.discard(state)
-    ends = targets - (begins - idle)
+    ends = targets - (begins - idle) - {NOWHERE}
     while True:
         alive = {
             n
@@ -116,13 +153,16 @@ def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
 
 def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
     """Return the outcomes of every pair, and the numbers of states and actions."""
-    table = getattr(env, "P", None)
+    table = env if isinstance(env, Mapping) else getattr(env, "P", None)
     if table is None:
+        dynamics = getattr(env, "dynamics", None)
+        if isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
+            return _of_matrices(env, dynamics, where)
         raise ModelError(
             "the environment does not expose its model as P",
             where=where,
-            fix="use a toy-text environment such as FrozenLake-v1, or build the model with "
-            "MDP.from_outcomes",
+            fix="describe it: MDP.from_function(start, actions, outcomes); or use an environment "
+            "with P, such as FrozenLake-v1",
         )
     rows: Rows = {}
     for state, row in _items(table, where, "P"):
@@ -144,8 +184,8 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
             )
         sizes.append(int(size))
     for (state, action), outcomes in rows.items():
-        for _, following, _, _ in outcomes:
-            if not 0 <= following < sizes[0]:
+        for _, following, _, over in outcomes:
+            if not 0 <= following < sizes[0] and not (over and following == NOWHERE):
                 raise ModelError(
                     f"next state {following} is outside 0 … {sizes[0] - 1}",
                     where=f"{where}, P[{state}][{action}]",
@@ -189,22 +229,55 @@ def _outcome(outcome: Any, place: str) -> Outcome:
     return values[0], int(values[1]), values[2], bool(values[3])
 
 
-def _start(env: Any, states: int, where: str) -> dict[int, Any]:
-    given = getattr(env, "initial_state_distrib", None)
+def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Rows, int, int]:
+    """Return the same of matrices `tx_mat` and `r_mat` (S, A, S), as ICU-Sepsis has them.
+
+    An action that is not admissible has a row of its own in them (the mean of the others), unless
+    the environment refuses such actions. An episode is over where all that is left is to go on to
+    the absorbing state: there, nothing is earned any more and all actions are the same.
+    """
+    chances = np.asarray(dynamics["tx_mat"])
+    gains = np.asarray(dynamics.get("r_mat", np.zeros(chances.shape)))
+    if chances.ndim != 3 or chances.shape[0] != chances.shape[2] or gains.shape != chances.shape:
+        raise ShapeError(
+            f"tx_mat has shape {chances.shape}, r_mat {gains.shape}",
+            where=where,
+            fix="give both as (S, A, S)",
+        )
+    strategy = getattr(env, "_inadmissible_action_strategy", "mean")
+    if strategy not in ("mean", "raise_exception"):
+        raise ModelError(
+            f"inadmissible actions are handled by {strategy!r}, which no matrix tells",
+            where=where,
+            fix='make the environment with inadmissible_action_strategy="mean"',
+        )
+    states, actions = chances.shape[:2]
+    admissible = dynamics["admissible_actions"] if strategy != "mean" else [range(actions)] * states
+    nothing = (np.where(chances > 0, gains, 0) == 0).all(axis=(1, 2))
+    absorbing = nothing & (chances[range(states), :, range(states)] == 1).all(axis=1)
+    over = nothing & (chances[:, :, absorbing].max(axis=2, initial=0) == 1).all(axis=1)
+    rows: Rows = {
+        (state, action): [
+            (chances[state, action, then], then, gains[state, action, then], bool(over[then]))
+            for then in np.flatnonzero(chances[state, action]).tolist()
+        ]
+        for state in range(states)
+        for action in admissible[state]
+    }
+    return rows, states, actions
+
+
+def _start(env: Any) -> Any:
+    """Return where episodes start: state 0, as everywhere, where the environment does not say."""
+    dynamics = getattr(env, "dynamics", {})
+    given = getattr(env, "initial_state_distrib", getattr(env, "isd", dynamics.get("d_0", 0)))
     if given is None:
         raise ModelError(
             "the environment has no initial_state_distrib",
-            where=where,
+            where="start",
             fix="pass start=, a state or {state: probability}",
         )
-    weights = list(given)
-    if len(weights) != states:
-        raise ModelError(
-            f"initial_state_distrib has {len(weights)} entries for {states} states",
-            where=where,
-            fix="give one probability for each state",
-        )
-    return {state: weight for state, weight in enumerate(weights) if weight != 0}
+    return given if isinstance(given, int) else list(given)
 
 
 def _time_limit(env: Any) -> int | None:
@@ -227,6 +300,8 @@ def _time_limit(env: Any) -> int | None:
 
 
 def _name(env: Any) -> str:
+    if isinstance(env, Mapping):
+        return ""
     spec = getattr(env, "spec", None)
     return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)
 
@@ -240,7 +315,11 @@ def _make(name: str) -> Any:
             warnings.simplefilter("ignore")
             return make(name)
     except errors as error:
-        toy = [key for key, spec in gymnasium.registry.items() if "toy_text" in str(spec)]
+        toy = [
+            key
+            for key, spec in gymnasium.registry.items()
+            if TOY_TEXT in str(spec.entry_point) and spec.name != "Blackjack"  # it has no P
+        ]
         raise ModelError(
             f"Gymnasium cannot make {name!r}: {str(error)[:200]}",
             where=f"gymnasium:{name}",

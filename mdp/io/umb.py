@@ -174,7 +174,7 @@ def _own(content: Content, header: Mapping[str, Any], discount: object, start: o
     if discount is not None:
         parts["discount_exact"] = as_discount(discount)
     if start is not None:
-        parts["start"] = as_start(start)
+        parts["start"] = as_start(start, parts["space"])
     states = np.repeat(np.arange(len(choices)), choices)
     return MDP(_table(content), states, np.array(content.actions, dtype=np.int64), **parts)
 

@@ -17,7 +17,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import laws
 
-from exact_mdp.mdp import MDP, ModelError, StateSpace
+from exact_mdp.mdp import (
+    MDP,
+    DistributionError,
+    ModelError,
+    NegativeError,
+    ShapeError,
+    StateSpace,
+)
 
 HALF = Fraction(1, 2)
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])
@@ -273,7 +280,8 @@ BAD_ARRAYS: dict[str, tuple[Any, Any, Any, str]] = {
     "nan": (spoiled(0, 0, 0, np.nan), R_PAIR, 0.9, "a probability is nan"),
     "inf": (spoiled(0, 0, 0, np.inf), R_PAIR, 0.9, "a probability is inf"),
     "reward nan": (P, np.where(R_PAIR == 3, np.nan, R_PAIR), 0.9, "a reward is nan"),
-    "reward inf": (P, np.where(R_PAIR == 3, -np.inf, R_PAIR), 0.9, "a reward is -inf"),
+    "reward inf": (P, np.where(R_PAIR == 3, np.inf, R_PAIR), 0.9, "a reward is inf"),
+    "no action": (P, np.where(R_PAIR == 0, -np.inf, R_PAIR), 0.9, "a state without action"),
     "reward word": (P, [["a", "b"]] * 3, 0.9, "not a finite rational"),
     "reward complex": (P, R_PAIR * 1j, 0.9, "complex"),
     "reward ragged": (P, [[1, 2], [3], [4, 5]], 0.9, "different lengths"),
@@ -305,12 +313,26 @@ BAD_ARRAYS: dict[str, tuple[Any, Any, Any, str]] = {
 }  # fmt: skip
 
 
+KINDS = {
+    "row": DistributionError,
+    "nan": DistributionError,
+    "exact": DistributionError,
+    "negative": NegativeError,
+    "reward shape": ShapeError,
+    "reward scalar": ShapeError,
+    "transitions flat": ShapeError,
+    "sparse sizes": ShapeError,
+}
+
+
 @pytest.mark.parametrize("name", BAD_ARRAYS)
 def test_arrays_that_are_no_model(name: str) -> None:
     transition, reward, discount, message = BAD_ARRAYS[name]
     with pytest.raises(ModelError) as caught:
         MDP.from_arrays(transition, reward, discount)
     assert message in caught.value.what
+    kind = type(caught.value)
+    assert kind is KINDS.get(name.partition(" ")[0], KINDS.get(name, kind))
 
 
 def test_a_row_that_no_policy_uses_is_checked_too() -> None:

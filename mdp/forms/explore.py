@@ -1,0 +1,74 @@
+"""A model from three things that one knows of it: where it starts, what can be done, what follows.
+
+Breadth first from the start, each state and action asked once; the model is that of the states that
+can be reached, whatever is done. States are any hashable objects, numbered as they are found.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
+from exact_mdp.mdp.table import exact
+
+MOST_STATES = 1_000_000
+
+
+def explored(
+    start: Any,
+    actions: Callable[[Any], Iterable[Hashable]],
+    outcomes: Callable[[Any, Any], Iterable[tuple[Any, Hashable, Any]]],
+    max_states: int = MOST_STATES,
+    labels: Mapping[str, Any] | None = None,
+) -> tuple[list[Any], dict[str, Any]]:
+    """Return what `MDP.from_outcomes` takes to build the model: rows, and names.
+
+    `labels` says of which states a name is, by a function of a state, or as the model takes them.
+    """
+    states, rows = Numbering(), list[Row]()
+    begins = list(start) if isinstance(start, Mapping) else [start]
+    for state in begins:
+        states.add(state, "a state", "start")
+    if not begins:
+        raise ModelError("no state to start in", where="start", fix="give a state")
+    waiting = deque(states.number)
+    while waiting:
+        state = waiting.popleft()
+        for action in actions(state) or ():
+            where = f"state {state}, action {action}"
+            with located(where):
+                row = [each for each in map(_outcome, outcomes(state, action)) if exact(each[0])]
+            rows.append((state, action, row))
+            for _, following, _ in row:
+                known = len(states.number)
+                if states.add(following, "a next state", where) == known:
+                    waiting.append(following)
+            if len(states.number) > max_states:
+                raise ModelError(
+                    f"more than {max_states:,} states can be reached",
+                    where=where,
+                    fix="raise max_states, or describe states by less",
+                )
+    going = {state for state, _, _ in rows}
+    found, names = numbered(rows, states, [each for each in states.number if each not in going])
+    by_number = sorted(states.number, key=states.number.__getitem__)
+    flags = {
+        name: np.array([bool(holds(state)) for state in by_number]) if callable(holds) else holds
+        for name, holds in (labels or {}).items()
+    }
+    return found, names | {"start": start, "labels": flags}
+
+
+def _outcome(given: Any) -> tuple[Any, Hashable, Any]:
+    try:
+        probability, following, reward = given
+    except (TypeError, ValueError) as error:
+        raise ModelError(
+            f"an outcome is {given!r}", fix="give (probability, next state, reward)"
+        ) from error
+    return probability, following, reward

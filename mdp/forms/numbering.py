@@ -1,0 +1,92 @@
+"""Numbers for states and actions that are given as objects, and the names that these go by.
+
+Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves. A name
+is the text of a thing, and its `repr` where two things have the same text. A state without actions
+is an end: it stays put for ever and earns nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Iterable, Sequence
+from typing import Any
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.space import Column, StateSpace
+
+Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
+"""State, action and outcomes: probability, next state, reward."""
+
+
+class Numbering:
+    """Numbers for things, in the order in which they come."""
+
+    def __init__(self) -> None:
+        self.number: dict[Hashable, int] = {}
+
+    def add(self, thing: Any, what: str, where: str) -> int:
+        """Return the number of a thing, a new one where it is new; raise ModelError for others."""
+        try:
+            return self.number.setdefault(thing, len(self.number))
+        except TypeError as error:
+            raise ModelError(
+                f"{what} is {thing!r}, which cannot be a key",
+                where=where,
+                fix="use numbers, words or tuples, not lists, arrays or dictionaries",
+            ) from error
+
+    def ordered(self) -> list[Any]:
+        """Return the things by number; whole numbers from 0 on are their own."""
+        things = list(self.number)
+        if all(isinstance(thing, int) and thing is not True for thing in things) and (
+            set(things) == set(range(len(things)))
+        ):
+            things = list(range(len(things)))
+            self.number = {number: number for number in range(len(things))}
+        return things
+
+
+def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
+    """Return a name for each thing, no two the same.
+
+    Examples
+    --------
+    >>> names_of([(0, 1), "up", 1, "1"], "state")
+    ('(0, 1)', "'up'", '1', "'1'")
+    """
+    for form in (str, repr):
+        names = tuple(map(form, things))
+        if len(set(names)) == len(names):
+            return names
+    twice = Counter(names).most_common(1)[0][0]
+    raise ModelError(
+        f"two {what}s are both called {twice}", where=f"{what}s", fix="give them different names"
+    )
+
+
+def numbered(
+    rows: Iterable[Row], states: Numbering, ends: Iterable[Hashable]
+) -> tuple[list[Any], dict[str, Any]]:
+    """Return rows of numbers for `MDP.from_outcomes`, and the names of states and actions."""
+    actions, listed = Numbering(), list(rows)
+    for state, action, outcomes in listed:
+        actions.add(action, "an action", f"state {state}")
+        states.add(state, "a state", "rows")
+        for _, following, _ in outcomes:
+            states.add(following, "a next state", f"state {state}, action {action}")
+    things, doing = states.ordered(), actions.ordered() or ["stay"]
+    number, act = states.number, actions.number
+    found: list[Any] = [
+        (number[state], act[action], [(p, number[then], r) for p, then, r in outcomes])
+        for state, action, outcomes in listed
+    ]
+    found += [(number[end], 0, [(1, number[end], 0)]) for end in ends]
+    words = names_of(things, "state")
+    plain = words == tuple(map(str, range(len(things))))
+    column = Column(
+        name="state",
+        size=len(things),
+        words=() if plain else words,
+        objects=() if plain else tuple(things),
+    )
+    return found, {"space": StateSpace(columns=(column,)), "actions": names_of(doing, "action")}

@@ -1,0 +1,269 @@
+"""Models as others write them are the same models: layouts, lists, dictionaries, functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given
+from hypothesis import strategies as st
+from laws import laws
+from strategies import Rows, models
+
+from exact_mdp.mdp import MDP, DistributionError, ModelError, ShapeError
+from exact_mdp.solvers import certify
+
+HALF = Fraction(1, 2)
+
+
+@st.composite
+def arrays(draw: st.DrawFn) -> tuple[Any, Any, Any]:
+    """Transitions (A, S, S) in 64ths, rewards (S, A) in quarters, and which pairs are offered."""
+    actions, states = draw(st.sampled_from([(1, 3), (2, 3), (3, 2), (2, 2), (4, 1)]))
+    seed = draw(st.integers(0, 2**32))
+    rng = np.random.default_rng(seed)
+    P = rng.multinomial(64, np.full(states, 1 / states), size=(actions, states)) / 64
+    offered = rng.random((states, actions)) < 0.7
+    offered[np.arange(states), rng.integers(actions, size=states)] = True
+    return P, rng.integers(-8, 8, (states, actions)) / 4, offered
+
+
+@given(arrays())
+def test_every_form_is_the_same_model(given: tuple[Any, Any, Any]) -> None:
+    """P and R as in QuantEcon, pymdptoolbox, mdpsolver and AI-Toolbox, against one row a pair."""
+    P, R, offered = given
+    actions, states = P.shape[:2]
+    sas = P.transpose(1, 0, 2)
+    state, action = np.nonzero(offered)
+    rows, gains = sas[offered], R[offered]
+    wanted = laws(MDP.from_pairs(state, action, rows, gains, HALF))
+    missing = np.where(offered, R, -np.inf)
+    nonsense = np.where(offered[:, :, None], sas, 7.0)
+    by_move = np.repeat(missing[:, :, None], states, axis=2)
+    pairs = list(zip(state.tolist(), action.tolist(), strict=True))
+    nested = [
+        [sas[s, a].tolist() if offered[s, a] else None for a in range(actions)]
+        for s in range(states)
+    ]
+    named = {s: {a: dict(enumerate(sas[s, a])) for t, a in pairs if t == s} for s in range(states)}
+    quadruples = [(s, a, t, sas[s, a, t]) for s, a in pairs for t in range(states)]
+    order = np.random.default_rng(0).permutation(states * actions)
+    every_state, every_action = np.divmod(order, actions)
+    forms: list[MDP] = [
+        MDP.from_arrays(nonsense, missing, HALF, layout="sas"),
+        MDP.from_arrays(nonsense.transpose(1, 0, 2), missing, HALF, layout="ass"),
+        MDP.from_arrays(nonsense, by_move, HALF, layout="sas"),
+        MDP.from_arrays(nonsense.astype(object), missing.astype(object), HALF, layout="sas"),
+        MDP.from_arrays([sp.csr_array(x) for x in nonsense], missing, HALF, layout="sas"),
+        MDP.from_arrays(nested, missing.tolist(), HALF, layout="sas"),
+        MDP.from_arrays(named, {s: dict(enumerate(R[s])) for s in range(states)}, HALF),
+        MDP.from_arrays({(s, a): named[s][a] for s, a in pairs}, R, HALF),
+        MDP.from_arrays({(s, a, t): p for s, a, t, p in quadruples}, R, HALF),
+        MDP.from_arrays(quadruples, {(s, a): R[s, a] for s, a in pairs}, HALF),
+        MDP.from_arrays(np.array(quadruples), missing, HALF),
+        MDP.from_pairs(
+            every_state, every_action, nonsense.reshape(-1, states)[order],
+            missing.reshape(-1)[order], HALF,
+        ),
+    ]  # fmt: skip
+    if actions != states:
+        forms.append(MDP.from_arrays(nonsense, missing, HALF))
+        forms.append(MDP.from_arrays([sp.coo_array(x) for x in nonsense], missing, HALF))
+    for number, mdp in enumerate(forms):
+        assert laws(mdp) == wanted, number
+    costs = MDP.from_arrays(named, dict(enumerate(R.max(axis=1))), HALF)
+    assert costs.reward.tolist() == R.max(axis=1)[state].tolist()
+
+
+def test_the_reward_of_a_pair_is_earned_in_full() -> None:
+    """In a dictionary as in an array, where tenths of floats do not sum to 1."""
+    tenths = dict.fromkeys(range(10), 0.1)
+    mdp = MDP.from_arrays({s: {0: tenths} for s in range(10)}, dict.fromkeys(range(10), 3.0), 0.9)
+    assert mdp.reward.tolist() == [3.0] * 10
+    assert laws(mdp) == laws(MDP.from_arrays(np.full((1, 10, 10), 0.1), [3.0] * 10, 0.9))
+
+
+def test_a_square_array_is_of_actions_unless_said() -> None:
+    P = np.array([[[1, 0], [0.5, 0.5]], [[0, 1], [1, 0]]])
+    assert MDP.from_arrays(P, [0, 0]).transition.toarray()[1].tolist() == [0, 1]
+    assert MDP.from_arrays(P, [0, 0], layout="sas").transition.toarray()[1].tolist() == [0.5, 0.5]
+
+
+def test_names_stay() -> None:
+    mdp = MDP.from_arrays(
+        {"<script>": {"$x$": {"b": "1/3", '"': "2/3"}, "go": {"b": 1}}, "b": {}, '"': {}},
+        {"<script>": {"$x$": {"b": 1, '"': 0}, "go": {"b": "1/2"}}},
+        start="<script>",
+    )
+    assert mdp.actions == ("$x$", "go")
+    assert [mdp.space.label(state) for state in range(3)] == [
+        "state <script>",
+        "state b",
+        'state "',
+    ]
+    assert certify(mdp).start_value == HALF
+
+
+class Nameless:
+    def __repr__(self) -> str:
+        return "one"
+
+
+BAD: dict[str, tuple[Any, Any, type[ModelError], str]] = {
+    "a state without a row": ({0: {0: {1: 1}}}, {0: 1}, ModelError, "a state without action"),
+    "no reward": ({0: {0: {0: 1}}}, {}, ModelError, "there is no reward"),
+    "a short row": ([[[1.0]], [[0.5, 0.5], [0, 1]]], [0, 0], ShapeError, "different lengths"),
+    "a flat dictionary": ({0: 1}, {0: 1}, ModelError, "P has an entry by 0"),
+    "a deep one": ({0: {0: {0: {0: 1}}}}, {0: 1}, ModelError, "P has an entry by 0, 0, 0, 0"),
+    "a reward by words": ({0: {0: {0: 1}}}, {"a": 1}, ModelError, "R has an entry by 'a'"),
+    "a word": ({0: {0: {0: "x"}}}, {0: 1}, ModelError, "not a finite rational"),
+    "a sum": ({0: {0: {0: 0.5}}}, {0: 1}, DistributionError, "sum to 0.5, not 1"),
+    "a matrix": (np.eye(4), [0] * 4, ModelError, "R has an entry by 2"),
+    "part of a state": ([(0.5, 0, 0, 1)], {0.5: 0}, ModelError, "without action"),
+    "two of a name": ({Nameless(): {}, Nameless(): {}}, {}, ModelError, "are both called one"),
+    "no hashable": ([(({},), 0, 0, 1)], [0], ModelError, "cannot be a key"),
+    "a control character": ({"\x1b": {}}, {}, ModelError, "U+001B"),
+    "cube": (np.full((2, 2, 2), 0.4), [0, 0], DistributionError, "sum to 0.8"),
+    "layout": (np.full((2, 3, 3), 1 / 3), [0] * 3, ModelError, "'xyz' is not a layout"),
+    "other layout": (np.full((2, 3, 3), 1 / 3), [0] * 3, ShapeError, "have shape (2, 3, 3)"),
+}
+LAYOUT = {"layout": "xyz", "other layout": "sas"}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_no_model_is_refused(name: str) -> None:
+    P, R, kind, message = BAD[name]
+    with pytest.raises(kind) as caught:
+        MDP.from_arrays(P, R, layout=LAYOUT.get(name))
+    assert message in caught.value.what
+    assert caught.value.fix
+    assert ('layout="sas"' in caught.value.fix) == (name == "cube")
+
+
+# ---- the start ---------------------------------------------------------------------------------
+
+STARTS = [2, "2", {2: 1}, {"2": "1/1", 0: 0}, [0, 0, 1], np.array([0.0, 0, 1]), (0, 0, 1)]
+
+
+@pytest.mark.parametrize("start", STARTS, ids=str)
+def test_a_start_in_any_form(start: Any) -> None:
+    eye, rows = np.eye(3), [(s, 0, [(1, s, 0)]) for s in range(3)]
+    for mdp in (
+        MDP.from_arrays([eye], [0, 0, 0], start=start),
+        MDP.from_pairs([0, 1, 2], [0, 0, 0], eye, [0, 0, 0], start=start),
+        MDP.from_outcomes(rows, start=start),
+        MDP.from_arrays([eye], [0, 0, 0]).with_(start=start),
+        MDP.from_gymnasium({s: {0: [(1, s, 0, False)]} for s in range(3)}, start=start),
+    ):
+        assert mdp.start == ((2, Fraction(1)),)
+    named = MDP.from_arrays([eye], [0, 0, 0], states=["x", "y", "2 or so"], start="2 or so")
+    assert named.start == ((2, 1),)
+
+
+@pytest.mark.parametrize("start", ["x", [1, 0], 3, -1, 0.5, None, True, {"x": 1}, [0.5, 0.4, 0]])
+def test_what_is_no_start(start: Any) -> None:
+    with pytest.raises(ModelError) as caught:
+        MDP.from_arrays([np.eye(3)], [0, 0, 0], start=start)
+    assert "start" in caught.value.where
+    assert caught.value.fix
+
+
+# ---- functions -----------------------------------------------------------------------------------
+
+
+@given(models(discounts=(HALF,)), st.sampled_from([int, str, lambda s: (s, "x")]))
+def test_exploring_finds_the_reachable_model(drawn: Rows, name: Callable[[int], Any]) -> None:
+    """State by state it is the model that was listed; the optimum from the start is the same."""
+    whole = drawn.model()
+    back = {name(s): s for s in range(drawn.n_states)}
+    of_state: dict[int, dict[str, Any]] = {}
+    for s, a, r, following in drawn.pairs:
+        of_state.setdefault(s, {})[f"a{a}"] = [(p, name(t), r) for t, p in following.items()]
+    asked: list[Any] = []
+
+    def outcomes(state: Any, action: str) -> Any:
+        asked.append((state, action))
+        return of_state[back[state]][action]
+
+    mdp = MDP.from_function(name(0), lambda s: of_state[back[s]], outcomes, HALF)
+    assert len(set(asked)) == len(asked) == mdp.n_pairs
+
+    def number(state: int) -> int:
+        return mdp.space.number(name(state))
+
+    assert laws(mdp) == {
+        (number(s), f"a{a}"): {(number(t), r): p for (t, r), p in law.items()}
+        for (s, a), law in laws(whole).items()
+        if (name(s), f"a{a}") in asked
+    }
+    assert certify(mdp).start_value == certify(whole).start_value
+
+
+def test_what_exploring_keeps_and_refuses() -> None:
+    """Two steps of a die with a start distribution; the ends are states without actions."""
+
+    def actions(state: tuple[int, str]) -> list[str]:
+        return [] if state[0] >= 2 else ["roll", "pass"]
+
+    def outcomes(state: tuple[int, str], action: str) -> list[Any]:
+        if action == "pass":
+            return [(1, (2, state[1]), 0), (0, (99, "never"), 0)]
+        return [("1/6", (state[0] + 1, str(face)), face) for face in range(1, 7)]
+
+    start = {(0, "a"): "1/2", (1, "b"): "1/2"}
+    mdp = MDP.from_function(start, actions, outcomes, labels={"over": lambda state: state[0] == 2})
+    assert mdp.labels["over"].tolist() == mdp.terminal.tolist()
+    assert mdp.space.label(mdp.space.number((1, "3"))) == "state (1, '3')"
+    assert mdp.n_states == 2 + 6 + 6 + 2
+    assert certify(mdp).start_value == HALF * 7 + HALF * Fraction(7, 2)
+    assert mdp.with_(start=(1, "3")).start == ((mdp.space.number((1, "3")), 1),)
+
+
+ENDLESS: dict[str, tuple[Any, Any, Any]] = {
+    "more than 9 states": (0, [0], [(1, None, 0)]),
+    "a state is [0], which cannot be a key": ([0], [], []),
+    "no state to start in": ({}, [], []),
+    "an action is [1], which cannot be a key": (0, [[1]], [(1, 0, 0)]),
+    "a next state is [0], which cannot be a key": (0, ["x"], [(1, [0], 0)]),
+    "an outcome is (1, 0)": (0, ["x"], [(1, 0)]),
+    "sum to 0.9, not 1": (0, ["x"], [(0.9, 0, 0)]),
+    "a state-action pair appears twice": (0, ["x", "x"], [(1, 0, 0)]),
+    "nan is not a finite rational": (0, ["x"], [(float("nan"), 0, 0)]),
+}
+
+
+@pytest.mark.parametrize("message", ENDLESS)
+def test_what_cannot_be_explored(message: str) -> None:
+    start, actions, outcomes = ENDLESS[message]
+
+    def following(state: Any, action: Any) -> Any:
+        return (
+            [(p, state + 1 if then is None else then, r) for p, then, r in outcomes]
+            if (message.startswith("more"))
+            else outcomes
+        )
+
+    with pytest.raises(ModelError) as caught:
+        MDP.from_function(start, lambda state: actions, following, max_states=9)
+    assert message in caught.value.what
+    assert caught.value.fix
+
+
+@pytest.mark.parametrize("ending", [".npz", ".umb"])
+def test_a_model_is_saved_and_loaded(tmp_path: Path, ending: str) -> None:
+    follow = {"$go$": [("1/3", "a<b>", "1/7"), ("2/3", "c", 0)]}
+    mdp = MDP.from_function(
+        "a<b>", lambda s: follow if s == "a<b>" else None, lambda s, a: follow[a], "9/10"
+    )
+    mdp.save(tmp_path / f"model{ending}")
+    again = MDP.load(tmp_path / f"model{ending}")
+    assert laws(again) == laws(mdp)
+    assert (again.space, again.actions) == (mdp.space, mdp.actions)
+    assert MDP.load(tmp_path / f"model{ending}", discount="1/2").discount_exact == HALF
+    with pytest.raises(ModelError, match="cannot write a model as"):
+        mdp.save(tmp_path / "model.txt")
