@@ -81,6 +81,13 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
         "components": np.concatenate(
             [np.tile(model.components[rows], (count, 1)), np.zeros((states, parts))]
         ),
+        "exact_components": None
+        if model.exact_components is None
+        else np.append(
+            np.tile(model.exact_components[rows], (count, 1)),
+            np.zeros((states, parts), dtype=object),
+            axis=0,
+        ),
         "time_limit": None,
         "labels": {
             name: np.append(np.tile(flags[:own], count + 1), flags[own:])

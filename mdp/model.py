@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp import build, lazy
+from exact_mdp.mdp import build, lazy, questions
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.horizon import unrolled
@@ -71,6 +71,8 @@ class MDP(Parts):
         Initial distribution; state 0 unless said otherwise.
     components, component_names : (L, C) float, tuple of str
         Expected reward by component; the row sums are `reward`.
+    exact_components : (L, C) Fractions, optional
+        The same exactly, where they are known so; `components` are then derived from them.
     events : tuple of str
         Names of the bits of `table.event`.
     time_limit : int, optional
@@ -118,6 +120,8 @@ class MDP(Parts):
         fill(self, "reward", self.table.expected_gain())
         if not np.all(np.isfinite(self.reward)):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
+        if self.exact_components is not None:
+            fill(self, "components", self.exact_components.astype(np.float64))
         if self.components.size == 0 and len(self.component_names) == 1:
             fill(self, "components", self.reward[:, None])
         else:
@@ -140,7 +144,8 @@ class MDP(Parts):
         yield from (
             part for part in (table.event, table.weight_doubt, table.gain_doubt) if part is not None
         )
-        yield from (*self.labels.values(), *(() if self.goal is None else (self.goal,)))
+        yield from self.labels.values()
+        yield from (part for part in (self.goal, self.exact_components) if part is not None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -274,7 +279,7 @@ class MDP(Parts):
         if start is not None:
             parts["start"] = as_start(start, parts.get("space", self.space))
         if "table" in parts and "components" not in parts:
-            parts |= {"components": np.empty((0, 0)), "component_names": ("reward",)}
+            parts |= questions.ONE_COMPONENT
         return replace(self, **parts)
 
     def negated(self) -> MDP:
@@ -300,6 +305,7 @@ class MDP(Parts):
             self,
             table=replace(self.table, gain=-gain),
             components=-self.components,
+            exact_components=None if self.exact_components is None else -self.exact_components,
             sense="max" if self.sense == "min" else "min",
             unreached=-self.unreached,
         )
@@ -312,6 +318,70 @@ class MDP(Parts):
     @cached_property
     def _negated(self) -> MDP:
         return self.negated()
+
+    def reaching(self, label: str, allowed: str | None = None) -> MDP:
+        """Return the model whose value is the probability of reaching a labelled state.
+
+        One more state follows those of the label, which keep the value 1. The optimum is the
+        greatest probability; the least one where the sense is "min". There is no discount.
+
+        Parameters
+        ----------
+        label : str
+            One of `labels`.
+        allowed : str, optional
+            The label of the states that may be passed through; all unless given.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where a label is unknown or no state has it, or a start is not allowed.
+
+        Examples
+        --------
+        >>> from exact_mdp import certify
+        >>> walk = [["1/3", 0, "2/3"], [0, 1, 0], [0, 0, 1]]
+        >>> mdp = MDP.from_arrays([walk], [0, 0, 0], labels={"home": [False, True, False]})
+        >>> certify(mdp.reaching("home")).value.tolist()
+        [Fraction(0, 1), Fraction(1, 1), Fraction(0, 1)]
+        """
+        return replace(self, **questions.reaching(self, label, allowed))
+
+    def until(self, label: str, reward: str | None = None) -> MDP:
+        """Return the model whose value is the expected reward until a labelled state is reached.
+
+        At discount 1 a run that never gets there is worth +∞: where costs are minimised, such runs
+        have to be impossible; where rewards are maximised, the value is infinite where they are not.
+
+        Parameters
+        ----------
+        label : str
+            One of `labels`.
+        reward : str, optional
+            The reward component that counts; their sum unless given.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where the label or the component is unknown, or no state has the label.
+
+        Examples
+        --------
+        >>> from exact_mdp import certify
+        >>> walk = [["1/3", "2/3"], [0, 1]]
+        >>> mdp = MDP.from_arrays([walk], [1, 1], labels={"home": [False, True]})
+        >>> certify(mdp.until("home")).value.tolist()
+        [Fraction(3, 2), Fraction(0, 1)]
+        """
+        return replace(self, **questions.until(self, label, reward))
 
     def within(self, steps: int) -> MDP:
         """Return the model of episodes that stop after N steps, without a further reward.

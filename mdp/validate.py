@@ -26,6 +26,7 @@ from exact_mdp.mdp.table import (
     ROW_TOLERANCE,
     Floats,
     Integers,
+    Numbers,
     OutcomeTable,
     beside,
     exact,
@@ -51,6 +52,7 @@ class Parts:
     start: tuple[tuple[int, Fraction], ...] = ((0, Fraction(1)),)
     component_names: tuple[str, ...] = ("reward",)
     components: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    exact_components: Numbers | None = None
     events: tuple[str, ...] = ()
     name: str = ""
     parameters: tuple[Parameter, ...] = ()

@@ -233,8 +233,8 @@ def _distributions(array: Numbers) -> Flags:
 def space_of(model: MDP, rows: int) -> StateSpace | None:
     """Return the states that this many rows of a table stand for; None where no states fit.
 
-    All states; without the extra ones, where these offer no choice; or, where the first column is
-    the time, the states without it.
+    All states; without some of the extra ones, where these offer no choice; or, where the first
+    column is the time, the states without it.
     """
     space = model.space
     if rows == space.size:
@@ -243,8 +243,9 @@ def space_of(model: MDP, rows: int) -> StateSpace | None:
         untimed = space.untimed
         bare = StateSpace(columns=untimed.columns)
         return untimed if rows == untimed.size else bare if rows == bare.size else None
-    free = rows == space.regular and bool(model.forced[space.regular :].all())
-    return StateSpace(columns=space.columns) if free else None
+    if not space.regular <= rows < space.size or not model.forced[space.regular :].all():
+        return None
+    return StateSpace(columns=space.columns, extra=space.extra[: rows - space.regular])
 
 
 def rows_read(model: MDP, space: StateSpace) -> Integers:

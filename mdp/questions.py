@@ -1,0 +1,142 @@
+"""Questions about named sets of states, as models whose optimal value is the answer.
+
+The probability of reaching a set T of states, through the states of a set C only, is a total reward
+at discount 1: what leads out of T earns 1 and ends, and nothing is earned elsewhere,
+
+    Pr_s(C U T) = E_s Σ_t r_t,    r = 1 on the step out of T, 0 else; T and the states outside C ∪ T
+                                  are left for good.
+
+The expected reward until T is that of the model in which T is absorbing and earns nothing. A run
+that never reaches T is worth +∞ (so that it is infinite unless T is reached almost surely), as
+PRISM and Storm define R[F T]. A discount below 1 keeps every sum finite, and this rule is not
+needed.
+
+States keep their numbers and pairs, so that policies for the model are policies here.
+Sources: Baier and Katoen, Principles of Model Checking, MIT Press 2008, sections 10.1 and 10.6;
+https://www.prismmodelchecker.org/manual/PropertySpecification/Reward-basedProperties.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Numbers, OutcomeTable, ones, over_groups
+from exact_mdp.mdp.validate import Flags, Parts
+
+REACHED = "reached"
+
+
+def reaching(model: Parts, label: str, allowed: str | None) -> dict[str, Any]:
+    """Return what changes where the probability of reaching a label is asked for."""
+    target, size, space = labelled(model, label), model.n_states, model.space
+    outside = np.zeros(size, dtype=bool) if allowed is None else ~labelled(model, allowed)
+    for state, chance in model.start:
+        if chance > 0 and outside[state] and not target[state]:
+            raise ModelError(
+                f"the start, state ({space.label(state)}), is not among the allowed states",
+                where=f"allowed {allowed!r}",
+                fix="allow it, or start elsewhere",
+            )
+    name = REACHED
+    while name in space.extra:
+        name += "'"
+    state = np.append(model.pair_state, size)
+    earning = np.append(target[model.pair_state], False)
+    unearned = replace(model.table, gain=np.zeros(len(earning) - 1, np.int64), gain_doubt=None)
+    table = _ended(
+        replace(unearned, gain_denominator=ones(len(earning) - 1)),
+        np.append((target | outside)[model.pair_state], True),
+        np.where(earning, size, state),
+    )
+    return {
+        "table": replace(table, gain=earning.astype(np.int64)),
+        "pair_state": state,
+        "pair_action": np.append(model.pair_action, model.pair_action[-1]),
+        "space": StateSpace(columns=space.columns, extra=(*space.extra, name)),
+        "discount_exact": Fraction(1),
+        **ONE_COMPONENT,
+        "events": (),
+        "labels": {name: np.append(flags, False) for name, flags in model.labels.items()},
+        "goal": None,
+    }
+
+
+def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
+    """Return what changes where the expected reward until a label is asked for."""
+    target, table, changes = labelled(model, label), model.table, dict[str, Any]()
+    if reward is not None and (reward,) != model.component_names:
+        gain, below = _component(model, reward)
+        table = replace(table, gain=gain, gain_denominator=below, gain_doubt=None)
+        changes |= ONE_COMPONENT | {"component_names": (reward,)}
+    ends = target[model.pair_state]
+    for name in ("components", "exact_components"):
+        values = getattr(model, name)
+        if name not in changes and values is not None:
+            changes[name] = np.where(ends[:, None], 0, values)
+    return {
+        **changes,
+        "table": _ended(table, ends, model.pair_state),
+        "goal": target if model.discount_exact == 1 else None,
+    }
+
+
+ONE_COMPONENT = {
+    "component_names": ("reward",),
+    "components": np.empty((0, 0)),
+    "exact_components": None,
+}
+
+
+def labelled(model: Parts, label: str) -> Flags:
+    """Return the states (S,) of a label; raises ModelError where there are none."""
+    if label not in model.labels:
+        raise ModelError(
+            f"unknown label {label!r}",
+            where="labels",
+            fix=suggest(str(label), model.labels)
+            if model.labels
+            else "the model has none: build it with labels={name: (S,) truth values}",
+        )
+    if not model.labels[label].any():
+        raise ModelError(
+            f"no state has the label {label!r}", where="labels", fix="choose one that some state has"
+        )
+    return model.labels[label]
+
+
+def _component(model: Parts, name: str) -> tuple[Numbers, Numbers]:
+    """Return the expected reward (L,) of a component over its denominators (L,)."""
+    if name not in model.component_names:
+        fix = suggest(name, model.component_names)
+        raise ModelError(f"no reward component {name!r}", where="reward components", fix=fix)
+    number = model.component_names.index(name)
+    if model.exact_components is None:
+        return np.array(model.components[:, number]), ones(model.n_pairs)
+    return over_groups(model.exact_components[:, number].tolist(), np.arange(model.n_pairs + 1))
+
+
+def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
+    """Return the table whose marked pairs lead for sure to the states that follow, and earn 0.
+
+    `ends` and `follows` (L,) say this of every pair, and may say it of one more, which is appended.
+    """
+
+    def longer(name: str, values: Numbers) -> Numbers:
+        one = name in ("weight", "denominator", "gain_denominator")
+        return np.append(values, np.array(int(one), dtype=values.dtype))
+
+    ending = replace(
+        table.mapped(longer, longer),
+        offsets=np.append(table.offsets, table.offsets[-1] + 1),
+        next=np.append(table.next, table.next.dtype.type(0)),
+    )
+    found = ending.of_pairs(np.where(ends, table.pairs, np.arange(len(ends))))
+    lengths = np.diff(found.offsets)
+    moved = np.repeat(np.asarray(follows), lengths).astype(found.next.dtype)
+    return replace(found, next=np.where(np.repeat(ends, lengths), moved, found.next))
