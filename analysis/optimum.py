@@ -87,7 +87,8 @@ class Optimum:
         best = self.best
         if not isinstance(best, solvers.Solution):
             return best.optimal_pairs
-        return np.asarray(best.q >= best.value[self.mdp.pair_state] - 2 * best.error_bound)
+        lost = best.value[self.mdp.pair_state] - best.q
+        return np.asarray((-lost if self.mdp.sense == "min" else lost) <= 2 * best.error_bound)
 
     @property
     def start_value(self) -> float:

@@ -354,8 +354,8 @@ class MDP(Parts):
     def until(self, label: str, reward: str | None = None) -> MDP:
         """Return the model whose value is the expected reward until a labelled state is reached.
 
-        At discount 1 a run that never gets there is worth +∞: where costs are minimised, such runs
-        have to be impossible; where rewards are maximised, the value is infinite where they are not.
+        At discount 1 a run that never gets there is worth +∞. The optimum is infinite where such a
+        run has a chance under some policy; where costs are minimised, under all.
 
         Parameters
         ----------

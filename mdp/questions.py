@@ -46,22 +46,21 @@ def reaching(model: Parts, label: str, allowed: str | None) -> dict[str, Any]:
     name = REACHED
     while name in space.extra:
         name += "'"
-    state = np.append(model.pair_state, size)
+    states = np.append(model.pair_state, size)
     earning = np.append(target[model.pair_state], False)
     unearned = replace(model.table, gain=np.zeros(len(earning) - 1, np.int64), gain_doubt=None)
     table = _ended(
         replace(unearned, gain_denominator=ones(len(earning) - 1)),
         np.append((target | outside)[model.pair_state], True),
-        np.where(earning, size, state),
+        np.where(earning, size, states),
     )
     return {
         "table": replace(table, gain=earning.astype(np.int64)),
-        "pair_state": state,
+        "pair_state": states,
         "pair_action": np.append(model.pair_action, model.pair_action[-1]),
         "space": StateSpace(columns=space.columns, extra=(*space.extra, name)),
         "discount_exact": Fraction(1),
         **ONE_COMPONENT,
-        "events": (),
         "labels": {name: np.append(flags, False) for name, flags in model.labels.items()},
         "goal": None,
     }
@@ -105,7 +104,9 @@ def labelled(model: Parts, label: str) -> Flags:
         )
     if not model.labels[label].any():
         raise ModelError(
-            f"no state has the label {label!r}", where="labels", fix="choose one that some state has"
+            f"no state has the label {label!r}",
+            where="labels",
+            fix="choose one that a state has",
         )
     return model.labels[label]
 

@@ -7,7 +7,7 @@ sound in floating point) and `Estimated` (a sample mean and its standard error).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -113,6 +113,9 @@ class Certified:
         text = str(self.value)
         return f"{text if len(text) <= 24 else f'≈ {_decimal(self.value):.12g}'} ({self.claim})"
 
+    def __neg__(self) -> Certified:
+        return Certified(value=-self.value)
+
 
 def _decimal(value: Fraction) -> Decimal:
     return Decimal(value.numerator) / Decimal(value.denominator)  # beyond floats' range, too
@@ -143,6 +146,9 @@ class Bounded:
 
     def __str__(self) -> str:
         return f"{self.value:.12g} ± {self.error:.1g} ({self.claim})"
+
+    def __neg__(self) -> Bounded:
+        return Bounded(value=0.0 - self.value, error=self.error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,6 +209,9 @@ class ProgramRun:
         """Duality gap, rounding errors included: what is left open of the optimal start value."""
         return self.upper - self.lower
 
+    def __neg__(self) -> ProgramRun:
+        return replace(self, lower=0.0 - self.upper, upper=0.0 - self.lower)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Solution(Result):
@@ -218,7 +227,7 @@ class Solution(Result):
     state_error : (S,)
         |V(s) - V*(s)| and |V(s) - V^π(s)| are at most this, for the policy π given here.
     regret_bound : float
-        V*(s) - V^π(s) is at most this in every state.
+        V*(s) - V^π(s), of costs V^π(s) - V*(s), is at most this in every state.
     status : Status
     method : str
         Name of the algorithm, as in `SOLVERS`.
@@ -228,7 +237,7 @@ class Solution(Result):
     seconds : float
     claim : Claim
     gaps : (L,), optional
-        V(s) less the value of taking the pair and then acting optimally; from a linear program.
+        What taking the pair and then acting optimally loses against V(s); from a linear program.
     occupancy : (L,), optional
         Expected discounted number of uses of each pair from the start; from a linear program.
     program : ProgramRun, optional
@@ -301,6 +310,11 @@ class Solution(Result):
     def q(self) -> Floats:
         """(L,) action values r + γ P V."""
         return self.mdp.backup(self.value)
+
+    def negated(self, mdp: MDP) -> Solution:
+        """Return the solution of `mdp`, of which this solution's model is the negation."""
+        program = None if self.program is None else -self.program
+        return replace(self, mdp=mdp, value=0.0 - self.value, program=program)
 
     def frame(self) -> DataFrame:
         """Return the value, its error bound and the action of each state."""

@@ -99,6 +99,8 @@ def solve(
 ) -> object:
     """Return optimal values and a policy, with bounds on their error.
 
+    Optimal is the greatest value; of a model whose sense is "min", the least.
+
     Parameters
     ----------
     model : MDP, Scenario, CareOperator, or a model with a method `solve_with`
@@ -152,6 +154,8 @@ def solve(
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon)
+    if mdp.sense == "min":
+        return solve(mdp.maximised, solver, tol=tol).negated(mdp)
     if solver == "auto":
         if numbered_in_order(mdp) or levels(mdp) is not None:
             return _within(BackwardInduction().solve(mdp), tol)

@@ -199,7 +199,7 @@ def _reasons(audit: Audit, why: Representation | None) -> dict[str, Any]:
                 "value": each.value.value,
                 "upper_bound": each.upper_bound,
                 "proven": each.proven,
-                "worth": each.value.value - best.value.value,
+                "worth": abs(each.value.value - best.value.value),
             }
             for each in why.memory
         ],
@@ -233,7 +233,7 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
         )
     if why is not None:
         best = why.best
-        proof = "proven" if best.proven else f"upper bound {cell(best.upper_bound)}"
+        proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
         facts[f"best policy that reads {_read(best.columns)}"] = f"{cell(best.value)} ({proof})"
         facts["lost because of what it reads"] = why.loss
         facts["lost by learning"] = why.learning_error
@@ -269,7 +269,7 @@ def _tables(result: dict[str, Any]) -> list[Table]:
                 "reads": lambda row: _read(row["columns"]),
                 "best value": "value",
                 "worth": "worth",
-                "proven": lambda row: row["proven"] or f"at most {cell(row['upper_bound'])}",
+                "proven": lambda row: row["proven"] or f"bound {cell(row['upper_bound'])}",
             },
         ),
     ]

@@ -241,7 +241,8 @@ class Audit(Result):
         if self.policy.values is None:
             return None
         said = pair_values(self.mdp, self.policy, self.policy.values)
-        optimal = self.regret.optimal_value[self.mdp.pair_state] - self.regret.gap
+        gap = self.regret.gap if self.mdp.sense == "max" else -self.regret.gap
+        optimal = self.regret.optimal_value[self.mdp.pair_state] - gap
         used = self.visits[self.mdp.pair_state] * self.chain.weights
         return q_error(self.mdp, said, optimal, used)
 
@@ -393,18 +394,19 @@ def check(
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
     }
     held = policy_of(mdp, policy, kind=kind)
-    chain = PolicyChain.of(mdp, held)
+    rewards = mdp.maximised
+    chain = PolicyChain.of(rewards, held)
 
     def audit(exactly: bool | None) -> Audit:
-        lost = regret(mdp, chain, exact=exactly)
+        lost = regret(rewards, chain, exact=exactly)
         visits, floats = own_visits(chain, exact=isinstance(lost.at_start, Certified))
         return Audit(
             mdp=mdp,
             policy=held,
-            chain=chain,
-            regret=lost,
+            chain=chain if rewards is mdp else PolicyChain.of(mdp, held),
+            regret=lost if rewards is mdp else lost.negated(),
             visits=visits,
-            disagreements=disagreements(mdp, chain, lost, visits, priced=floats),
+            disagreements=disagreements(rewards, chain, lost, visits, priced=floats),
             **limits,
         )
 

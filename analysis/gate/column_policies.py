@@ -18,7 +18,7 @@ of them, but never more than V*(start), the bound at the root: `mixed_upper_boun
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import combinations, count
 from typing import TYPE_CHECKING, Any, Protocol
@@ -59,7 +59,8 @@ class BestPolicy(Result):
     value : Bounded
         Its value at the start.
     upper_bound : float
-        No deterministic policy that reads these columns has a higher value at the start.
+        No deterministic policy that reads these columns has a higher value at the start; of costs,
+        none has a lower one.
     mixed_upper_bound : float
         No policy at all has a higher value: the optimal value, which bounds mixed ones, too.
     proven : bool
@@ -81,6 +82,10 @@ class BestPolicy(Result):
     def error(self) -> float:
         """How far the value may be off."""
         return self.value.error
+
+    def __neg__(self) -> BestPolicy:
+        upper, mixed = 0.0 - self.upper_bound, 0.0 - self.mixed_upper_bound
+        return replace(self, value=-self.value, upper_bound=upper, mixed_upper_bound=mixed)
 
     def frame(self) -> DataFrame:
         """Return the policy, one row for each combination of values of the columns."""
@@ -135,8 +140,9 @@ def best_policy(
         node_limit = max(100, min(5000, WORK // mdp.n_transitions))
     if node_limit < 1:
         raise ModelError(f"node_limit is {node_limit}", where="best_policy", fix="give 1 or more")
-    rows = Rows.of(mdp, columns)
-    return searched(rows, Relaxations(rows), start=start, node_limit=node_limit)
+    rows = Rows.of(mdp.maximised, columns)
+    found = searched(rows, Relaxations(rows), start=start, node_limit=node_limit)
+    return found if mdp.sense == "max" else -found
 
 
 def searched(

@@ -84,12 +84,13 @@ class Representation:
     @property
     def uncertainty(self) -> float:
         """How much more than the best policy found another one may be worth."""
-        return 0.0 if self.best.proven else self.best.upper_bound - self.best.value.value
+        return 0.0 if self.best.proven else abs(self.best.upper_bound - self.best.value.value)
 
     def __str__(self) -> str:
         best = self.best
         read = ", ".join(best.columns) or "nothing"
-        proof = "proven" if best.proven else f"no other has a value above {best.upper_bound:.10g}"
+        beyond = "above" if self.mdp.sense == "max" else "below"
+        proof = "proven" if best.proven else f"no other has one {beyond} {best.upper_bound:.10g}"
         return (
             f"the best policy that reads {read} alone has the value {best.value.value:.10g}"
             f" ({proof}); of the regret, {float(self.loss.value):.6g} is due to what the policy"
@@ -104,14 +105,15 @@ class Representation:
     @cached_property
     def rows(self) -> tuple[RowChange, ...]:
         """The rows of a deterministic policy's table whose change alone gains, the most first."""
-        return row_changes(self.mdp, self.policy) if self.policy.deterministic else ()
+        return row_changes(self.mdp.maximised, self.policy) if self.policy.deterministic else ()
 
 
 def representation(mdp: MDP, policy: Policy, lost: Regret) -> Representation:
     """Return how much of a policy's regret `lost` its columns explain."""
     best = best_policy(mdp, columns_read(mdp, policy), start=policy)
     optimum = lost.optimum
-    loss = regret(mdp, PolicyChain.of(mdp, best.policy), optimum=optimum).at_start
+    rewards = mdp.maximised
+    loss = regret(rewards, PolicyChain.of(rewards, best.policy), optimum=optimum).at_start
     return Representation(
         mdp=mdp,
         policy=policy,
@@ -181,7 +183,7 @@ class QError:
     visited : float
         Root mean square error of the actions taken, each weighted by the policy's visits.
     promised : float
-        max_a Q at the start.
+        max_a Q at the start; of costs, min_a Q.
     """
 
     largest: float
@@ -236,7 +238,8 @@ def q_error(mdp: MDP, said: Floats, optimal: Floats, used: Floats) -> QError | N
     worst = int(np.argmax(np.abs(error)))
     weight = np.where(asked, used, 0.0)
     total = float(weight.sum())
-    best = np.fmax.reduceat(said, mdp.pair_offsets[:-1])
+    better = np.fmax if mdp.sense == "max" else np.fmin
+    best = better.reduceat(said, mdp.pair_offsets[:-1])
     start = mdp.start_distribution > 0
     return QError(
         largest=float(np.abs(error).max()),

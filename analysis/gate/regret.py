@@ -25,7 +25,7 @@ arithmetic decides the rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from math import inf, isfinite
 
@@ -115,6 +115,19 @@ class Regret:
         default_factory=lambda: Forgiveness(low=Fraction(0), high=Fraction(0))
     )
 
+    def negated(self) -> Regret:
+        """Return the same of costs, where this is of rewards that are the costs times -1.
+
+        What is lost stays as it is, and `optimum` that of the rewards.
+        """
+        return replace(
+            self,
+            optimal=-self.optimal,
+            learned=-self.learned,
+            optimal_value=0.0 - self.optimal_value,
+            learned_value=0.0 - self.learned_value,
+        )
+
     @property
     def claim(self) -> Claim:
         """Certified or bounded."""
@@ -158,6 +171,8 @@ def regret(
     in models of up to 100,000 transitions (250,000 with a horizon) without cycles of over 64
     states. An `optimum` that another policy's regret was found with is not computed again; unless
     `exact` is given, it says how. Raises ModelError at discount 1 where not every policy ends.
+
+    The model is one of rewards: of costs give `mdp.maximised`, and negate what comes back.
     """
     if exact is None:
         exact = cheap(mdp) if optimum is None else isinstance(optimum, Certificate)

@@ -8,9 +8,10 @@ of terminal states and of states with one action may hold anything. Unless `kind
     otherwise                                   both fit and differ: refused, `kind` has to say
 
 A distribution has entries of at least 0 that sum to 1, up to 1e-9. Of a Q-table the greedy policy
-counts: the greatest value among the actions offered, compared in the array's own numbers, the
-lowest action number on a tie. -inf is an action never to be taken. NaN and +inf, and -inf on every
-action offered, do not say what to do and are refused.
+counts: the greatest value among the actions offered, of costs the least, compared in the array's
+own numbers, the lowest action number on a tie. -inf is an action never to be taken. NaN and +inf,
+and -inf on every action offered, do not say what to do and are refused; of costs the infinities
+change places.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     fits = _distributions(array)
     wrong = np.flatnonzero(layout.counts & ~fits)
     if kind == "q" or (kind == "auto" and len(wrong)):
-        return layout.parts(_greedy(array, layout), values=array, source=Q_TABLE)
+        rule = _greedy(array, layout, costs=model.sense == "min")
+        return layout.parts(rule, values=array, source=Q_TABLE)
     if len(wrong):
         row = int(wrong[0])
         raise ModelError(
@@ -191,20 +193,24 @@ def _layout(model: MDP, shape: tuple[int, ...]) -> _Layout:
     return _Layout(space=space, actions=actions, offered=offered, counts=counts)
 
 
-def _greedy(values: Numbers, layout: _Layout) -> Integers:
+def _greedy(values: Numbers, layout: _Layout, *, costs: bool) -> Integers:
     """Return (K,) the greedy actions of action values (K, A)."""
+    worst, best = "-inf", "+inf"
+    if costs:  # the greatest of their negations, which unsigned and least integers do not have
+        values = -(values.astype(object) if values.dtype.kind in "iu" else values)
+        worst, best = best, worst
     asked = layout.offered & layout.counts[:, None]
     never = np.asarray(values == -np.inf) | ~layout.offered
     for what, rows in (
         ("an action value is NaN", (np.asarray(values != values) & asked).any(axis=1)),
-        ("an action value is +inf", (np.asarray(values == np.inf) & asked).any(axis=1)),
-        ("every action offered has the value -inf", never.all(axis=1) & layout.counts),
+        (f"an action value is {best}", (np.asarray(values == np.inf) & asked).any(axis=1)),
+        (f"every action offered has the value {worst}", never.all(axis=1) & layout.counts),
     ):
         if rows.any():
             raise ModelError(
                 what,
                 where=f"Q-table, {layout.space.label(int(np.flatnonzero(rows)[0]))}",
-                fix="give a number for every available action; -inf for one never to be taken",
+                fix=f"give a number for every available action; {worst} for one never to be taken",
             )
     # Elsewhere it does not matter what is chosen, as long as it is offered.
     chosen = np.argmax(np.where(asked, values, _least(values)), axis=1)

@@ -40,7 +40,7 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.dynamic.operator import solve_operator
-from exact_mdp.solvers.dynamic.stopping import conclude
+from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 layered = later("exact_mdp.solvers.kernels.layered")
@@ -71,6 +71,7 @@ class BackwardInduction:
     name: ClassVar[str] = "backward-induction"
 
     @np.errstate(over="ignore", invalid="ignore")
+    @of_costs
     def solve(self, model: MDP | CareOperator) -> Solution:
         """Return the optimum; raises ModelError where states come back to themselves."""
         started = perf_counter()

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.dynamic.stopping import Run, check_settings
+from exact_mdp.solvers.dynamic.stopping import Run, check_settings, of_costs
 from exact_mdp.solvers.solution import Solution
 
 
@@ -47,6 +47,7 @@ class GaussSeidel:
         check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
+    @of_costs
     def solve(self, model: MDP) -> Solution:
         """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
         run = Run(model, self)

@@ -55,7 +55,7 @@ from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma, greedy, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.dynamic.policy_iteration import improved
-from exact_mdp.solvers.dynamic.stopping import conclude
+from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 
 cvxpy = later("cvxpy")
@@ -107,6 +107,7 @@ class LinearProgram:
         return f"LinearProgram(solver={self.solver!r}{start})"
 
     @np.errstate(over="ignore", invalid="ignore")
+    @of_costs
     def solve(self, model: MDP) -> Solution:
         """Return the optimum up to rounding, with `gaps`, `occupancy` and `program`."""
         started, known = perf_counter(), self.start is not None

@@ -21,7 +21,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import Bounds, bounds, levels, margin_weights
 from exact_mdp.solvers.bounds.gains import gains, greedy
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.dynamic.stopping import check_settings, conclude
+from exact_mdp.solvers.dynamic.stopping import check_settings, conclude, of_costs
 from exact_mdp.solvers.solution import Solution, Status
 
 
@@ -51,6 +51,7 @@ class PolicyIteration:
         check_settings(self)
 
     @np.errstate(over="ignore", invalid="ignore")
+    @of_costs
     def solve(self, model: MDP) -> Solution:
         """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
         started = perf_counter()

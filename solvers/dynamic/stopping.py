@@ -17,10 +17,11 @@ Eisenstat and Steihaug, SIAM J. Numer. Anal. 19, 1982, on how exactly to solve).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
+from functools import wraps
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -37,6 +38,7 @@ RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20
 FIRST_SWEEPS = 12
 CORRECTIONS = 30
+S = TypeVar("S")
 
 
 class Solver(Protocol):
@@ -48,6 +50,18 @@ class Solver(Protocol):
 
     def solve(self, model: MDP) -> Solution:
         """Return values, a policy and their error bounds."""
+
+
+def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution]:
+    """Return a solver's method that takes models of costs too, whose negation it maximises."""
+
+    @wraps(solve)
+    def door(self: S, model: MDP) -> Solution:
+        if isinstance(model, MDP) and model.sense == "min":
+            return solve(self, model.maximised).negated(model)
+        return solve(self, model)
+
+    return door
 
 
 class Run:

@@ -112,6 +112,15 @@ def certify(
         )
     if average:
         return certify_average(mdp)
+    if mdp.sense == "min":
+        of_rewards = certify(mdp.maximised)
+        return replace(
+            of_rewards,
+            mdp=mdp,
+            model=fingerprint(mdp),
+            numerator=[-number for number in of_rewards.numerator],
+            start_value=-of_rewards.start_value,
+        )
     rows = bellman_rows(mdp)
     rank, weight = _proof(mdp, rows)
     found = solve_exactly(rows)
@@ -163,6 +172,11 @@ WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the
 
 def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedCertificate:
     """Return bounds that floats prove."""
+    if mdp.sense == "min":
+        known = None if solution is None else solution.negated(mdp.maximised)
+        found = _bounded(mdp.maximised, tol, known)
+        low, high = 0.0 - found.upper, 0.0 - found.lower
+        return replace(found, mdp=mdp, model=fingerprint(mdp), lower=low, upper=high)
     if solution is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say what was reached

@@ -18,7 +18,7 @@ Numerical Algorithms, SIAM 2002, section 3.1).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from math import lcm
@@ -92,6 +92,9 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
         wrong.append("a state's denominator is missing")
     if wrong or min(found.denominator) <= 0:
         return wrong or ["a denominator is not positive"]
+    if mdp.sense == "min":  # the least costs are minus the greatest of rewards times -1
+        value = [-number for number in found.numerator]
+        found, mdp = replace(found, numerator=value, start_value=-found.start_value), mdp.maximised
     rows, ends = bellman_rows(mdp), mdp.terminal
     if not _one_solution(rows, found.rank, found.weight):
         wrong.append("nothing proves that the Bellman equations have one solution")
@@ -109,7 +112,7 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     if found.unique is not bool((choices[reached] == 1).all()):
         wrong.append(f"it says wrongly that the optimum is {'' if found.unique else 'not '}unique")
     below = found.denominator
-    if Fraction(*halves) != sum(
+    if found.start_value != sum(
         weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start
     ):
         wrong.append("the start value is not that of the start states")
@@ -211,6 +214,8 @@ def bounded_violations(found: BoundedClaims, mdp: MDP) -> list[str]:
     pairs = None if wrong else policy_pairs(mdp, found.policy)
     if pairs is None:
         return wrong or ["the policy takes an action that is not available"]
+    if mdp.sense == "min":
+        found, mdp = replace(found, lower=-found.upper, upper=-found.lower), mdp.maximised
     live = ~mdp.terminal
     open_pairs = live[mdp.pair_state]
     wrong += [

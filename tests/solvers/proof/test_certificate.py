@@ -396,7 +396,7 @@ def test_settings_that_do_not_belong() -> None:
 
 def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver() -> None:
     text = CHECKER.read_text("utf-8")
-    assert len(text.splitlines()) <= 265
+    assert len(text.splitlines()) <= 275
     tree = ast.parse(text)
     typing = [
         statement

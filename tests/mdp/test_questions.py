@@ -1,0 +1,147 @@
+"""Questions about labels: probabilities and rewards until then, against every policy's equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import enumerated
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import Rows, models
+
+from exact_mdp import certify, check, evaluate, solve
+from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+
+F = Fraction
+SENSES = {"max": max, "min": min}
+
+
+@st.composite
+def asked(draw: st.DrawFn) -> MDP:
+    """A model at discount 1 in which every policy ends, with a target and allowed states."""
+    rows: Rows = draw(models(discounts=[F(1)]))
+    flags = st.lists(st.booleans(), min_size=rows.n_states, max_size=rows.n_states)
+    target, allowed = draw(flags.filter(any)), draw(flags.filter(any))
+    start = draw(st.sampled_from([s for s, yes in enumerate(target) if yes or allowed[s]]))
+    mdp = rows.model().with_(start=start, sense=draw(st.sampled_from(["max", "min"])))
+    return mdp.with_(labels={"target": target, "allowed": allowed})
+
+
+@settings(max_examples=60, deadline=None)
+@given(asked(), st.booleans())
+def test_the_probability_is_that_of_the_best_policy(mdp: MDP, avoiding: bool) -> None:
+    target = mdp.labels["target"].tolist()
+    allowed = mdp.labels["allowed"].tolist() if avoiding else [True] * mdp.n_states
+    every = [
+        enumerated.hitting(mdp, choice, target, allowed) for choice in enumerated.policies(mdp)
+    ]
+    best = [SENSES[mdp.sense](column) for column in zip(*every, strict=True)]
+    model = mdp.reaching("target", "allowed" if avoiding else None)
+    proof = certify(model)
+    assert proof.value[: mdp.n_states].tolist() == best
+    assert proof.violations() == []
+    choice = next(enumerated.policies(mdp))
+    held = Policy.of(mdp, mdp.pair_action[list(choice)])
+    mine = enumerated.hitting(mdp, choice, target, allowed)[mdp.start[0][0]]
+    assert check(model, held).regret.learned.value == mine
+
+
+@settings(max_examples=60, deadline=None)
+@given(asked())
+def test_the_reward_until_then_is_that_of_the_best_policy(mdp: MDP) -> None:
+    target = mdp.labels["target"].tolist()
+    every = [enumerated.until(mdp, choice, target) for choice in enumerated.policies(mdp)]
+    best = [SENSES[mdp.sense](column) for column in zip(*every, strict=True)]
+    model = mdp.until("target")
+    assert model.goal is not None
+    assert model.goal.tolist() == target
+    assert (model.unreached, model.maximised.unreached) == (
+        np.inf,
+        np.inf if mdp.sense == "max" else -np.inf,
+    )
+    if all(value < np.inf for column in every for value in column):
+        assert certify(model).value.tolist() == best
+
+
+def test_components_keep_their_exact_values() -> None:
+    exact = np.array([[F(1, 3), F(2, 7)], [F(1), F(1)]], dtype=object)
+    mdp = MDP.from_arrays(
+        [[["1/3", "2/3"], [0, 1]]],
+        [F(13, 21), 2],
+        labels={"home": [False, True]},
+        component_names=("a", "b"),
+        exact_components=exact,
+    )
+    assert certify(mdp.until("home", "a")).start_value == F(1, 2)
+    assert certify(mdp.until("home", reward="b")).start_value == F(3, 7)
+    both = mdp.until("home")
+    assert certify(both).start_value == F(13, 14)
+    assert evaluate(both, "random").components == pytest.approx({"a": 1 / 2, "b": 3 / 7})
+    assert certify(mdp.negated().until("home", "b")).start_value == F(-3, 7)
+    assert mdp.within(2).exact_components is not None
+
+
+def test_a_discount_and_a_horizon_end_the_wait() -> None:
+    """With either, a run that never arrives has a finite worth, and no state is a goal."""
+    walk = [[["1/2", "1/2", 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [0, 0, 1]]]
+    mdp = MDP.from_arrays(walk, [1, 1, 0], "1/2", labels={"home": [False, True, False]})
+    assert mdp.until("home").goal is None
+    assert certify(mdp.until("home")).start_value == F(4, 3)
+    timed = mdp.with_(discount=1).until("home").within(3)
+    assert timed.goal is None
+    assert certify(timed).start_value == F(7, 4)
+    assert timed.labels["home"].sum() == 4
+    assert certify(mdp.reaching("home").within(2)).start_value == F(1, 2)
+
+
+def test_care_scenarios_name_their_states() -> None:
+    scenario = Scenario.load("yuan2025").with_(tasks=[2], readings={"skip_timestep": "own"})
+    mdp = scenario.compile()
+    assert list(mdp.labels) == ["end", "skipped", *scenario.statuses]
+    for state in range(mdp.n_states):
+        values = mdp.space.as_dict(state)
+        on = [mdp.labels[name][state] for name in scenario.statuses]
+        assert on == [digit == "1" for digit in values.get("status", "0000")]
+        assert mdp.labels["end"][state] == ("status" not in values)
+        skipping = values.get("trial") == str(mdp.space.column("trial").size - 1)
+        assert mdp.labels["skipped"][state] == skipping
+    often = certify(mdp.reaching("skipped")).start_value
+    seldom = certify(mdp.with_(sense="min").reaching("skipped")).start_value
+    assert 0 < seldom < often < 1
+    # The probability of the event, counted on outcomes: nobody computes it from labels.
+    best = solve(mdp.with_(sense="min").reaching("skipped"))
+    assert evaluate(mdp.reaching("skipped"), best).mean == pytest.approx(float(seldom))
+    random = evaluate(mdp.reaching("skipped"), "random").mean
+    assert random == pytest.approx(evaluate(mdp, "random").skip_probability)
+
+
+LABELLED = MDP.from_arrays(
+    [[[0, 1, 0], [0, 1, 0], [0, 0, 1]]],
+    [0, 0, 0],
+    labels={"goal": [False, True, False], "start": [True, False, False], "no": [False] * 3},
+)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda: LABELLED.reaching("gaol"), r"unknown label 'gaol'(.|\n)*did you mean goal"),
+        (lambda: LABELLED.with_(labels={}).until("x"), r"unknown label 'x'(.|\n)*labels="),
+        (lambda: LABELLED.until("no"), "no state has the label 'no'"),
+        (lambda: LABELLED.reaching("goal", "no"), "no state has the label 'no'"),
+        (lambda: LABELLED.with_(start=2).reaching("goal", "start"), r"\(state 2\), is not among"),
+        (lambda: LABELLED.until("goal", "rewrad"), r"no reward component(.|\n)*reward"),
+        (lambda: LABELLED.with_(sense="least"), r"the sense is 'least'(.|\n)*max"),
+        (lambda: LABELLED.with_(labels={"goal": [0, 1, 1]}), r"label goal(.|\n)*one truth value"),
+        (lambda: LABELLED.with_(labels=["goal"]), r"labels are a list"),
+        (lambda: LABELLED.with_(goal=[True, False, False]), r"goes on(.|\n)*use until"),
+        (lambda: LABELLED.with_(unreached=0.0), r"misses the goal is worth 0"),
+    ],
+)
+def test_bad_questions(ask: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        ask()

@@ -1,0 +1,115 @@
+"""Costs to minimise: the least value, in the user's own numbers, through every door."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from itertools import islice
+from pathlib import Path
+
+import enumerated
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from strategies import DISCOUNTS, Rows, models
+
+from exact_mdp import certify, check, evaluate, solve
+from exact_mdp.analysis.gate.column_policies import best_policy
+from exact_mdp.analysis.optimum import optimum
+from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp.solvers import SOLVERS, BoundedCertificate, Certificate, LinearProgram
+
+F = Fraction
+COSTS = MDP.from_arrays(
+    [[["1/2", "1/2", 0], [0, "1/3", "2/3"], [0, 0, 1]], [[0, 0, 1], [0, 0, 1], [0, 0, 1]]],
+    [[2, 7], [1, 3], [0, 0]],
+    "9/10",
+    sense="min",
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(models(discounts=DISCOUNTS))
+def test_the_least_over_all_policies(rows: Rows) -> None:
+    costs = rows.model().with_(sense="min")
+    every = [enumerated.discounted(costs, choice) for choice in enumerated.policies(costs)]
+    least = [min(column) for column in zip(*every, strict=True)]
+    proof = certify(costs)
+    assert proof.value.tolist() == least
+    assert proof.violations() == []
+    assert proof.start_value == least[0]
+    found = solve(costs)
+    assert found.mdp is costs
+    apart = [abs(F(float(v)) - w) for v, w in zip(found.value, least, strict=True)]
+    assert all(far <= F(float(off)) for far, off in zip(apart, found.state_error, strict=True))
+    bounds = certify(costs, bounded=True, solution=found)
+    assert bounds.violations() == []
+    for low, value, high in zip(bounds.lower, least, bounds.upper, strict=True):
+        assert F(float(low)) <= value <= F(float(high))
+    for choice in islice(enumerated.policies(costs), 3):
+        held = Policy.of(costs, costs.pair_action[list(choice)])
+        audit = check(costs, held)
+        lost = enumerated.discounted(costs, choice)[0] - least[0]
+        assert audit.regret.at_start.value == lost >= 0
+        assert audit.passed == (lost == 0)
+        assert (audit.regret.optimal.value, audit.mdp) == (least[0], costs)
+        assert audit.regret.learned.value == lost + least[0]
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_solvers_themselves_take_costs(name: str) -> None:
+    """Whoever calls a solver without `solve` gets the least costs as well, not the greatest."""
+    mdp = COSTS.within(30) if name == "backward-induction" else COSTS
+    found = SOLVERS[name]().solve(mdp)
+    assert found.start.interval[0] <= certify(mdp).start_value <= found.start.interval[1]
+    assert found.start_value < solve(mdp.with_(sense="max")).start_value
+    if found.program:
+        assert found.program.lower <= certify(mdp).start_value <= found.program.upper
+        again = LinearProgram(start=found).solve(mdp)
+        assert again.value == pytest.approx(found.value)
+
+
+def test_certificates_of_costs_are_of_costs(tmp_path: Path) -> None:
+    """They go through files, and a certificate of the greatest costs is none of the least."""
+    proof, most = certify(COSTS), certify(COSTS.with_(sense="max"))
+    proof.save(tmp_path / "exact.json")
+    assert Certificate.load(tmp_path / "exact.json").violations(COSTS) == []
+    bounds = certify(COSTS, bounded=True)
+    bounds.save(tmp_path / "bounds.json")
+    assert BoundedCertificate.load(tmp_path / "bounds.json").violations(COSTS) == []
+    assert most.violations(COSTS) == ["the certificate is of another model"]
+    forged = replace(most, model=proof.model, mdp=COSTS)
+    assert any("Bellman" in fault for fault in forged.violations())
+    wrong = replace(bounds, upper=np.minimum(bounds.upper, 0.0))
+    assert wrong.violations()
+
+
+def test_a_table_of_costs_is_read_by_its_least_entries() -> None:
+    value = certify(COSTS).value_float
+    q = np.full((3, 2), np.inf)
+    q[COSTS.pair_state, COSTS.pair_action] = COSTS.backup(value)
+    audit = check(COSTS, q, kind="q")
+    assert audit.passed
+    assert audit.q_error is not None
+    assert audit.q_error.largest < 1e-14
+    assert audit.q_error.promised == pytest.approx(value[0])
+    whole = np.array([[2, 1], [1, 2], [0, 0]], dtype=np.uint8)
+    assert Policy.of(COSTS, whole, kind="q").rule.tolist() == [1, 0, 0]
+    with pytest.raises(ModelError, match=r"an action value is -inf(.|\n)*\+inf for one never"):
+        check(COSTS, [[-np.inf, 1], [1, 2], [0, 0]], kind="q")
+
+
+def test_what_columns_cannot_express_of_costs() -> None:
+    """The best policy that reads nothing has the least costs of the two constant policies."""
+    held = [evaluate(COSTS, f"always:{action}").mean for action in COSTS.actions]
+    best = best_policy(COSTS, ())
+    assert best.value.value == pytest.approx(min(held))
+    assert best.upper_bound <= best.value.value + 1e-9
+    audit = check(COSTS, "always:0")
+    assert audit.representation is None or audit.representation.loss.value >= 0
+
+
+def test_optimal_pairs_of_costs_in_floats() -> None:
+    assert optimum(COSTS).optimal.tolist() == certify(COSTS).optimal_pairs.tolist()
+    both = optimum(COSTS, certify=True)
+    assert both.start_value == pytest.approx(float(certify(COSTS).start_value))
