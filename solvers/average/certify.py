@@ -12,6 +12,7 @@ Statistics 37, 1966). The policy of floats to begin with leaves little to improv
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -28,6 +29,17 @@ from exact_mdp.solvers.solution import SolverError
 
 def certify_average(mdp: MDP) -> AverageCertificate:
     """Return the exact optimal gain and bias of a model, with their proof."""
+    if mdp.sense == "min":
+        found = certify_average(mdp.maximised)
+        return replace(
+            found,
+            mdp=mdp,
+            model=fingerprint(mdp),
+            g=found.g.negated(),
+            h=found.h.negated(),
+            w=found.w.negated(),
+            start_value=-found.start_value,
+        )
     step = per_step(mdp)
     rows = bellman_rows(step)
     try:

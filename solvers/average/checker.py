@@ -36,6 +36,10 @@ class Rationals(NamedTuple):
     top: Sequence[int]
     below: int
 
+    def negated(self) -> Rationals:
+        """Return the numbers times -1."""
+        return Rationals([-number for number in self.top], self.below)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AverageClaims:
@@ -66,8 +70,11 @@ def average_violations(found: AverageClaims, mdp: MDP) -> list[str]:
     pairs = None if wrong else policy_pairs(mdp, found.policy)
     if pairs is None:
         return wrong or ["the policy takes an action that is not available"]
-    tied = np.ones(mdp.n_pairs, dtype=bool)
-    losses = surplus(bellman_rows(per_step(mdp)), found.g, found.h, found.w)
+    tied, claimed = np.ones(mdp.n_pairs, dtype=bool), (found.g, found.h, found.w)
+    step = bellman_rows(per_step(mdp.maximised))
+    if mdp.sense == "min":  # the least costs are minus the greatest rewards
+        claimed = (found.g.negated(), found.h.negated(), found.w.negated())
+    losses = surplus(step, *claimed)
     for more, what in zip(losses, ("gains", "relative values", "biases"), strict=True):
         above = np.flatnonzero(np.asarray(more > 0, dtype=bool) & tied)
         if len(above):

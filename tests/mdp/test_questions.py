@@ -1,4 +1,4 @@
-"""Questions about labels: probabilities and rewards until then, against every policy's equations."""
+"""Questions about labels, against the linear equations of every policy."""
 
 from __future__ import annotations
 

@@ -113,3 +113,12 @@ def test_optimal_pairs_of_costs_in_floats() -> None:
     assert optimum(COSTS).optimal.tolist() == certify(COSTS).optimal_pairs.tolist()
     both = optimum(COSTS, certify=True)
     assert both.start_value == pytest.approx(float(certify(COSTS).start_value))
+
+
+def test_the_least_average_costs() -> None:
+    costs = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 1], [3, "1/2"]], sense="min")
+    proof = certify(costs, criterion="average")
+    assert (proof.start_value, proof.violations()) == (F(1, 2), [])
+    most = certify(costs.with_(sense="max"), criterion="average")
+    forged = replace(most, model=proof.model, mdp=costs)
+    assert forged.violations()
