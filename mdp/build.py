@@ -163,12 +163,12 @@ def from_outcomes(
             "for states and actions",
         ) from error
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in merged])]).astype(np.int64)
-    weight = _grouped([value for row in merged for value in row.values()], offsets)
+    weight = grouped([value for row in merged for value in row.values()], offsets)
     owned = _owned(merged)
     if owned is None:
-        gain = _grouped([reward for row in merged for reward in _earned(row)], offsets)
+        gain = grouped([reward for row in merged for reward in _earned(row)], offsets)
     else:
-        gain = _grouped(owned, np.arange(len(merged) + 1))
+        gain = grouped(owned, np.arange(len(merged) + 1))
     table = _table(offsets, following, weight, gain, of_pairs=owned is not None)
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
@@ -249,18 +249,18 @@ def _from_rows(
         weight = _Grouped(rows.data, ones(len(state)))
     elif sp.issparse(rows):
         offsets, following, values = _added(rows)
-        weight = _grouped(values, offsets)
+        weight = grouped(values, offsets)
     else:
         kept = np.array(rows != 0, dtype=bool)
         pair, following = np.nonzero(kept)
         offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
-        weight = _grouped(rows[pair, following], offsets)
+        weight = grouped(rows[pair, following], offsets)
     if reward.ndim == 1:
         # A copy: the model freezes its arrays, and the caller's stay the caller's.
-        gain = _grouped(np.array(reward), np.arange(len(state) + 1))
+        gain = grouped(np.array(reward), np.arange(len(state) + 1))
     else:
         pair = np.repeat(np.arange(len(state)), np.diff(offsets))
-        gain = _grouped(_picked(reward, pair, following), offsets)
+        gain = grouped(_picked(reward, pair, following), offsets)
     following = following if size < 2**31 else following.astype(np.int64)
     table = _table(offsets, following, weight, gain, of_pairs=reward.ndim == 1)
     if rising and len(table.next) == len(following):
@@ -557,7 +557,7 @@ class _Grouped(NamedTuple):
     doubt: Floats | None = None
 
 
-def _grouped(values: Any, offsets: Integers) -> _Grouped:
+def grouped(values: Any, offsets: Integers) -> _Grouped:
     """Return numbers as an array with one denominator for each group of them."""
     groups = len(offsets) - 1
     if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):

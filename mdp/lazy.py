@@ -37,6 +37,7 @@ EXTRAS = {
     "jinja2": "report",
     "matplotlib": "plots",
     "networkx": "plots",
+    "pyarrow": "parquet",
     "umbi": "umb",
     "xllamacpp": "agents-local",
 }

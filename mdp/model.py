@@ -16,7 +16,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -44,7 +44,11 @@ from exact_mdp.mdp.validate import (
     counted,
 )
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 gymnasium = lazy.later("exact_mdp.mdp.io.gymnasium")
+transitions = lazy.later("exact_mdp.mdp.io.transitions")
 LOADER = "exact_mdp.mdp.io.load"  # by name: it knows every kind of model, this one among them
 
 
@@ -86,6 +90,10 @@ class MDP(Parts):
     goal : (S,) bool, optional
         Of a model that `until` made: a run that never reaches one of these states is worth
         `unreached`, which is infinity.
+
+    observations : (L,) int64, optional
+        How often each pair was observed, where the model comes from data; 0 for pairs that nobody
+        observed and that are certain.
 
     Raises
     ------
@@ -145,7 +153,8 @@ class MDP(Parts):
             part for part in (table.event, table.weight_doubt, table.gain_doubt) if part is not None
         )
         yield from self.labels.values()
-        yield from (part for part in (self.goal, self.exact_components) if part is not None)
+        optional = (self.goal, self.exact_components, self.observations)
+        yield from (part for part in optional if part is not None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -187,6 +196,26 @@ class MDP(Parts):
             weights[state] = float(probability)
         weights.setflags(write=False)
         return weights
+
+    @cached_property
+    def counts(self) -> sp.csr_array | None:
+        """(L, S) how often each pair was seen to lead to each state; None without data.
+
+        Rows of pairs that nobody observed, such as those of the states in which all is over, are
+        empty. `observations` (L,) holds the row sums.
+        """
+        if self.observations is None:
+            return None
+        table = self.table
+        seen = np.where(np.repeat(self.observations > 0, np.diff(table.offsets)), table.weight, 0)
+        counts = sp.csr_array(
+            (seen.astype(np.int64), table.next, table.offsets),
+            shape=(self.n_pairs, self.n_states),
+            copy=True,
+        )
+        counts.sum_duplicates()
+        counts.eliminate_zeros()
+        return counts
 
     @cached_property
     def forced(self) -> NDArray[np.bool_]:
@@ -280,6 +309,8 @@ class MDP(Parts):
             parts["start"] = as_start(start, parts.get("space", self.space))
         if "table" in parts and "components" not in parts:
             parts |= questions.ONE_COMPONENT
+        if "table" in parts:
+            parts = {"observations": None} | parts
         return replace(self, **parts)
 
     def negated(self) -> MDP:
@@ -639,6 +670,64 @@ class MDP(Parts):
         Raises ModelError for another ending, and where the path cannot be written to.
         """
         lazy.load(LOADER).save_model(self, path)
+
+    @classmethod
+    def from_transitions(
+        cls,
+        frame: DataFrame | str | Path | Iterable[DataFrame],
+        discount: object = 1,
+        *,
+        columns: Mapping[str, str] | None = None,
+        unseen: object = "unavailable",
+        progress: bool = False,
+        **names: Any,
+    ) -> MDP:
+        """Estimate a model from recorded transitions; the numbers of observations are kept.
+
+        Parameters
+        ----------
+        frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
+            One row for each transition: episode, state, action, reward and next state, in the order
+            of time, one episode after the other. Without a next state the episode is over there.
+        discount : number or "p/q"
+        columns : mapping, optional
+            The names that the table has for "episode", "state", "action", "reward", "next_state".
+        unseen : "unavailable", "pessimistic", or a number
+            What is done about an action that nobody took in a state: it is left out there; or it
+            ends the episode and is worth as little as a policy can be worth, or this number.
+        progress : bool
+            Show a bar on standard error where that is a terminal.
+        **names
+            `name`, `sense`.
+
+        Returns
+        -------
+        MDP
+            With `observations` (L,) and `counts` (L, S).
+
+        Raises
+        ------
+        ModelError
+            For a missing column or value, and a gap in an episode, by row; and as the constructor
+            does.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> names = ["episode", "state", "action", "reward", "next_state"]
+        >>> rows = [
+        ...     (1, "low", "wait", 0, "low"),
+        ...     (1, "low", "wait", 1, "high"),
+        ...     (2, "low", "wait", 1, "high"),
+        ... ]
+        >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="9/10")
+        >>> mdp.observations.tolist(), mdp.table.row(mdp.pair(1, "wait"))[0][0]
+        ([0, 3], Fraction(2, 3))
+        """
+        parts = transitions.from_transitions(
+            frame, discount, columns=columns, unseen=unseen, progress=progress, **names
+        )
+        return cls(**parts)
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:

@@ -61,6 +61,7 @@ class Parts:
     labels: Mapping[str, Flags] = field(default_factory=dict)
     goal: Flags | None = None
     unreached: float = inf
+    observations: Integers | None = None
 
     @property
     def n_states(self) -> int:
@@ -94,6 +95,7 @@ def check_model(model: Parts) -> None:
     if not sound:
         _check_rows(model)
     _check_order(model.table)
+    _check_observations(model)
     _check_start(model)
     _check_discount(model.discount_exact)
 
@@ -117,6 +119,26 @@ def _check_sense(model: Parts) -> None:
             f"a run that misses the goal is worth {model.unreached}",
             where="unreached",
             fix="give math.inf or -math.inf",
+        )
+
+
+def _check_observations(model: Parts) -> None:
+    seen = model.observations
+    if seen is None:
+        return
+    if seen.shape != (model.n_pairs,) or seen.dtype != np.int64 or seen.min() < 0:
+        raise ModelError(
+            f"observations of type {seen.dtype} and shape {seen.shape} for {model.n_pairs} pairs",
+            where="observations",
+            fix="give the number of observations of each pair, whole numbers from 0 up",
+        )
+    # A row that was counted has its counts over their sum.
+    off = (seen > 0) & (seen != model.table.denominator)
+    if model.table.weight.dtype != np.int64 or off.any():
+        raise ModelError(
+            "the probabilities are not counts over the observations",
+            where="observations",
+            fix="make the model with MDP.from_transitions",
         )
 
 

@@ -136,6 +136,36 @@ def info() -> None:
     """Describe MODEL: sizes, discount, whether every policy ends, whether it is acyclic."""
 
 
+@command("model:data", "Estimate a model from recorded transitions.")
+@click.argument("file", metavar="FILE")
+@click.option("--out", required=True, metavar="MODEL", help="Where the model is written: .npz.")
+@click.option("--discount", metavar="G", help="The model's discount; 1 unless given.")
+@click.option(
+    "--column",
+    "columns",
+    multiple=True,
+    metavar="NAME=COLUMN",
+    help="What the file calls episode, state, action, reward or next_state. May be repeated.",
+)
+@click.option(
+    "--unseen",
+    metavar="unavailable|pessimistic|V",
+    help="An action that nobody took in a state is left out there (unless given), or it is worth "
+    "as little as a policy can be worth, or V.",
+)
+@click.option(
+    "--rare", metavar="N", help="List the pairs observed fewer than N times; 5 unless given."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def data() -> None:
+    """Estimate a model from FILE, a .csv or .parquet with a row for each transition.
+
+    The columns are episode, state, action, reward and next_state, in the order of time, one episode
+    after the other; without a next state the episode is over. The numbers of observations are
+    kept in the model.
+    """
+
+
 @command("model:convert", "Write a model in another format.")
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT")
@@ -506,6 +536,7 @@ COMMANDS = (
     simulate,
     verify,
     convert,
+    data,
     check,
     train,
     sensitivity,

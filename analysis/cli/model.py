@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from exact_mdp.analysis.cli.options import given
+import numpy as np
+
+from exact_mdp.analysis.cli.options import given, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.load import load, save_model
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 
+transitions = later("exact_mdp.mdp.io.transitions")
+
+RARE, MOST_RARE = "5", 20  # observations; rows of the table
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
 
 
@@ -104,6 +112,64 @@ def _some(shown: list[str], of: Sequence[object]) -> str:
     """Return the texts shown, and how many more there are."""
     more = len(of) - len(shown)
     return "; ".join(shown) + (f"; {more} more" if more else "")
+
+
+def data(
+    *,
+    file: str,
+    out: str,
+    discount: str | None,
+    columns: tuple[str, ...],
+    unseen: str | None,
+    rare: str | None,
+) -> Report:
+    """Estimate a model from recorded transitions, and write it."""
+    least = whole_of(rare or RARE, "--rare", 0, 2**62)
+    if Path(out).suffix.lower() != ".npz":
+        raise ModelError(f"{out!r} is not named .npz", where="--out", fix="name it MODEL.npz")
+    record = transitions.counted(file, dict(map(_renamed, columns)), progress=True)
+    mdp = MDP(**record.parts(discount or 1, unseen or transitions.UNAVAILABLE))
+    save_model(mdp, out)
+    seen = mdp.observations
+    assert seen is not None
+    few = np.flatnonzero((seen > 0) & (seen < least))
+    rows = [
+        {
+            "state": mdp.space.label(int(mdp.pair_state[pair])),
+            "action": mdp.actions[mdp.pair_action[pair]],
+            "observations": int(seen[pair]),
+        }
+        for pair in few[np.argsort(seen[few], kind="stable")].tolist()
+    ]
+    result = {
+        "written": out,
+        "episodes": record.n_episodes,
+        "transitions": record.rows,
+        "states": mdp.n_states,
+        "actions": mdp.n_actions,
+        "pairs": int((seen > 0).sum()),
+        "discount": mdp.discount,
+        "rare": rows,
+        "model_hash": fingerprint(mdp),
+    }
+    facts = {
+        key: result[key] for key in ("written", "episodes", "transitions", "states", "actions")
+    }
+    offered = mdp.n_actions * len(np.unique(mdp.pair_state[seen > 0]))
+    facts["pairs"] = f"{result['pairs']:,} observed of {offered:,}, {len(rows):,} of them rare"
+    shown = {"state": "state", "action": "action", "observations": "observations"}
+    title = f"pairs observed fewer than {least} times"
+    notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
+    table = Table(title=title, rows=rows, columns=shown, first=MOST_RARE)
+    return Report(result=result, facts=facts, tables=[table], notes=notes)
+
+
+def _renamed(text: str) -> tuple[str, str]:
+    """Return the name and the file's column of one --column."""
+    name, equals, column = text.partition("=")
+    if not equals or not column.strip():
+        raise ModelError(f"{text!r} names no column", where="--column", fix="write NAME=COLUMN")
+    return name.strip(), column.strip()
 
 
 def convert(*, source: str, target: str, sets: tuple[str, ...], discount: str | None) -> Report:

@@ -17,6 +17,7 @@ The arrays of an archive, nothing in it being a pickle:
     gain_doubt    (N,) or (L,) float64     what it was rounded from, where the arrays do not tell
     labels        (K, S) uint8   optional: 1 where the label's states are, of the header's names
     goal          (S,) uint8     optional: 1 in the states that a run has to reach
+    observations  (L,) int64     optional: how often each pair was observed; weights are counts then
 
 and any other array of floats that a table of outcomes may have, under its name.
 
@@ -245,6 +246,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "components": ("float64",),
     "labels": ("uint8",),
     "goal": ("uint8",),
+    "observations": ("int64",),
 }
 WIDTH = 8
 
@@ -272,6 +274,8 @@ def save(model: MDP, path: str | Path) -> None:
         arrays["labels"] = np.array(list(model.labels.values()), dtype=np.uint8)
     if model.goal is not None:
         arrays["goal"] = model.goal.astype(np.uint8)
+    if model.observations is not None:
+        arrays["observations"] = model.observations
     text = json.dumps(as_header(model) | {"arrays": sorted(arrays)}).encode("ascii")
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, header=np.frombuffer(text, dtype=np.uint8), **arrays)
@@ -290,7 +294,7 @@ def load(path: str | Path) -> MDP:
                     "a truth value is neither 0 nor 1", where=name, fix="save it again"
                 )
         parts = parts_of(header, pairs=len(arrays["pair_state"]), labels=flags.get("labels", ()))
-        parts["goal"] = flags.get("goal")
+        parts |= {"goal": flags.get("goal"), "observations": arrays.get("observations")}
         # One changed byte in an archive's list can hide those of its arrays that a model may lack.
         listed = header.get("arrays", sorted(arrays.keys() - {"header"}))
         if listed != sorted(arrays.keys() - {"header"}):
@@ -306,7 +310,7 @@ def load(path: str | Path) -> MDP:
 
 def _check_names(names: Collection[str]) -> None:
     """Raise ModelError unless an archive holds the arrays of a model, by their names."""
-    needed = {name for name in KINDS if name not in (*OPTIONAL, *FLAGS)}
+    needed = {name for name in KINDS if name not in (*OPTIONAL, *FLAGS, "observations")}
     if not needed <= set(names) <= KINDS.keys():
         raise ModelError(
             f"the archive holds {', '.join(names)[:200] or 'nothing'}",

@@ -1,0 +1,375 @@
+"""A model estimated from recorded transitions, with the numbers of observations kept.
+
+Of n(s, a) times that action a was taken in state s, k ended in s' with reward r:
+
+    P(s', r | s, a) = k / n(s, a)          the maximum likelihood estimate, a rational number
+
+Episodes begin as they were seen to begin. A state that is only ever entered is an end: nothing
+happens after it. An action that was never taken in a state is not available there; or it is as bad
+as the caller says, so that an optimum does not rely on what nobody tried (the pessimism of Jin,
+Yang and Wang, ICML 2021).
+
+Rows come in chunks, are counted and forgotten, so that memory holds one chunk and one number for
+each different outcome (s, a, s', r). Rewards that hardly ever repeat should be rounded first.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import closing
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from exact_mdp.mdp.build import grouped
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.io.files import opened
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Integers, OutcomeTable, exact
+from exact_mdp.mdp.validate import as_discount
+
+if TYPE_CHECKING:
+    from pandas import DataFrame, Series
+
+pandas, tqdm = later("pandas"), later("tqdm")
+
+COLUMNS = ("episode", "state", "action", "reward", "next_state")
+ROWS = 10**6  # of a chunk
+LARGEST_FILE = 2**40
+END, UNSEEN = "end", "unseen"
+UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"
+
+
+def from_transitions(
+    frame: DataFrame | str | Path | Iterable[DataFrame],
+    discount: object,
+    *,
+    columns: Mapping[str, str] | None = None,
+    unseen: object = UNAVAILABLE,
+    progress: bool = False,
+    **names: Any,
+) -> dict[str, Any]:
+    """Return the parts of the model that `MDP.from_transitions` makes."""
+    return counted(frame, columns, progress=progress).parts(discount, unseen) | names
+
+
+def counted(
+    frame: DataFrame | str | Path | Iterable[DataFrame],
+    columns: Mapping[str, str] | None = None,
+    *,
+    progress: bool = False,
+) -> Record:
+    """Return what was counted in a table of transitions; see `MDP.from_transitions`."""
+    where = str(frame) if isinstance(frame, str | Path) else "transitions"
+    record = Record(where, _named(columns))
+    with (
+        tqdm.tqdm(desc="transitions", unit=" rows", disable=None if progress else True) as bar,
+        closing(_chunks(frame, record.columns.values())) as chunks,
+    ):
+        for chunk in chunks:
+            for first in range(0, len(chunk), ROWS):
+                part = chunk.iloc[first : first + ROWS]
+                record.add(part)
+                bar.update(len(part))
+    return record
+
+
+def _named(columns: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the file's column of each of the five."""
+    for name in columns or {}:
+        if name not in COLUMNS:
+            raise ModelError(
+                f"unknown column {name!r}", where="columns", fix=suggest(str(name), COLUMNS)
+            )
+    return dict(zip(COLUMNS, COLUMNS, strict=True)) | dict(columns or {})
+
+
+def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
+    """Yield tables of rows: of a file by the million, of everything else as they come."""
+    if not isinstance(frame, str | Path):
+        yield from [frame] if isinstance(frame, pandas.DataFrame) else frame
+        return
+    path, used = str(frame), list(wanted)
+    with opened(path, most=LARGEST_FILE) as file:
+        if Path(path).suffix.lower() == ".parquet":
+            yield from _parquet(file, path, used)
+            return
+        yield from _csv(file, path)
+
+
+def _csv(file: Any, path: str) -> Generator[DataFrame]:
+    errors = pandas.errors
+    try:
+        with warnings.catch_warnings(action="error", category=errors.ParserWarning):
+            # Text is kept as it is written: "0.1" is 1/10, and 007 is not 7.
+            reader = pandas.read_csv(
+                file, dtype=str, chunksize=ROWS, encoding="utf-8-sig", na_values=[""],
+                keep_default_na=False, index_col=False,
+            )  # fmt: skip
+        with reader:
+            while True:
+                # A line with more fields than the header would lose them with a warning.
+                with warnings.catch_warnings(action="error", category=errors.ParserWarning):
+                    chunk = next(reader, None)
+                if chunk is None:
+                    return
+                yield chunk
+    except (errors.ParserError, errors.ParserWarning, errors.EmptyDataError, UnicodeError) as error:
+        raise ModelError(
+            f"the file is no table: {str(error).strip()}",
+            where=path,
+            fix="give CSV with a header and the same columns in every line",
+        ) from error
+
+
+def _parquet(file: Any, path: str, used: list[str]) -> Generator[DataFrame]:
+    parquet = later("pyarrow.parquet")
+    try:
+        table = parquet.ParquetFile(file)
+        found = [name for name in used if name in table.schema_arrow.names]
+        for batch in table.iter_batches(ROWS, columns=found):
+            yield batch.to_pandas()
+    except (OSError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(
+            f"the file is no Parquet: {error}", where=path, fix="write it again, or give CSV"
+        ) from error
+
+
+class _Names:
+    """Numbers for names, in the order in which they come."""
+
+    def __init__(self) -> None:
+        self.numbers: dict[Any, int] = {}
+
+    def of(self, column: Series) -> Integers:
+        """Return the number of each value; -1 where there is none."""
+        codes, values = pandas.factorize(column)
+        known = [self.numbers.setdefault(value, len(self.numbers)) for value in values]
+        found: Integers = np.array([*known, -1], dtype=np.int64)[codes]
+        return found
+
+
+class Record:
+    """What has been counted so far, and where the last row left its episode."""
+
+    def __init__(self, where: str, columns: dict[str, str]) -> None:
+        self.where, self.columns = where, columns
+        self.file = Path(where).suffix.lower() == ".csv"
+        self.states, self.actions, self.rewards, self.episodes = (_Names() for _ in range(4))
+        self.counts: list[tuple[Integers, Integers]] = []
+        self.values: list[Any] = []  # of the rewards, by number
+        self.starts: dict[int, int] = {}
+        self.rows = 0
+        self.last = (-1, -1)  # episode, next state
+
+    def row(self, number: int) -> str:
+        """Return how a row is called, in messages."""
+        return f"{self.where}, {'line' if self.file else 'row'} {number + 2 * self.file}"
+
+    def refuse(self, bad: Any, what: str, fix: str) -> None:
+        """Raise ModelError that names the first rows of those marked."""
+        found = np.flatnonzero(bad)
+        if len(found):
+            more = "" if len(found) == 1 else f" (and in {len(found) - 1:,} more rows)"
+            raise ModelError(f"{what}{more}", where=self.row(self.rows + int(found[0])), fix=fix)
+
+    def add(self, chunk: DataFrame) -> None:
+        """Count the rows of a chunk."""
+        for name, column in self.columns.items():
+            if column not in chunk:
+                near = suggest(column, map(str, chunk.columns))
+                fix = f"{near}; name it by columns={{{name!r}: …}}"
+                raise ModelError(f"no column {column!r}", where=self.where, fix=fix)
+        parts = {name: chunk[column] for name, column in self.columns.items()}
+        episode, state, action = (
+            names.of(parts[name])
+            for name, names in (
+                ("episode", self.episodes),
+                ("state", self.states),
+                ("action", self.actions),
+            )
+        )
+        then, reward = self.states.of(parts["next_state"]), self.rewards.of(parts["reward"])
+        for name, codes in (
+            ("episode", episode), ("state", state), ("action", action), ("reward", reward),
+        ):  # fmt: skip
+            self.refuse(codes < 0, f"no {name}", "fill it in, or leave the row out")
+        self._follow(episode, state, then)
+        keys = np.stack([state, action, then, reward], axis=1)
+        self._price(reward)
+        self.counts.append(_sums(keys, np.ones(len(keys), dtype=np.int64)))
+        if len(self.counts) > 16:
+            self.counts = [_merged(self.counts)]
+        self.rows += len(chunk)
+
+    def _price(self, reward: Integers) -> None:
+        """Read the rewards that are new as the numbers that they are."""
+        for value, code in list(self.rewards.numbers.items())[len(self.values) :]:
+            try:
+                exact(value)
+            except ModelError as error:
+                self.refuse(reward == code, f"the reward is {value!r}", error.fix)
+            # Floats stay floats: a model knows which of its numbers were rounded.
+            self.values.append(exact(value) if isinstance(value, str) else value)
+
+    def _follow(self, episode: Integers, state: Integers, then: Integers) -> None:
+        """Check that each row begins where the one before ended; count where episodes begin."""
+        if not len(episode):
+            return
+        before = np.concatenate([[self.last[0]], episode[:-1]])
+        left = np.concatenate([[self.last[1]], then[:-1]])
+        goes_on = episode == before
+        # New names are numbered as they come: an episode that is new has a number above the others.
+        most = np.maximum.accumulate(before)
+        self.refuse(
+            ~goes_on & (episode <= most),
+            "an episode goes on after another one began",
+            "sort the rows by episode, then by time, and number episodes once",
+        )
+        self.refuse(
+            goes_on & (left != state),
+            "a gap in an episode: its next row begins in another state than this one led to",
+            "add the rows that are missing, or give what follows another episode number",
+        )
+        fresh, times = np.unique(state[~goes_on], return_counts=True)
+        for each, count in zip(fresh.tolist(), times.tolist(), strict=True):
+            self.starts[each] = self.starts.get(each, 0) + count
+        self.last = (int(episode[-1]), int(then[-1]))
+
+    @property
+    def n_episodes(self) -> int:
+        """Number of episodes."""
+        return sum(self.starts.values())
+
+    def parts(self, discount: object, unseen: object) -> dict[str, Any]:
+        """Return the parts of the estimated model."""
+        rate = as_discount(discount)
+        if not self.rows:
+            raise ModelError("no transitions", where=self.where, fix="give at least one row")
+        keys, count = _merged(self.counts)
+        place, states = _sorted(self.states.numbers)
+        choice, actions = _sorted(self.actions.numbers)
+        worst = self._worst(unseen, rate)
+        extra = (END,) * bool((keys[:, 2] < 0).any()) + (UNSEEN,) * (worst is not None)
+        for name in extra:
+            if name in states:
+                raise ModelError(
+                    f"a state is called {name!r}", where=self.where, fix="give it another name"
+                )
+        place = np.append(place, len(states))  # the end, where there is no next state
+        known: dict[Any, int] = {}
+        same = [known.setdefault((isinstance(v, float), v), n) for n, v in enumerate(self.values)]
+        values = [*self.values, 0, 0 if worst is None else worst]
+        size = len(states) + len(extra)
+        observed = np.column_stack(
+            [place[keys[:, 0]], choice[keys[:, 1]], place[keys[:, 2]], np.array(same)[keys[:, 3]]]
+        )
+        taken = np.zeros((size, len(actions)), dtype=bool)
+        taken[observed[:, 0], observed[:, 1]] = True
+        over = ~taken.any(axis=1)
+        at_end = np.flatnonzero(over)
+        free = ~taken & ~over.reshape(-1, 1) & (worst is not None)
+        untried = np.argwhere(free)
+        certain = np.concatenate(
+            [
+                np.column_stack([at_end, 0 * at_end, at_end, np.full(len(at_end), len(same))]),
+                np.insert(untried, [2, 2], [size - 1, len(same) + 1], axis=1),
+            ]
+        )
+        outcomes, times = _sums(
+            np.concatenate([observed, certain]),
+            np.append(count, np.zeros(len(certain), dtype=np.int64)),
+        )
+        return {
+            **_table(outcomes, times, values),
+            "space": StateSpace(columns=StateSpace.plain(len(states), states).columns, extra=extra),
+            "actions": actions,
+            "discount_exact": rate,
+            "start": tuple(
+                sorted(
+                    (int(place[each]), Fraction(number, self.n_episodes))
+                    for each, number in self.starts.items()
+                )
+            ),
+        }
+
+    def _worst(self, unseen: object, discount: Fraction) -> Fraction | None:
+        """Return what an action that nobody took is worth; None where it is not available."""
+        if unseen == UNAVAILABLE:
+            return None
+        if unseen != PESSIMISTIC:
+            try:
+                return exact(unseen)
+            except ModelError as error:
+                raise ModelError(
+                    f"actions that nobody took are {unseen!r}",
+                    where="unseen",
+                    fix=f"give {UNAVAILABLE!r}, {PESSIMISTIC!r}, or what they are worth",
+                ) from error
+        if discount == 1:
+            raise ModelError(
+                "no value is the worst at discount 1",
+                where="unseen",
+                fix="give a number: what an action that nobody took is worth",
+            )
+        return min(Fraction(0), *map(exact, self.values)) / (1 - discount)
+
+
+def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
+    """Return the different rows of `keys`, and the sum of the counts of each."""
+    order = np.lexsort(keys.T[::-1])
+    keys, count = keys[order], count[order]
+    fresh = np.ones(len(keys), dtype=bool)
+    fresh[1:] = (keys[1:] != keys[:-1]).any(axis=1)
+    first = np.flatnonzero(fresh)
+    return keys[first], np.add.reduceat(count, first) if len(first) else count
+
+
+def _merged(parts: Sequence[tuple[Integers, Integers]]) -> tuple[Integers, Integers]:
+    keys, counts = zip(*parts, strict=True)
+    return _sums(np.concatenate(keys), np.concatenate(counts))
+
+
+def _sorted(numbers: Mapping[Any, int]) -> tuple[Integers, tuple[str, ...]]:
+    """Return the place of each number, and the names in order: whole numbers by size."""
+    names = [str(name) for name in numbers]
+    whole = all(name.removeprefix("-").isdecimal() for name in names)
+    order = sorted(range(len(names)), key=lambda n: (int(names[n]) if whole else 0, names[n]))
+    place = np.empty(len(names), dtype=np.int64)
+    place[order] = np.arange(len(names))
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ModelError(
+            f"{twice!r} is both a number and a text", where="names", fix="use one kind of names"
+        )
+    return place, tuple(names[n] for n in order)
+
+
+def _table(outcomes: Integers, count: Integers, values: Sequence[Any]) -> dict[str, Any]:
+    """Return the table of outcomes (N, 4), in order, its pairs, and the observations of each."""
+    pair = outcomes[:, :2]
+    first = np.flatnonzero(np.append(True, (pair[1:] != pair[:-1]).any(axis=1)))
+    offsets = np.append(first, len(pair)).astype(np.int64)
+    observations = np.add.reduceat(count, first)
+    gain = grouped([values[number] for number in outcomes[:, 3].tolist()], offsets)
+    table = OutcomeTable(
+        offsets=offsets,
+        next=outcomes[:, 2].astype(np.int32),
+        weight=np.where(np.repeat(observations == 0, np.diff(offsets)), 1, count),
+        denominator=np.maximum(observations, 1),
+        gain=gain.top,
+        gain_denominator=gain.bottom,
+        gain_doubt=gain.doubt,
+    )
+    return {
+        "table": table,
+        "pair_state": pair[first, 0].copy(),
+        "pair_action": pair[first, 1].copy(),
+        "observations": observations,
+    }

@@ -1,0 +1,187 @@
+"""Models from data: counted as a dictionary counts, in chunks of any size; bad rows are named."""
+
+import json
+from collections import Counter, defaultdict
+from fractions import Fraction as F
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_runner import run
+from hypothesis import given
+from hypothesis import strategies as st
+
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.io import transitions
+from exact_mdp.mdp.io.load import load_model, save_model
+
+NAMES = list(transitions.COLUMNS)
+Step = tuple[str, int, int]  # action, reward in tenths, next state
+
+
+def table(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=NAMES)
+
+
+@st.composite
+def records(draw: st.DrawFn) -> list[tuple[Any, ...]]:
+    """Episodes over up to four states; the last step may lead nowhere."""
+    steps = st.tuples(st.sampled_from("ab"), st.integers(-2, 2), st.integers(0, 3))
+    rows: list[tuple[Any, ...]] = []
+    for episode in range(draw(st.integers(1, 6))):
+        state = draw(st.integers(0, 3))
+        for action, tenths, then in draw(st.lists(steps, min_size=1, max_size=5)):
+            rows.append((episode, str(state), action, f"{tenths}/10", str(then)))
+            state = then
+        if draw(st.booleans()):
+            rows[-1] = (*rows[-1][:4], None)
+    return rows
+
+
+@given(records(), st.integers(1, 4))
+def test_counts_are_those_of_a_dictionary(rows: list[tuple[Any, ...]], size: int) -> None:
+    seen: dict[tuple[str, str], Counter[tuple[str, F]]] = defaultdict(Counter)
+    starts = Counter({row[0]: row[1] for row in reversed(rows)}.values())
+    for _, state, action, reward, then in rows:
+        seen[state, action][then or "end", F(reward)] += 1
+    frame = table(rows)
+    mdp = MDP.from_transitions(
+        [frame.iloc[n : n + size] for n in range(0, len(frame), size)], discount="1/2"
+    )
+    assert mdp.observations is not None
+    assert mdp.counts is not None
+    found = 0
+    for pair in range(mdp.n_pairs):
+        label = mdp.space.label(int(mdp.pair_state[pair])).removeprefix("state ")
+        counts = seen.get((label, mdp.actions[mdp.pair_action[pair]]))
+        if counts is None:  # an end
+            assert mdp.observations[pair] == 0
+            assert mdp.terminal[mdp.pair_state[pair]]
+            assert mdp.counts[[pair]].sum() == 0
+            continue
+        found += 1
+        total = counts.total()
+        assert mdp.observations[pair] == mdp.counts[[pair]].sum() == total
+        told = [
+            (mdp.space.label(then).removeprefix("state "), reward, chance)
+            for chance, then, reward in mdp.table.row(pair)
+        ]
+        assert sorted(told) == sorted((*key, F(n, total)) for key, n in counts.items())
+    assert found == len(seen)
+    told_starts = {mdp.space.label(s).removeprefix("state "): p for s, p in mdp.start}
+    assert told_starts == {s: F(n, starts.total()) for s, n in starts.items()}
+
+
+def test_a_file_gives_the_same_model_and_keeps_its_decimals(tmp_path: Path) -> None:
+    """In a file "0.1" is a tenth; a table of floats holds the dyadic number."""
+    rows = [
+        (7, "home", "go", 0.1, "away"),
+        (7, "away", "stay", 2.0, "away"),
+        (8, "home", "go", 0.1, None),
+    ]
+    table(rows).to_csv(tmp_path / "log.csv", index=False)
+    written, held = MDP.from_transitions(tmp_path / "log.csv"), MDP.from_transitions(table(rows))
+    home = [mdp.pair(mdp.space.column("state").parse("home"), "go") for mdp in (written, held)]
+    assert {row[2] for row in written.table.row(home[0])} == {F(1, 10)}
+    assert {row[2] for row in held.table.row(home[1])} == {F(0.1)}
+    assert written.observations.tolist() == held.observations.tolist()  # type: ignore[union-attr]
+    save_model(written, tmp_path / "model.npz")
+    again = load_model(tmp_path / "model.npz")
+    assert (again.counts != written.counts).nnz == 0
+    assert fingerprint(again) == fingerprint(written)
+    renamed = table(rows).rename(columns={"episode": "stay", "state": "s t"})
+    other = MDP.from_transitions(renamed, columns={"episode": "stay", "state": "s t"})
+    assert fingerprint(other) == fingerprint(held)
+
+
+def test_numbered_states_stand_in_order() -> None:
+    rows = [(1, 10, 1, 0, 9), (1, 9, 0, 0, 2)]
+    mdp = MDP.from_transitions(table(rows))
+    assert mdp.space.labels(range(3)) == ["state 2", "state 9", "state 10"]
+    assert mdp.actions == ("0", "1")
+    assert mdp.start == ((2, F(1)),)
+
+
+def test_what_nobody_tried_is_left_out_or_worth_what_is_said() -> None:
+    rows = [(1, "a", "x", -1, "b"), (2, "b", "y", 3, "a")]
+    assert MDP.from_transitions(table(rows)).n_pairs == 2
+    low = MDP.from_transitions(table(rows), discount="3/4", unseen="pessimistic")
+    assert low.table.row(low.pair(0, "y")) == [(F(1), 2, F(-4))]
+    assert low.space.label(2) == "unseen"
+    said = MDP.from_transitions(table(rows), unseen="1/3")
+    assert said.table.row(said.pair(1, "x")) == [(F(1), 2, F(1, 3))]
+    assert said.observations.tolist() == [1, 0, 0, 1, 0]  # type: ignore[union-attr]
+    for unseen in ("pessimistic", "worse"):
+        with pytest.raises(ModelError, match=r"discount 1|worse"):
+            MDP.from_transitions(table(rows), unseen=unseen)
+
+
+GOOD = (1, "a", "x", 0, "b")
+BAD: dict[str, list[tuple[Any, ...]]] = {
+    "gap in an episode": [GOOD, (1, "a", "x", 0, "b")],
+    "goes on after another": [GOOD, (2, "a", "x", 0, "b"), (1, "b", "x", 0, "b")],
+    "no reward": [GOOD, (2, "a", "x", np.nan, "b")],
+    "no action": [GOOD, (2, "a", None, 0, "b")],
+    "no state": [GOOD, (2, None, "x", 0, "b")],
+    "reward is inf": [GOOD, (2, "a", "x", np.inf, "b")],
+    "reward is 'dear'": [GOOD, (2, "a", "x", "dear", "b")],
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_bad_row_is_named(what: str, tmp_path: Path) -> None:
+    last = len(BAD[what]) - 1
+    with pytest.raises(ModelError, match=what) as error:
+        MDP.from_transitions(table(BAD[what]))
+    assert error.value.where == f"transitions, row {last}"
+    table(BAD[what]).to_csv(tmp_path / "log.csv", index=False)
+    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
+    assert found.status == 2
+    assert f"log.csv, line {last + 2}" in found.err
+    assert not (tmp_path / "m.npz").exists()
+
+
+def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="no column 'next_state'"):
+        MDP.from_transitions(table([GOOD]).rename(columns={"next_state": "next_stat"}))
+    with pytest.raises(ModelError, match="unknown column 'sate'"):
+        MDP.from_transitions(table([GOOD]), columns={"sate": "s"})
+    with pytest.raises(ModelError, match="no transitions"):
+        MDP.from_transitions(table([]))
+    with pytest.raises(ModelError, match="called 'end'"):
+        MDP.from_transitions(table([(1, "end", "x", 0, None)]))
+    for text in ("", "episode,state,action,reward,next_state\n1,a,x,0,b,9,9\n"):
+        (tmp_path / "log.csv").write_text(text)
+        with pytest.raises(ModelError, match="no table"):
+            MDP.from_transitions(tmp_path / "log.csv")
+    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
+    assert (found.status, "--out" in found.err) == (2, True)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    rows = [(n, "a", "x", "0.5", "b") for n in range(7)] + [(7, "a", "y", "1", "a")]
+    table(rows).to_csv(tmp_path / "log.csv", index=False)
+    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--json")
+    told = json.loads(found.out)
+    assert [told[key] for key in ("episodes", "transitions", "states", "actions")] == [8, 8, 2, 2]
+    assert told["written"] == str(tmp_path / "m.npz")
+    assert told["rare"] == [{"state": "state a", "action": "y", "observations": 1}]
+    mdp = load_model(tmp_path / "m.npz")
+    assert mdp.counts is not None
+    assert mdp.counts.toarray().tolist() == [[0, 7], [1, 0], [0, 0]]
+    plain = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--rare", "0")
+    assert "2 observed of 2, 0 of them rare" in plain.out
+
+
+def test_changed_tables_have_no_observations() -> None:
+    mdp = MDP.from_transitions(table([GOOD]), discount="1/2")
+    assert mdp.with_(discount="1/3").observations is not None
+    assert mdp.with_(table=mdp.table).observations is None
+    assert mdp.within(2).observations is None
+    with pytest.raises(ModelError, match="not counts over the observations"):
+        mdp.with_(observations=np.array([2, 0]))
+    with pytest.raises(ModelError, match="for 2 pairs"):
+        mdp.with_(observations=np.array([1]))
