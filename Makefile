@@ -126,6 +126,7 @@ lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
 	$(COMPILE) --extra bench --constraints requirements.lock \
 	    --output-file requirements-bench.lock pyproject.toml
 	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra gymnasium --extra sensitivity --extra umb \
+	    --extra parquet \
 	    --extra cluster --extra test --output-file requirements-lowest.lock pyproject.toml
 
 # The lowest versions are found anew each time: those locked would be kept where a bound falls.

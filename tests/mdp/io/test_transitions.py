@@ -92,6 +92,8 @@ def test_a_file_gives_the_same_model_and_keeps_its_decimals(tmp_path: Path) -> N
     again = load_model(tmp_path / "model.npz")
     assert (again.counts != written.counts).nnz == 0
     assert fingerprint(again) == fingerprint(written)
+    table(rows).to_parquet(tmp_path / "log.parquet")
+    assert fingerprint(MDP.from_transitions(tmp_path / "log.parquet")) == fingerprint(held)
     renamed = table(rows).rename(columns={"episode": "stay", "state": "s t"})
     other = MDP.from_transitions(renamed, columns={"episode": "stay", "state": "s t"})
     assert fingerprint(other) == fingerprint(held)
@@ -157,6 +159,9 @@ def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
         (tmp_path / "log.csv").write_text(text)
         with pytest.raises(ModelError, match="no table"):
             MDP.from_transitions(tmp_path / "log.csv")
+    (tmp_path / "log.parquet").write_bytes(b"PAR1")
+    with pytest.raises(ModelError, match="no Parquet"):
+        MDP.from_transitions(tmp_path / "log.parquet")
     found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
     assert (found.status, "--out" in found.err) == (2, True)
 
