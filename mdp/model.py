@@ -375,10 +375,10 @@ class MDP(Parts):
         Examples
         --------
         >>> from exact_mdp import certify
-        >>> walk = [["1/3", 0, "2/3"], [0, 1, 0], [0, 0, 1]]
+        >>> walk = [["1/2", "1/6", "1/3"], [0, 1, 0], [0, 0, 1]]
         >>> mdp = MDP.from_arrays([walk], [0, 0, 0], labels={"home": [False, True, False]})
-        >>> certify(mdp.reaching("home")).value.tolist()
-        [Fraction(0, 1), Fraction(1, 1), Fraction(0, 1)]
+        >>> certify(mdp.reaching("home")).start_value
+        Fraction(1, 3)
         """
         return replace(self, **questions.reaching(self, label, allowed))
 

@@ -61,6 +61,7 @@ def reaching(model: Parts, label: str, allowed: str | None) -> dict[str, Any]:
         "space": StateSpace(columns=space.columns, extra=(*space.extra, name)),
         "discount_exact": Fraction(1),
         **ONE_COMPONENT,
+        **NO_DATA,
         "labels": {name: np.append(flags, False) for name, flags in model.labels.items()},
         "goal": None,
     }
@@ -80,11 +81,13 @@ def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
             changes[name] = np.where(ends[:, None], 0, values)
     return {
         **changes,
+        **NO_DATA,
         "table": _ended(table, ends, model.pair_state),
         "goal": target if model.discount_exact == 1 else None,
     }
 
 
+NO_DATA = {"observations": None}  # other rows than those that were observed
 ONE_COMPONENT = {
     "component_names": ("reward",),
     "components": np.empty((0, 0)),

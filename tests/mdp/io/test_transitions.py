@@ -190,3 +190,12 @@ def test_changed_tables_have_no_observations() -> None:
         mdp.with_(observations=np.array([2, 0]))
     with pytest.raises(ModelError, match="for 2 pairs"):
         mdp.with_(observations=np.array([1]))
+
+
+def test_questions_have_no_observations() -> None:
+    mdp = MDP.from_transitions(table([GOOD, (2, "b", "x", 1, "a")])).with_(
+        labels={"goal": np.array([False, True])}
+    )
+    for asked in (mdp.reaching("goal"), mdp.until("goal")):
+        assert asked.observations is None
+    assert mdp.negated().observations is not None
