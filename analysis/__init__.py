@@ -15,14 +15,19 @@ from exact_mdp.mdp.lazy import names_later
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.check import Audit, assert_policy_optimal, check
     from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
+    from exact_mdp.analysis.gate.comparison import PolicyComparison, compare
+    from exact_mdp.analysis.graph import dot
     from exact_mdp.analysis.sensitivity.curve import value_function
 
 __all__ = [
     "Audit",
     "BestPolicy",
+    "PolicyComparison",
     "assert_policy_optimal",
     "best_policy",
     "check",
+    "compare",
+    "dot",
     "value_function",
     "value_of_memory",
 ]
@@ -38,6 +43,8 @@ __getattr__, __dir__ = names_later(
             "value_of_memory",
         ],
         "exact_mdp.analysis.sensitivity.curve": ["value_function"],
+        "exact_mdp.analysis.gate.comparison": ["PolicyComparison", "compare"],
+        "exact_mdp.analysis.graph": ["dot"],
     },
 )
 

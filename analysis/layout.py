@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import prod
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers
+from exact_mdp.mdp.table import Floats, Integers
 
 WIDE = 10  # states in a row where nothing says how many
 ARROWS = "←↓→↑"
@@ -148,6 +149,15 @@ def _numbered(space: StateSpace, high: int, wide: int, *, listed: bool) -> Layou
         across="state" if listed else "column",
         listed=listed,
     )
+
+
+def taken(model: MDP, chosen: Floats) -> list[list[int]]:
+    """Return the numbers of the actions that probabilities (L,) of pairs give to each state."""
+    used = np.asarray(chosen) > 0
+    return [
+        model.pair_action[first:last][used[first:last]].tolist()
+        for first, last in pairwise(model.pair_offsets.tolist())
+    ]
 
 
 def symbols(actions: Sequence[str]) -> list[str]:

@@ -31,7 +31,16 @@ _SHORT.maxlevel, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxlist = 2, 3, 3, 3
 _SHORT.maxother = _SHORT.maxstring = 120
 
 
-class Result(ABC):
+class Brief:
+    """A dataclass whose text says its arrays' shapes, not their entries: give it `repr=False`."""
+
+    def __repr__(self) -> str:
+        names = getattr(self, "__dataclass_fields__", {})
+        told = (f"{name}={_text(getattr(self, name))}" for name in names)
+        return f"{type(self).__name__}({', '.join(told)})"
+
+
+class Result(Brief, ABC):
     """A dataclass that can be shown.
 
     Examples
@@ -52,11 +61,6 @@ class Result(ABC):
     @abstractmethod
     def frame(self) -> DataFrame:
         """Return the result as a table, one row for each thing found."""
-
-    def __repr__(self) -> str:
-        names = getattr(self, "__dataclass_fields__", {})
-        told = (f"{name}={_text(getattr(self, name))}" for name in names)
-        return f"{type(self).__name__}({', '.join(told)})"
 
     def _repr_html_(self) -> str:
         frame = self.frame()

@@ -19,7 +19,7 @@ import numpy as np
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ class ProgramRun:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Solution(Result):
+class Solution(Pictured):
     """Values and policy of a solved model, with bounds that hold in every state.
 
     Attributes
@@ -267,6 +267,8 @@ class Solution(Result):
     gaps: Floats | None = None
     occupancy: Floats | None = None
     program: ProgramRun | None = None
+
+    picture = "exact_mdp.analysis.plots.states:plot_solution"
 
     def __post_init__(self) -> None:
         for array in (self.value, self.pairs, self.state_error, self.gaps, self.occupancy):

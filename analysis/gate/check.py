@@ -40,7 +40,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import LARGEST, Floats, exact, shown
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.solver import mdp_of
@@ -65,7 +65,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Audit(Result):
+class Audit(Pictured):
     """What a policy loses against the optimum, where and why.
 
     Attributes
@@ -100,6 +100,8 @@ class Audit(Result):
     disagreements: tuple[Disagreement, ...]
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
+
+    picture = "exact_mdp.analysis.plots.states:plot_audit"
 
     def __repr__(self) -> str:
         lost = f"regret {_number(self.value)}"

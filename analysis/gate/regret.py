@@ -46,6 +46,7 @@ from exact_mdp.analysis.gate.forgiveness import (
 )
 from exact_mdp.mdp.chain import components, is_acyclic
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.bounds.bounds import Bounds, bounds
@@ -76,8 +77,8 @@ ACCURATE = 2.0**-30  # relative errors of gaps from which on they are worked out
 IMPROVEMENTS = 100  # policies tried after a solver has stopped at its tolerance
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Regret:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Regret(Brief):
     """What the optimum and a policy are worth, and the difference.
 
     Attributes

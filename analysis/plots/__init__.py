@@ -13,7 +13,9 @@ from exact_mdp.analysis.plots.learning import (
 )
 from exact_mdp.analysis.plots.perception import plot_confusion, plot_prices
 from exact_mdp.analysis.plots.policy import plot_policy_map, plot_return_distribution
+from exact_mdp.analysis.plots.states import plot_policy, plot_states
 from exact_mdp.analysis.plots.style import action_styles, save, style
+from exact_mdp.analysis.plots.transitions import plot_transitions
 
 __all__ = [
     "action_styles",
@@ -21,11 +23,14 @@ __all__ = [
     "plot_distinct",
     "plot_influence",
     "plot_learning_curves",
+    "plot_policy",
     "plot_policy_map",
     "plot_prices",
     "plot_regrets",
     "plot_return_distribution",
+    "plot_states",
     "plot_status_transitions",
+    "plot_transitions",
     "plot_value_bands",
     "save",
     "style",

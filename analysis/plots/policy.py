@@ -21,6 +21,7 @@ from exact_mdp.mdp.table import Numbers
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.values.returns import ReturnDistribution
+    from exact_mdp.solvers.values.simulate import Simulation
 
 
 @plain_text
@@ -55,6 +56,18 @@ def plot_return_distribution(
     ax.set_ylim(bottom=0)
     ax.set_ylabel("probability")
     ax.set_title(f"{label}: mean {mean:.2f}, standard deviation {sd:.2f}".lstrip(": "))
+    return ax
+
+
+@plain_text
+def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
+    """Draw how many sampled episodes had which return, and the mean with its 95 % interval."""
+    ax = axes_or_new(ax)
+    ax.hist(found.returns, bins=min(40, len(np.unique(found.returns)) + 1), color="0.6", ec="0.3")
+    ax.axvspan(*found.value.interval, color="0.85", zorder=0)
+    ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=str(found.value))
+    ax.set(xlabel="return (reward)", ylabel="episodes")
+    ax.legend()
     return ax
 
 

@@ -33,6 +33,7 @@ from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.sensitivity.draws.global_ import Morris, Sobol
+    from exact_mdp.analysis.sensitivity.gradient import Gradient
     from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Tornado
     from exact_mdp.analysis.sensitivity.ranges import Range
     from exact_mdp.analysis.sensitivity.robust.robust import RobustCurve
@@ -59,6 +60,25 @@ def _with_range(name: str, low: Fraction, high: Fraction) -> str:
 
 def _name_parameters(ax: Axes, names: Sequence[str], ranges: Mapping[str, Range]) -> None:
     name_rows(ax, [_with_range(name, ranges[name].low, ranges[name].high) for name in names])
+
+
+@plain_text
+def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) -> Axes:
+    """Draw the largest elasticities: per cent of the start value for a per cent of a parameter."""
+    ax = axes_or_new(ax)
+    table = found.frame().dropna(subset="elasticity (% per %)").head(most)
+    lengths, names = table["elasticity (% per %)"].to_numpy(), table["parameter"].tolist()
+    for rises, fill, hatch, label in (
+        (True, BLUE, "//", "raises the value"),
+        (False, WHITE, "", "lowers the value"),
+    ):
+        at = np.flatnonzero((lengths >= 0) == rises)
+        ax.barh(at, lengths[at], color=fill, hatch=hatch, edgecolor=BLACK, label=label)
+    name_rows(ax, names)
+    ax.axvline(0, color=BLACK, linewidth=0.8)
+    ax.set_xlabel("elasticity of the start value (% per %)")
+    ax.legend(loc="lower right", title="a higher parameter")
+    return ax
 
 
 @plain_text

@@ -23,6 +23,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from exact_mdp.analysis.layout import symbols
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.table import Numbers
 
@@ -83,11 +84,11 @@ def action_styles(actions: Sequence[str]) -> list[ActionStyle]:
     ['a0', 'a1']
     """
     styles = []
-    for number, name in enumerate(actions):
+    for number, (name, short) in enumerate(zip(actions, symbols(actions), strict=True)):
         fill = PALETTE[number % len(PALETTE)]
         dark = sum(int(fill[i : i + 2], 16) for i in (1, 3, 5)) < 330
         hatch, ink = HATCHES[number % len(HATCHES)], "white" if dark else "black"
-        styles.append(ActionStyle(name=name, short=f"a{number}", fill=fill, hatch=hatch, ink=ink))
+        styles.append(ActionStyle(name=name, short=short, fill=fill, hatch=hatch, ink=ink))
     return styles
 
 
@@ -175,7 +176,11 @@ def legend_beside(ax: Axes, handles: Sequence[Any] | None = None) -> None:
 
 def action_legend(ax: Axes, styles: Sequence[ActionStyle], used: Collection[int]) -> None:
     """Name the actions that are drawn, beside the axes."""
-    legend_beside(ax, [swatch(f"{styles[a].short} {styles[a].name}", styles[a]) for a in used])
+    drawn = [styles[number] for number in used]
+    names = [
+        each.name if each.short == each.name else f"{each.short} {each.name}" for each in drawn
+    ]
+    legend_beside(ax, [swatch(name, each) for name, each in zip(names, drawn, strict=True)])
 
 
 def swatch(label: str, drawn: ActionStyle | tuple[str, str]) -> Patch:
@@ -239,10 +244,12 @@ def cell(
     font: float | None = 8,
     **frame: Any,
 ) -> None:
-    """Draw a cell of a map in an action's style, with its letters or another text."""
+    """Draw a cell of a map in an action's style, with its sign or another text; none at font 0."""
     face = drawn.fill if fill is None else fill
     frame = {"edgecolor": "black", "hatch": drawn.hatch} | frame
     ax.add_patch(Rectangle((column, row), 1, 1, facecolor=face, **frame))
+    if font == 0:
+        return
     ax.text(
         column + 0.5,
         row + 0.5,
@@ -251,7 +258,7 @@ def cell(
         va="center",
         color=ink or drawn.ink,
         fontsize=font,
-        bbox={"facecolor": face, "edgecolor": "none", "pad": pad},
+        bbox={"facecolor": face if frame["hatch"] else "none", "edgecolor": "none", "pad": pad},
     )
 
 

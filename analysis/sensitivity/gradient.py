@@ -31,7 +31,7 @@ from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 
@@ -82,7 +82,7 @@ class Derivative:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Gradient(Result):
+class Gradient(Pictured):
     """Derivatives of the start value by every parameter.
 
     Attributes
@@ -101,6 +101,8 @@ class Gradient(Result):
     derivatives: dict[str, Derivative]
     steps: dict[str, tuple[Number | None, Number]]
     reoptimised: bool
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_gradient"
 
     def __getitem__(self, name: str) -> Derivative:
         return self.derivatives[name]

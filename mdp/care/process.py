@@ -28,6 +28,7 @@ from exact_mdp.mdp.care.perception import checked, status_size
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
@@ -52,8 +53,8 @@ class Move:
     chance: Floats
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Process:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Process(Brief):
     """A model whose status is hidden, P places by Z statuses by A actions.
 
     Attributes

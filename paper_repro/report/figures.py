@@ -29,7 +29,12 @@ from exact_mdp.analysis.plots import (
     save,
     style,
 )
-from exact_mdp.analysis.plots.paper import (
+from exact_mdp.mdp import MDP, Policy, PolicyLike
+from exact_mdp.mdp.table import Floats
+from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.reading import SEED, Reading
+from exact_mdp.paper_repro.readings.training import SHOWN, random_baseline
+from exact_mdp.paper_repro.report.drawings import (
     Average,
     plot_agreement,
     plot_averages,
@@ -37,11 +42,6 @@ from exact_mdp.analysis.plots.paper import (
     plot_experiments,
     plot_trials,
 )
-from exact_mdp.mdp import MDP, Policy, PolicyLike
-from exact_mdp.mdp.table import Floats
-from exact_mdp.paper_repro import reported
-from exact_mdp.paper_repro.reading import SEED, Reading
-from exact_mdp.paper_repro.readings.training import SHOWN, random_baseline
 from exact_mdp.paper_repro.reported import ACTIONS, FINAL, NUMBER, STARTS, STATUSES
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.values.returns import return_distribution

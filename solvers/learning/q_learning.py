@@ -27,6 +27,7 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount
@@ -128,8 +129,8 @@ class QLearning:
         return Trainer(self, model).run(rng)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainingRun:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TrainingRun(Brief):
     """What a learner ended with and passed through.
 
     Attributes

@@ -22,7 +22,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers, divide
 from exact_mdp.solvers.proof.checker import (
     BoundedClaims,
@@ -41,7 +41,7 @@ pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Certificate(ExactClaims, Result):
+class Certificate(ExactClaims, Pictured):
     """Exact optimal values, all optimal actions, and what proves them.
 
     Numbers are kept as integers over a few shared denominators, because they may have thousands of
@@ -84,6 +84,7 @@ class Certificate(ExactClaims, Result):
     mdp: MDP | None = None
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
+    picture = "exact_mdp.analysis.plots.states:plot_solution"
 
     def __repr__(self) -> str:
         unique = "the only optimal policy" if self.unique else "not the only optimal policy"
@@ -170,7 +171,7 @@ class Certificate(ExactClaims, Result):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BoundedCertificate(BoundedClaims, Result):
+class BoundedCertificate(BoundedClaims, Pictured):
     """Floats that the optimal values, and those of a policy, are proven to lie between.
 
     Attributes
@@ -196,6 +197,7 @@ class BoundedCertificate(BoundedClaims, Result):
     mdp: MDP | None = None
 
     claim: ClassVar[Claim] = Claim.BOUNDED
+    picture = "exact_mdp.analysis.plots.states:plot_solution"
 
     def __repr__(self) -> str:
         return f"BoundedCertificate({len(self.lower)} states, error ≤ {self.error_bound:.2g})"

@@ -26,7 +26,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
@@ -46,7 +46,7 @@ UNKNOWN = Bounded(value=nan, error=inf)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Evaluation(Result):
+class Evaluation(Pictured):
     """A policy's values; everything else about its return is worked out when first asked for.
 
     Attributes
@@ -72,6 +72,7 @@ class Evaluation(Result):
     error: Floats
 
     claim: ClassVar[Claim] = Claim.BOUNDED
+    picture = "exact_mdp.analysis.plots.states:plot_evaluation"
 
     @property
     def mdp(self) -> MDP:

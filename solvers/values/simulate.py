@@ -22,7 +22,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
@@ -40,7 +40,7 @@ NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Simulation(Result):
+class Simulation(Pictured):
     """Returns of sampled episodes, and what they say of the policy's mean return.
 
     Attributes
@@ -71,6 +71,7 @@ class Simulation(Result):
     truncation_error: float
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
+    picture = "exact_mdp.analysis.plots.policy:plot_simulation"
 
     def __post_init__(self) -> None:
         self.returns.setflags(write=False)

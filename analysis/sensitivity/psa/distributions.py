@@ -49,6 +49,7 @@ from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
 from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
 
 KINDS = ("beta", "dirichlet", "normal", "gamma")
@@ -146,8 +147,8 @@ class Uncertain:
         return math.copysign(1.0, mean) * rng.gamma(shape, abs(mean) / shape, size=(count, 1))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Uncertainty:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Uncertainty(Brief):
     """What is drawn and what is held.
 
     Attributes

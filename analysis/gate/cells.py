@@ -1,0 +1,66 @@
+"""What an audit says of each state, as the cells of a map: a page and a figure show the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from exact_mdp.analysis.gate.check import Audit
+from exact_mdp.analysis.layout import Layout, symbols, taken
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One state of a map.
+
+    Attributes
+    ----------
+    state : int
+    kind : "wrong", "idle" or ""
+        Not optimal; without a choice or a visit; neither.
+    text, small : str
+        What the policy does, with "✗" where that is wrong, and the optimal action then.
+    title : str
+        The state in full, with its numbers.
+    shade : float
+        Its loss as a share of the costliest state's.
+    """
+
+    state: int
+    kind: Literal["wrong", "idle", ""]
+    text: str
+    small: str
+    title: str
+    shade: float
+
+
+def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
+    """Return the cell at each row and column of the map; None where no state is."""
+    mdp, choices = audit.mdp, taken(audit.mdp, audit.chain.chosen)
+    sign = dict(zip(mdp.actions, symbols(mdp.actions), strict=True))
+    found: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
+    wrong = {each.state: each for each in audit.disagreements}
+    most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
+    idle = mdp.terminal | mdp.forced | (audit.visits == 0)
+    for state in layout.shown.tolist():
+        each, label = wrong.get(state), mdp.space.label(state)
+        names = [mdp.actions[action] for action in choices[state]]
+        text, best = "/".join(sign[name] for name in names), ""
+        said = f"{' or '.join(names)}; {audit.visits[state]:.6g} expected visits"
+        if mdp.terminal[state]:
+            text, said = "∎", "an episode ends here"
+        elif each is not None:
+            text, best = f"✗ {text}", "/".join(sign[name] for name in each.optimal)
+            said = (
+                f"yours {each.learned}, optimal {' or '.join(each.optimal)}; "
+                f"{each.expected_visits:.6g} expected visits, loses {each.cost:.6g}"
+            )
+        found[layout.row[state]][layout.column[state]] = Cell(
+            state=state,
+            kind="wrong" if each is not None else "idle" if idle[state] else "",
+            text=text,
+            small=f"{best} {label.removeprefix('state ')}".strip() if layout.listed else best,
+            title=f"{label}: {said}",
+            shade=each.cost / most if each is not None else 0.0,
+        )
+    return found

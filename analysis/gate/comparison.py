@@ -1,0 +1,106 @@
+"""Several policies of one model side by side: the exact value of each, and what it loses.
+
+The optimum is found once; each policy's regret is then that of `analysis.gate.regret`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from exact_mdp.analysis.gate.regret import Regret, regret
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from exact_mdp.mdp.model import MDP
+
+pandas = later("pandas")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PolicyComparison(Pictured):
+    """What policies are worth at the start.
+
+    Attributes
+    ----------
+    regrets : {name: Regret}
+        In the order given; `.learned` is the policy's value, `.at_start` its regret.
+    """
+
+    regrets: dict[str, Regret]
+
+    picture = "exact_mdp.analysis.plots.states:plot_comparison"
+
+    @property
+    def value(self) -> Certified | Bounded:
+        """The optimal value at the start."""
+        return next(iter(self.regrets.values())).optimal
+
+    @property
+    def claim(self) -> Claim:
+        """What the values claim."""
+        return self.value.claim
+
+    def frame(self) -> DataFrame:
+        """Return a row for each policy; where values are certified, `exact` is the rational."""
+        return pandas.DataFrame(
+            [
+                {
+                    "policy": name,
+                    "value": float(each.learned.value),
+                    "regret": float(each.at_start.value),
+                    "exact": each.learned.value if isinstance(each.learned, Certified) else None,
+                    "claim": str(each.learned.claim),
+                }
+                for name, each in self.regrets.items()
+            ]
+        )
+
+    def __repr__(self) -> str:
+        return f"PolicyComparison({len(self.regrets)} policies; optimal value {self.value})"
+
+
+def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> PolicyComparison:
+    """Return what each of several policies is worth at the start, and what it loses.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+    policies : {name: PolicyLike}
+
+    Returns
+    -------
+    PolicyComparison
+
+    Raises
+    ------
+    ModelError
+        Without policies, and for one that does not fit the model.
+
+    Examples
+    --------
+    >>> from exact_mdp import MDP
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> found = compare(mdp, {"mine": [0, 0], "coin": "random", "best": "optimal"})
+    >>> found.frame()["exact"].tolist()
+    [Fraction(1, 1), Fraction(2, 1), Fraction(3, 1)]
+    """
+    if not policies:
+        raise ModelError("no policies", where="compare", fix="give at least one: {name: policy}")
+    mdp, regrets = mdp_of(model), dict[str, Regret]()
+    optimum = None
+    for name, policy in policies.items():
+        chain = PolicyChain.of(mdp, policy_of(mdp, policy))
+        regrets[name] = found = regret(mdp, chain, optimum=optimum)
+        optimum = found.optimum
+    return PolicyComparison(regrets=regrets)

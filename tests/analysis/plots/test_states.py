@@ -1,0 +1,176 @@
+"""Pictures of any model: what stands in a cell, at a bar, at an edge is what was computed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from fractions import Fraction
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from forest import forest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.axes import Axes
+
+from exact_mdp import MDP, Scenario, certify, check, evaluate, solve
+from exact_mdp.analysis import compare, dot
+from exact_mdp.analysis.gate.cells import cells
+from exact_mdp.analysis.layout import arrange
+from exact_mdp.analysis.plots import plot_policy, plot_states, plot_transitions
+from exact_mdp.mdp import ModelError
+from exact_mdp.solvers import Certificate
+
+mpl.use("Agg")
+MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    yield
+    plt.close("all")
+
+
+def grid(rows: int, columns: int) -> MDP:
+    """A grid world in which each step costs 1, and which ends in its last cell."""
+    goal, listed = rows * columns - 1, []
+    for state in range(goal):
+        r, c = divmod(state, columns)
+        for action, (down, right) in enumerate([(0, -1), (1, 0), (0, 1), (-1, 0)]):
+            to = min(max(r + down, 0), rows - 1), min(max(c + right, 0), columns - 1)
+            listed.append((state, action, [(1, to[0] * columns + to[1], -1)]))
+    listed.append((goal, 0, [(1, goal, 0)]))
+    return MDP.from_outcomes(listed, discount="9/10", actions=MOVES)
+
+
+def texts(ax: Axes) -> dict[tuple[int, int], str]:
+    """Return what is written in each cell, by row and column."""
+    found = {}
+    for text in ax.texts:
+        x, y = text.get_position()
+        found[int(y), int(x)] = text.get_text()
+    return found
+
+
+@given(st.integers(1, 4), st.integers(2, 4))
+def test_every_cell_shows_its_states_value_and_action(rows: int, columns: int) -> None:
+    mdp = grid(rows, columns)
+    solution = solve(mdp)
+    shown = texts(solution.plot(shape=(rows, columns)))
+    assert len(shown) == mdp.n_states
+    for state in range(mdp.n_states - 1):
+        arrow, value = shown[divmod(state, columns)].split("\n")
+        assert arrow == "←↓→↑"[solution.policy[state]]
+        assert float(value) == pytest.approx(solution.value[state], rel=5e-3)
+    assert shown[rows - 1, columns - 1] == "0"
+    plt.close("all")
+
+
+def test_bars_where_states_are_only_numbered() -> None:
+    solution = solve(forest("24/25"))
+    ax = solution.plot()
+    assert [bar.get_height() for bar in ax.patches] == pytest.approx(solution.value.tolist())
+    assert certify(forest("24/25")).plot().patches[0].get_height() == pytest.approx(74.6496)
+    assert ax.get_ylabel() == "value (reward)"
+
+
+def test_a_map_over_any_two_columns() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+    visits = evaluate(mdp, "random").plot(visits=True, down=["trial"], across=["subtask"], status=4)
+    expected = evaluate(mdp, "random").visits
+    found = texts(visits)
+    assert (visits.get_xlabel(), visits.get_ylabel()) == ("subtask", "trial")
+    for (trial, subtask), text in found.items():
+        number = float(text.rpartition("\n")[2])
+        state = mdp.space.index(subtask=subtask, trial=trial, status=4)
+        assert number == pytest.approx(expected[state], rel=5e-3)
+    policy = plot_policy(mdp, "always:directive", subtask=1)
+    assert set(texts(policy).values()) == {"a3"}
+    assert len(texts(policy)) == 32
+
+
+def test_an_audit_marks_exactly_what_is_wrong() -> None:
+    mdp = grid(3, 3)
+    audit = check(mdp, [2, 2, 1, 0, 2, 1, 2, 2, 0])  # goes left from the cell (1, 0)
+    marked = {place for place, text in texts(audit.plot(shape=(3, 3))).items() if "✗" in text}
+    assert marked == {divmod(each.state, 3) for each in audit.disagreements} == {(1, 0)}
+    (wrong,) = (
+        each for row in cells(audit, arrange(mdp, shape=(3, 3))) for each in row
+        if each is not None and each.kind == "wrong"
+    )  # fmt: skip
+    assert (wrong.text, wrong.small) == ("✗ ←", "↓/→")
+    assert "yours LEFT, optimal DOWN or RIGHT" in wrong.title
+
+
+def test_values_beyond_all_bounds_are_written() -> None:
+    shown = texts(plot_states(grid(1, 3), [np.inf, -np.inf, np.nan], shape=(1, 3)))
+    assert [shown[0, column] for column in range(3)] == ["inf", "-inf", "nan"]
+    ax = plot_states(grid(1, 3), [np.inf, -np.inf, 1.0])
+    ax.figure.canvas.draw()
+    assert [text.get_text().strip() for text in ax.texts] == ["inf", "-inf", ""]
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (lambda: plot_states(grid(2, 2), [1.0]), "values of shape"),
+        (lambda: plot_states(grid(80, 60), np.zeros(4800), shape=(80, 60)), "a map of 4,800 cells"),
+        (lambda: plot_transitions(grid(7, 7)), "a graph of 49 states"),
+        (lambda: dot(grid(15, 15)), "a graph of 225 states"),
+        (lambda: compare(grid(2, 2), {}), "no policies"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(draw: object, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        draw()  # type: ignore[operator]
+
+
+def test_a_certificate_from_a_file_says_that_it_has_no_model(tmp_path: object) -> None:
+    certify(forest("9/10")).save(f"{tmp_path}/proof.json")
+    with pytest.raises(ModelError, match="does not contain the model"):
+        Certificate.load(f"{tmp_path}/proof.json").plot()
+
+
+def test_policies_side_by_side_have_their_exact_values() -> None:
+    mdp = forest("24/25")
+    found = compare(mdp, {"wait": [0, 0, 0], "wrong": [0, 1, 1], "mixed": "random"})
+    exact = {row.policy: row.exact for row in found.frame().itertuples()}
+    assert exact["wait"] == certify(mdp).start_value == found.value.value
+    assert exact["wrong"] == Fraction(10800, 932)
+    assert float(exact["mixed"]) == pytest.approx(evaluate(mdp, "random").mean)
+    bars = [bar.get_width() for bar in found.plot().patches]
+    assert bars == pytest.approx([float(value) for value in exact.values()])
+
+
+def test_bounds_of_a_large_comparison_hold() -> None:
+    mdp = grid(9, 9)
+    found = compare(mdp, {"down": "always:DOWN", "best": "optimal"})
+    assert found.claim == "bounded"
+    assert found.frame()["exact"].isna().all()
+    exact = {"down": -10, "best": -10 * (1 - Fraction(9, 10) ** 16)}  # for ever; 16 steps
+    for name, each in found.regrets.items():
+        low, high = each.learned.interval
+        assert low <= exact[name] <= high
+
+
+LINE = re.compile(r'^  (\w+) -> (\w+) \[label="((?:[^"\\]|\\.)*)"(.*)\]$')
+NASTY = ['"]; evil [label="', "\\n\\", "$x^$ <b>", "a | {b}"]
+
+
+def test_dot_holds_every_transition_and_names_are_text() -> None:
+    rows = [(s, a, [("1/3", s, a), ("2/3", s + 1, 0)]) for s in range(3) for a in range(2)]
+    mdp = MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], states=NASTY, actions=NASTY[:2])
+    lines = dot(mdp, [1, 1, 1, 0]).splitlines()
+    assert (lines[0], lines[-1]) == ("digraph {", "}")
+    edges = [found.groups() for found in map(LINE.match, lines) if found]
+    assert len(edges) == 6 + 12
+    plain = [re.sub(r"\\(.)", r"\1", label) for _, _, label, _ in edges]
+    assert set(plain[::3]) == set(NASTY[:2])
+    assert set(plain) - set(NASTY) == {"1/3", "2/3", "1/3, 1"}
+    assert sum("penwidth" in rest for *_, rest in edges) == 9  # of one action in each state
+    for name in NASTY:
+        assert any(f"state {name}" in re.sub(r"\\(.)", r"\1", line) for line in lines)
+    written = [text.get_text() for text in plot_transitions(mdp, "random").texts]
+    assert set(NASTY) <= set(written)

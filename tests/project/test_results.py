@@ -1,0 +1,212 @@
+"""Every result shows itself: a table, an HTML table, a few lines, a picture if there is one."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable, Iterator
+from functools import cache
+from html.parser import HTMLParser
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from exact_mdp import analysis, paper_repro, solvers
+from exact_mdp.analysis import best_policy, check, compare
+from exact_mdp.analysis.learning import instability
+from exact_mdp.analysis.learning.curves import learning_curve
+from exact_mdp.analysis.learning.outcomes import outcomes
+from exact_mdp.analysis.perception.accuracy import accuracy_curves, hedging
+from exact_mdp.analysis.perception.cost import Counted, price_of_perception, value_under_counts
+from exact_mdp.analysis.perception.errors import error_costs
+from exact_mdp.analysis.perception.needed import accuracy_needed
+from exact_mdp.analysis.sensitivity import (
+    gradient,
+    joint_radius,
+    multi_model,
+    one_way,
+    structural,
+    thresholds,
+    tornado,
+    two_way,
+)
+from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
+from exact_mdp.analysis.sensitivity.draws.sampled import sampled
+from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
+from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
+from exact_mdp.analysis.sensitivity.psa.psa import psa
+from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
+from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
+from exact_mdp.mdp import MDP, Policy, Scenario, moving
+from exact_mdp.mdp.care.perception import independent
+from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.parametric import parametric
+from exact_mdp.mdp.result import Pictured, Result
+from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
+from exact_mdp.solvers.learning.mean_field import settle
+from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
+from exact_mdp.solvers.robust.robust import solve_robust
+from exact_mdp.solvers.robust.sets import Intervals
+
+mpl.use("Agg")
+LINES, LETTERS = 20, 2000
+SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+NAMES = ["base.anger", "reward.anger"]
+ROUGH = independent([0.9] * 4, [0.85] * 4)
+LEARNER = QLearning(epochs=20)
+
+
+@cache
+def care() -> MDP:
+    return SMALL.compile()
+
+
+@cache
+def run() -> TrainingRun:
+    return LEARNER.train(care(), 0)
+
+
+def moved() -> object:
+    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    return sampled(moving(mdp, {"stay": [(0, 0)]}), ["stay"], np.array([[0.5], [0.75]]))
+
+
+# One of each kind of result. A new kind is added here; the first test says so.
+MADE: dict[str, Callable[[], object]] = {
+    "AccuracyCurves": lambda: accuracy_curves(care(), levels=[0.9, 1]),
+    "AccuracyNeeded": lambda: accuracy_needed(care()),
+    "Audit": lambda: check(care(), "always:directive"),
+    "BeliefSolution": lambda: solve_beliefs(Process.of(care(), ROUGH), tol=1),
+    "BestPolicy": lambda: best_policy(care()),
+    "BoundedCertificate": lambda: certify(care(), bounded=True),
+    "BoxExtreme": lambda: box_extreme(SMALL, "optimal", {"base.anger": ("1/25", "3/50")}),
+    "BoxOptimum": lambda: box_optimum(SMALL, {"base.anger": ("1/25", "3/50")}),
+    "Certificate": lambda: certify(care()),
+    "Comparison": lambda: instability.compare(np.array([0.5, 0.5]), np.array([3, 5])),
+    "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
+    "ErrorCosts": lambda: error_costs(care(), "optimal", ROUGH),
+    "Evaluation": lambda: evaluate(care(), "random"),
+    "Gradient": lambda: gradient(SMALL),
+    "Hedging": lambda: hedging(care(), levels=[1.0, 0.9]),
+    "JointRadius": lambda: joint_radius(SMALL, {"base.anger": (0, 1)}),
+    "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
+    "LossCurve": lambda: expected_loss(SMALL, {"a": "optimal"}, [10, 100], rng=0, n=20),
+    "MeanField": lambda: settle(care(), [3] * 16, epsilon=0.1),
+    "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
+    "MultiModel": lambda: multi_model([care(), SMALL.with_(max_trial=2).compile()]),
+    "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
+    "PSA": lambda: psa(SMALL, 50, rng=0),
+    "PolicyComparison": lambda: compare(care(), {"a": "random", "b": "optimal"}),
+    "Prediction": lambda: instability.predict(care(), LEARNER, episodes=50, n=4),
+    "PriceOfPerception": lambda: price_of_perception(care(), ROUGH, tol=1),
+    "ReturnDistribution": lambda: return_distribution(care(), "random"),
+    "Robust": lambda: robust(care()),
+    "RobustCurve": lambda: robust_curve(care(), "l1", [0, 0.1]),
+    "RobustSolution": lambda: solve_robust(care(), Intervals.relative(care(), 0.1)),
+    "Sampled": moved,
+    "Simulation": lambda: simulate(care(), "random", 20, 0),
+    "Sobol": lambda: sobol(SMALL, names=NAMES, n=8, rng=0),
+    "Solution": lambda: solve(care()),
+    "Structural": lambda: structural(SMALL, {"own": {"skip_timestep": "own"}}),
+    "Thresholds": lambda: thresholds(SMALL, "base.anger"),
+    "Tornado": lambda: tornado(SMALL, names=NAMES),
+    "TwoWay": lambda: two_way(SMALL, *NAMES, points=3),
+    "UncertainValue": lambda: value_under_counts(
+        care(), "optimal", Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16), rng=0, n=20
+    ),
+}
+
+
+@cache
+def made(name: str) -> object:
+    return MADE[name]()
+
+
+def kinds() -> dict[str, type[Result]]:
+    """Return every class of results that can be made, by name."""
+    for package in (analysis, solvers, paper_repro):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if "kernels" not in module.name and not module.name.endswith(("plugin", "__main__")):
+                importlib.import_module(module.name)
+    waiting, found = [Result], dict[str, type[Result]]()
+    while waiting:
+        below = waiting.pop().__subclasses__()
+        waiting += below
+        found |= {kind.__name__: kind for kind in below if kind.__module__.startswith("exact_mdp")}
+    abstract = {"Pictured", *(name for name, kind in found.items() if inspect.isabstract(kind))}
+    bases = {base.__name__ for kind in found.values() for base in kind.__mro__[1:]}
+    return {name: kind for name, kind in found.items() if name not in abstract | bases}
+
+
+class Parsed(HTMLParser):
+    """How often each element is opened and closed."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open = dict[str, int]()
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, _: object) -> None:
+        self.open[tag] = self.open.get(tag, 0) + 1
+
+    def handle_endtag(self, tag: str) -> None:
+        self.open[tag] -= 1
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    yield
+    plt.close("all")
+
+
+def test_every_kind_of_result_is_made_here() -> None:
+    assert set(MADE) == set(kinds())
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_a_result_shows_itself(name: str) -> None:
+    found = made(name)
+    assert type(found).__name__ == name
+    assert isinstance(found, Result)
+    for text in (repr(found), str(found)):
+        assert 0 < len(text) <= LETTERS
+        assert len(text.splitlines()) < LINES
+        assert "<" not in text or " at 0x" not in text
+    frame = found.frame()
+    assert len(frame.columns) > 0
+    page = found._repr_html_()
+    assert page.count("<tr") <= LINES + 2
+    assert set(Parsed(page).open.values()) == {0}
+    if isinstance(found, Pictured):
+        ax = found.plot()
+        assert isinstance(ax, Axes)
+        ax.figure.canvas.draw()
+        own = plt.subplots()[1]
+        assert found.plot(ax=own) is own
+
+
+@pytest.mark.parametrize(
+    "thing",
+    [
+        lambda: care(),
+        lambda: SMALL,
+        lambda: run(),
+        lambda: Policy.of(care(), "random"),
+        lambda: Policy.of(care(), "always:directive"),
+        lambda: check(care(), "random").regret,
+        lambda: check(care(), np.eye(4)[[0] * 16]).representation,
+        lambda: uncertainty(parametric(SMALL)),
+        lambda: parametric(SMALL),
+        lambda: Process.of(care(), ROUGH),
+    ],
+)
+def test_so_do_the_things_results_are_made_of(thing: Callable[[], object]) -> None:
+    text = repr(thing())
+    assert len(text) <= LETTERS, text[:500]
+    assert len(text.splitlines()) < LINES
