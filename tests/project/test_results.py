@@ -16,7 +16,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from exact_mdp import analysis, paper_repro, solvers
-from exact_mdp.analysis import best_policy, check, compare
+from exact_mdp.analysis import best_policy, check, compare, value_function
 from exact_mdp.analysis.learning import instability
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
@@ -82,6 +82,7 @@ MADE: dict[str, Callable[[], object]] = {
     "AccuracyCurves": lambda: accuracy_curves(care(), levels=[0.9, 1]),
     "AccuracyNeeded": lambda: accuracy_needed(care()),
     "Audit": lambda: check(care(), "always:directive"),
+    "AverageCertificate": lambda: certify(care(), criterion="average"),
     "BeliefSolution": lambda: solve_beliefs(Process.of(care(), ROUGH), tol=1),
     "BestPolicy": lambda: best_policy(care()),
     "BoundedCertificate": lambda: certify(care(), bounded=True),
@@ -117,6 +118,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Thresholds": lambda: thresholds(SMALL, "base.anger"),
     "Tornado": lambda: tornado(SMALL, names=NAMES),
     "TwoWay": lambda: two_way(SMALL, *NAMES, points=3),
+    "ValueFunction": lambda: value_function(SMALL, "base.anger"),
     "UncertainValue": lambda: value_under_counts(
         care(), "optimal", Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16), rng=0, n=20
     ),
