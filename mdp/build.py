@@ -8,8 +8,9 @@ as floats; else as integers over one denominator for each row.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
 from functools import reduce
 from math import isfinite
@@ -20,6 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from exact_mdp.mdp.components import completed
 from exact_mdp.mdp.errors import ModelError, ShapeError, located
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.space import StateSpace
@@ -62,26 +64,42 @@ def from_arrays(
     stacked, (states, actions), layout = _stacked(P, "P", "transitions", layout)
     pair = np.arange(actions * states)
     state, action = pair // actions, pair % actions
-    by_move = _is_sparse_list(R)
-    rewards = None if by_move else _dense(_numbers(R, "R"))
-    if rewards is None or rewards.ndim == 3:
-        reward, sizes, _ = _stacked(R, "R", "rewards", layout if states == actions else None)
-    else:
-        sizes = {(states,): (states, actions)}.get(rewards.shape, rewards.shape)
-        reward = np.repeat(rewards, actions) if rewards.ndim == 1 else rewards.reshape(-1)
-    if sizes != (states, actions):
-        turned = f"transitions have shape {np.shape(P)}, (S, A, S), and " if layout == "sas" else ""
-        shape = (len(R), *R[0].shape) if rewards is None else rewards.shape
-        raise ShapeError(
-            f"{turned}rewards have shape {shape}",
-            where="R",
-            fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
-        )
+
+    def of_pairs(values: Any, where: str) -> Any:
+        return _rewards_of_arrays(values, where, P, layout, (states, actions))
+
+    reward = of_pairs(R, "R")
+    _each_component(names, of_pairs)
     names.setdefault("actions", [str(number) for number in range(actions)])
     kept = _offered(reward, names)
     if kept is not None:
         state, action, stacked, reward = state[kept], action[kept], stacked[kept], reward[kept]
+        _each_component(names, lambda values, _: values[kept])
     return _from_rows(state, action, stacked, reward, discount, start, names)
+
+
+def _rewards_of_arrays(
+    R: Any, where: str, P: Any, layout: str | None, shape: tuple[int, int]
+) -> Any:
+    """Return rewards as `from_arrays` takes them for each pair (L,) or transition (L, S)."""
+    states, actions = shape
+    rewards = None if _is_sparse_list(R) else _dense(_numbers(R, where))
+    if where != "R" and rewards is not None and rewards.shape == (states * actions,):
+        return rewards  # a component's amounts, one for each pair
+    if rewards is None or rewards.ndim == 3:
+        reward, sizes, _ = _stacked(R, where, "rewards", layout if states == actions else None)
+    else:
+        sizes = {(states,): shape}.get(rewards.shape, rewards.shape)
+        reward = np.repeat(rewards, actions) if rewards.ndim == 1 else rewards.reshape(-1)
+    if sizes != shape:
+        turned = f"transitions have shape {np.shape(P)}, (S, A, S), and " if layout == "sas" else ""
+        given = (len(R), *R[0].shape) if rewards is None else rewards.shape
+        raise ShapeError(
+            f"{turned}rewards have shape {given}",
+            where=where,
+            fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
+        )
+    return reward
 
 
 @contextmanager
@@ -113,21 +131,14 @@ def from_pairs(
     """Return the parts of the model that `MDP.from_pairs` makes."""
     state, action = _indices(pair_state, "pair_state"), _indices(pair_action, "pair_action")
     rows = _numbers(transition, "transition")
-    rewards = _numbers(reward, "reward")
-    if rewards.shape != rows.shape:
-        rewards = _dense(rewards)
     if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
         raise ShapeError(
             f"{len(state)} states and {len(action)} actions for transitions of shape {rows.shape}",
             where="pairs",
             fix="give one state, one action and one row of (L, S) for each pair",
         )
-    if rewards.shape != (len(state),) and rewards.shape != rows.shape:
-        raise ShapeError(
-            f"rewards have shape {rewards.shape}, not ({len(state)},)",
-            where="reward",
-            fix="give one reward for each pair",
-        )
+    rewards = _rewards_of_rows(reward, "reward", rows)
+    _each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
     order = _offered(rewards, names)
     ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
     if not (ahead | (level & (action[1:] >= action[:-1]))).all():
@@ -135,7 +146,22 @@ def from_pairs(
         order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
     if order is not None:
         state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
+        _each_component(names, lambda values, _: values[order])
     return _from_rows(state, action, rows, rewards, discount, start, names)
+
+
+def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
+    """Return rewards as `from_pairs` takes them: of pairs (L,) or transitions (L, S)."""
+    rewards = _numbers(reward, where)
+    if rewards.shape != rows.shape:
+        rewards = _dense(rewards)
+    if rewards.shape != rows.shape[:1] and rewards.shape != rows.shape:
+        raise ShapeError(
+            f"rewards have shape {rewards.shape}, not ({rows.shape[0]},)",
+            where=where,
+            fix="give one reward for each pair",
+        )
+    return rewards
 
 
 def from_outcomes(
@@ -148,7 +174,8 @@ def from_outcomes(
     """Return the parts of the model that `MDP.from_outcomes` makes."""
     try:
         listed = [(index(row[0]), index(row[1]), _merged(row[2])) for row in rows]
-        listed.sort(key=lambda row: row[:2])
+        order = sorted(range(len(listed)), key=lambda number: listed[number][:2])
+        listed = [listed[number] for number in order]
         state = np.array([row[0] for row in listed], dtype=np.int64)
         action = np.array([row[1] for row in listed], dtype=np.int64)
         merged = [row[2] for row in listed]
@@ -170,6 +197,7 @@ def from_outcomes(
     else:
         gain = grouped(owned, np.arange(len(merged) + 1))
     table = _table(offsets, following, weight, gain, of_pairs=owned is not None)
+    _each_component(names, lambda values, where: _of_length(values, where, len(listed))[order])
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -266,6 +294,75 @@ def _from_rows(
     if rising and len(table.next) == len(following):
         vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
     return _assemble(state, action, table, size, discount, start, names)
+
+
+def _each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> None:
+    """Replace what is given for each component of the reward by what a function makes of it."""
+    given = names.get("components")
+    if given is None:
+        return
+    if not isinstance(given, Mapping):
+        columns = _numbers(given, "components")
+        words = tuple(names.get("component_names", ()))
+        if columns.ndim != 2 or columns.shape[1] != len(words):
+            raise ModelError(
+                f"components have shape {columns.shape} for {len(words)} names",
+                where="components",
+                fix="give {name: amounts}",
+            )
+        given = dict(zip(words, columns.T, strict=True))
+    found = {str(name): change(values, f"component {name}") for name, values in given.items()}
+    if not found:
+        raise ModelError("no component is given", where="components", fix="name one, or none")
+    names["components"] = found
+
+
+def _of_length(values: Any, where: str, pairs: int) -> Any:
+    """Return amounts (L,) for L pairs."""
+    amounts = _numbers(values, where)
+    if amounts.shape != (pairs,):
+        raise ShapeError(
+            f"amounts have shape {amounts.shape}, not ({pairs},)",
+            where=where,
+            fix="give one amount for each pair",
+        )
+    return amounts
+
+
+def named_components(parts: Parts, table: OutcomeTable) -> Parts:
+    """Take `components` out of parts; return names and table of them, the rest of the reward too.
+
+    Amounts are those of the table's pairs (L,), or of transitions (L, S).
+    """
+    if parts.get("components") is None:
+        parts.pop("components", None)
+        return {}
+    _each_component(
+        parts, lambda values, where: _of_length(values, where, table.pairs)
+        if len(np.shape(values)) < 2 else values,
+    )  # fmt: skip
+    columns = {}
+    for name, values in parts.pop("components").items():
+        if values.ndim == 1:
+            found = grouped(np.array(values), np.arange(table.pairs + 1))
+            top, bottom = found.top, found.bottom
+        else:
+            found = grouped(_picked(values, table.pair, table.next), table.offsets)
+            earning = replace(table, gain=found.top, gain_denominator=found.bottom)
+            top, bottom = by_outcome(earning).expected_gain_exact()
+        _check_finite(top, name)
+        columns[name] = top, bottom
+    names, known = completed(columns, table)
+    return {"component_names": names, "component_table": known}
+
+
+def _check_finite(values: Numbers, name: str) -> None:
+    if values.dtype == np.float64 and not np.isfinite(values).all():
+        raise ModelError(
+            f"an amount is {values[~np.isfinite(values)][0]}",
+            where=f"component {name}",
+            fix="give a finite number",
+        )
 
 
 def _table(
@@ -367,6 +464,7 @@ def _assemble(
     if words and len(words) > size:
         size = len(words)
     space = names.pop("space", None) or StateSpace.plain(size, words)
+    names |= named_components(names, table)
     return dict(
         table=table,
         pair_state=state,

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import (
@@ -36,14 +37,14 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
     `offsets` (S+1,) says where the pairs of each state begin, `terminal` (S,) where all is over.
     """
     count, space = counted(steps, "horizon"), _in_columns(model, terminal)
-    own, states, parts = space.regular, model.n_states, len(model.component_names)
+    own, states = space.regular, model.n_states
     if TIME in space.names:
         raise ModelError(
             f"the model has a column {TIME!r} of its own",
             where="state space",
             fix="unroll the model that it was made from, or name that column differently",
         )
-    table, first = model.table, offsets
+    table, first, known = model.table, offsets, model.component_table
     # A terminal state stays one, whatever the time, and needs no more than one action.
     kept = ~terminal[model.pair_state]
     kept[first[:-1][terminal]] = True
@@ -78,15 +79,16 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
             columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
         ),
         "start": tuple((s if s < own else s + own * count, weight) for s, weight in model.start),
-        "components": np.concatenate(
-            [np.tile(model.components[rows], (count, 1)), np.zeros((states, parts))]
-        ),
-        "exact_components": None
-        if model.exact_components is None
-        else np.append(
-            np.tile(model.exact_components[rows], (count, 1)),
-            np.zeros((states, parts), dtype=object),
-            axis=0,
+        "component_table": None
+        if known is None
+        else ComponentTable(
+            amount=np.concatenate(
+                [
+                    np.tile(known.amount[rows], (count, 1)),
+                    np.zeros((states, known.amount.shape[1]), dtype=known.amount.dtype),
+                ]
+            ),
+            denominator=layers(known.denominator[rows], np.ones(states, np.int64)),
         ),
         "time_limit": None,
         "labels": {

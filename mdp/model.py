@@ -23,6 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import build, lazy, questions
+from exact_mdp.mdp.components import wrong_rows
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.horizon import unrolled
@@ -33,7 +34,7 @@ from exact_mdp.mdp.parametric.symbolic import (
     outcomes_degree,
     pairs_degree,
 )
-from exact_mdp.mdp.table import Floats, Integers, OutcomeTable
+from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable
 from exact_mdp.mdp.validate import (
     Parts,
     as_discount,
@@ -73,10 +74,9 @@ class MDP(Parts):
         The discount γ in [0, 1].
     start : tuple of (state, probability)
         Initial distribution; state 0 unless said otherwise.
-    components, component_names : (L, C) float, tuple of str
-        Expected reward by component; the row sums are `reward`.
-    exact_components : (L, C) Fractions, optional
-        The same exactly, where they are known so; `components` are then derived from them.
+    component_table, component_names : ComponentTable or None, tuple of str
+        Exact expected reward by component, of which there are C; None where the reward is the only
+        one. `components` has it in floats (L, C), whose row sums are `reward`.
     events : tuple of str
         Names of the bits of `table.event`.
     time_limit : int, optional
@@ -128,12 +128,7 @@ class MDP(Parts):
         fill(self, "reward", self.table.expected_gain())
         if not np.all(np.isfinite(self.reward)):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
-        if self.exact_components is not None:
-            fill(self, "components", self.exact_components.astype(np.float64))
-        if self.components.size == 0 and len(self.component_names) == 1:
-            fill(self, "components", self.reward[:, None])
-        else:
-            _check_components(self)
+        _check_components(self)
         for array in self._arrays():
             array.setflags(write=False)
         if self.goal is not None and not self.terminal[self.goal].all():
@@ -145,7 +140,9 @@ class MDP(Parts):
 
     def _arrays(self) -> Iterable[NDArray[Any]]:
         table, matrix = self.table, self.transition
-        yield from (matrix.data, matrix.indices, matrix.indptr, self.reward, self.components)
+        yield from (matrix.data, matrix.indices, matrix.indptr, self.reward)
+        if self.component_table is not None:
+            yield from (self.component_table.amount, self.component_table.denominator)
         yield from (self.pair_state, self.pair_action, self.pair_offsets)
         yield from (table.offsets, table.next, table.weight, table.denominator)
         yield from (table.gain, table.gain_denominator)
@@ -153,7 +150,7 @@ class MDP(Parts):
             part for part in (table.event, table.weight_doubt, table.gain_doubt) if part is not None
         )
         yield from self.labels.values()
-        optional = (self.goal, self.exact_components, self.observations)
+        optional = (self.goal, self.observations)
         yield from (part for part in optional if part is not None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -216,6 +213,34 @@ class MDP(Parts):
         counts.sum_duplicates()
         counts.eliminate_zeros()
         return counts
+
+    @cached_property
+    def components(self) -> Floats:
+        """(L, C) the expected reward of each pair by component."""
+        table = self.component_table
+        found = self.reward[:, None] if table is None else table.floats()
+        found.setflags(write=False)
+        return found
+
+    def component(self, name: str) -> tuple[Numbers, Numbers]:
+        """Return integers (L,), (L,) whose ratio is the expected amount of a component, exactly.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2", components={"effort": ["-1/3"]})
+        >>> mdp.component_names, [int(part[0]) for part in mdp.component("effort")]
+        (('effort', 'rest'), [-1, 3])
+        """
+        if name not in self.component_names:
+            raise ModelError(
+                f"unknown component {name!r}",
+                where="components",
+                fix=suggest(name, self.component_names),
+            )
+        if self.component_table is None:
+            return self.table.expected_gain_exact()
+        amount, denominator = self.component_table.exact()
+        return np.asarray(amount[:, self.component_names.index(name)]), denominator
 
     @cached_property
     def forced(self) -> NDArray[np.bool_]:
@@ -287,7 +312,8 @@ class MDP(Parts):
         discount : number or "p/q", optional
         start : state, {state: probability} or (S,) probabilities, optional
         **parts
-            Any other attribute of the constructor, such as `name` or `actions`.
+            Any other attribute of the constructor, such as `name` or `actions`; `components`, as
+            in `from_arrays`, for each pair (L,).
 
         Returns
         -------
@@ -307,10 +333,12 @@ class MDP(Parts):
             parts["discount_exact"] = as_discount(discount)
         if start is not None:
             parts["start"] = as_start(start, parts.get("space", self.space))
-        if "table" in parts and "components" not in parts:
-            parts |= questions.ONE_COMPONENT
         if "table" in parts:
             parts = {"observations": None} | parts
+            if not parts.keys() & {"components", "component_table"}:
+                parts |= questions.ONE_COMPONENT
+        if "components" in parts:
+            parts |= build.named_components(parts, parts.get("table", self.table))
         return replace(self, **parts)
 
     def negated(self) -> MDP:
@@ -335,8 +363,7 @@ class MDP(Parts):
         return replace(
             self,
             table=replace(self.table, gain=-gain),
-            components=-self.components,
-            exact_components=None if self.exact_components is None else -self.exact_components,
+            component_table=None if self.component_table is None else -self.component_table,
             sense="max" if self.sense == "min" else "min",
             unreached=-self.unreached,
         )
@@ -482,7 +509,9 @@ class MDP(Parts):
         start : state, {state: probability}, or (S,) probabilities
         **names
             `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
-            are costs; `labels` {name: (S,) truth values}.
+            are costs; `labels` {name: (S,) truth values}; `components` {name: amounts as `R` or
+            `reward` has them, or one for each pair}: what they leave of the reward is a component
+            "rest".
 
         Returns
         -------
@@ -789,22 +818,27 @@ def _transition(table: OutcomeTable, states: int) -> sp.csr_array:
 
 
 def _check_components(mdp: MDP) -> None:
-    shape = (mdp.n_pairs, len(mdp.component_names))
-    if mdp.components.shape != shape:
+    table, names = mdp.component_table, mdp.component_names
+    if table is None and len(names) == 1:
+        return
+    shape = (mdp.n_pairs, len(names))
+    if table is None or table.amount.shape != shape or table.denominator.shape != shape[:1]:
         raise ModelError(
-            f"components have shape {mdp.components.shape}, not {shape}",
+            f"components have shape {None if table is None else table.amount.shape}, not {shape}",
             where="reward components",
             fix="give one column for each component name",
         )
-    with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
-        total = mdp.components.sum(axis=1)
-        scale = np.abs(mdp.components).sum(axis=1) + np.abs(mdp.reward)
-    lost = (shape[1] + 1) * 2.0**-1074  # below the range of floats, rounding is no longer relative
-    wrong = ~(np.abs(total - mdp.reward) <= 1e-12 * scale + lost)
+    if not table.denominator.min() > 0:
+        raise ModelError(
+            "a denominator of the components is not positive",
+            where="reward components",
+            fix="make it > 0",
+        )
+    wrong = wrong_rows(table, mdp.reward)
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
         raise ModelError(
-            f"components sum to {total[pair]:g}, the reward is {mdp.reward[pair]:g}",
+            f"components sum to {mdp.components[pair].sum():g}, the reward is {mdp.reward[pair]:g}",
             where=mdp.where(pair),
             fix="make the components add up to the expected reward",
         )

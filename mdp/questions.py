@@ -26,7 +26,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable, ones, over_groups
+from exact_mdp.mdp.table import Numbers, OutcomeTable, ones
 from exact_mdp.mdp.validate import Flags, Parts
 
 REACHED = "reached"
@@ -75,10 +75,9 @@ def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
         table = replace(table, gain=gain, gain_denominator=below, gain_doubt=None)
         changes |= ONE_COMPONENT | {"component_names": (reward,)}
     ends = target[model.pair_state]
-    for name in ("components", "exact_components"):
-        values = getattr(model, name)
-        if name not in changes and values is not None:
-            changes[name] = np.where(ends[:, None], 0, values)
+    known = model.component_table
+    if "component_table" not in changes and known is not None:
+        changes["component_table"] = replace(known, amount=np.where(ends[:, None], 0, known.amount))
     return {
         **changes,
         **NO_DATA,
@@ -88,11 +87,7 @@ def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
 
 
 NO_DATA = {"observations": None}  # other rows than those that were observed
-ONE_COMPONENT = {
-    "component_names": ("reward",),
-    "components": np.empty((0, 0)),
-    "exact_components": None,
-}
+ONE_COMPONENT = {"component_names": ("reward",), "component_table": None}
 
 
 def labelled(model: Parts, label: str) -> Flags:
@@ -119,10 +114,9 @@ def _component(model: Parts, name: str) -> tuple[Numbers, Numbers]:
     if name not in model.component_names:
         fix = suggest(name, model.component_names)
         raise ModelError(f"no reward component {name!r}", where="reward components", fix=fix)
-    number = model.component_names.index(name)
-    if model.exact_components is None:
-        return np.array(model.components[:, number]), ones(model.n_pairs)
-    return over_groups(model.exact_components[:, number].tolist(), np.arange(model.n_pairs + 1))
+    if model.component_table is None:
+        return model.table.expected_gain_exact()
+    return model.component_table.column(model.component_names.index(name))
 
 
 def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:

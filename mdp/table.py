@@ -236,14 +236,14 @@ class OutcomeTable:
         """Return (N,), (L,) integers: floats become integers over a power of two for each row."""
         if self.weight.dtype != np.float64:
             return self.weight, self.denominator
-        return _dyadic(self.weight, self.offsets)
+        return dyadic(self.weight, self.offsets)
 
     def integer_gains(self) -> tuple[Numbers, Numbers]:
         """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
         if self.gain.dtype != np.float64:
             return self.gain, self.gain_denominator
         each = np.arange(self.pairs + 1) if len(self.gain) == self.pairs else self.offsets
-        return _dyadic(self.gain, each)
+        return dyadic(self.gain, each)
 
     def weight_rounding(self) -> Floats:
         """Return (N,) how far each probability may lie from what it was rounded from.
@@ -557,8 +557,8 @@ def _half_ulp(values: Numbers) -> Floats:
     return np.where(values == 0, 0.0, np.spacing(np.abs(values)) / 2)
 
 
-def _dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return floats as Python integers over one power of two for each row."""
+def dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
+    """Return finite floats as integers over one power of two for each row."""
     mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
     whole = np.ldexp(mantissa, 53).astype(np.int64)
     zeros = np.where(whole == 0, 1, whole)

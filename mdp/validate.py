@@ -10,6 +10,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import (
     DistributionError,
     ModelError,
@@ -24,9 +25,7 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     ROW_TOLERANCE,
-    Floats,
     Integers,
-    Numbers,
     OutcomeTable,
     beside,
     exact,
@@ -51,8 +50,7 @@ class Parts:
     discount_exact: Fraction = Fraction(1)
     start: tuple[tuple[int, Fraction], ...] = ((0, Fraction(1)),)
     component_names: tuple[str, ...] = ("reward",)
-    components: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    exact_components: Numbers | None = None
+    component_table: ComponentTable | None = None
     events: tuple[str, ...] = ()
     name: str = ""
     parameters: tuple[Parameter, ...] = ()

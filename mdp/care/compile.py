@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.care.laws import ExactChances, Laws
 from exact_mdp.mdp.care.rules import FINAL, Rules
 from exact_mdp.mdp.care.tables import SKIP, Tables
+from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
@@ -44,11 +45,9 @@ from exact_mdp.mdp.table import (
     MOST_BYTES,
     NARROW,
     WIDE,
-    Floats,
     Integers,
     Numbers,
     OutcomeTable,
-    divide,
     integers,
     magnitude,
     multiply,
@@ -58,7 +57,7 @@ ENTRIES = 2**20  # of a product held at once
 MOST_STATUSES = 10
 
 Rows = dict[str, NDArray[Any]]
-"""Rows of a block: lengths, next, weight, denominator, gain, event, expected components."""
+"""Rows of a block: lengths, next, weight, denominator, gain, event; components amount / below."""
 
 
 class Block:
@@ -144,7 +143,8 @@ class Block:
             # As wide as the row's denominator, below which sums stay.
             law = np.concatenate([part.astype(bottom.dtype) for part in weight], axis=2)
             gain = gains + rules.present[some, None, None]
-            parts.append(_rows(columns, law, bottom[some], gain, event, components[some]))
+            own = components[0][some], components[1][some]
+            parts.append(_rows(columns, law, bottom[some], gain, event, own))
         return parts
 
     def _skip(self, place: int) -> Rows:
@@ -168,8 +168,11 @@ class Block:
         shares: dict[str, Numbers],
         flag: int,
         place: int,
-    ) -> Floats:
-        """Return (2^n, A, C) expected reward components, from the `shares` (2^n, A) of events."""
+    ) -> tuple[Numbers, Numbers]:
+        """Return expected reward components (2^n, A, C) over (2^n, A).
+
+        They come from the `shares` (2^n, A) of events, and are integers.
+        """
         rules = self.rules
         counts = np.zeros((*bottom.shape, len(rules.names)), dtype=bottom.dtype)
         for event, share in shares.items():
@@ -183,7 +186,7 @@ class Block:
             counts[:, :, -rules.assistive :] = shares["complete"][:, :, None] * own
         amounts = multiply(counts, integers([rules.worth[name] for name in rules.names]))
         full = multiply(np.asarray(bottom), integers([rules.scale]))
-        return divide(amounts, np.broadcast_to(full[:, :, None], amounts.shape))
+        return amounts, np.broadcast_to(full, amounts.shape[:2])
 
 
 def _rows(
@@ -192,7 +195,7 @@ def _rows(
     denominator: Numbers,
     gain: Numbers,
     event: NDArray[np.uint8],
-    components: Floats,
+    components: tuple[Numbers, Numbers],
 ) -> Rows:
     """Flatten (2^n, A, outcomes) arrays to rows, outcomes sorted by next state, zeros left out."""
     order = np.argsort(following, kind="stable")
@@ -205,7 +208,8 @@ def _rows(
         "denominator": denominator.reshape(-1),
         "gain": np.broadcast_to(gain, shape)[kept],
         "event": np.broadcast_to(event[order], shape)[kept],
-        "components": components.reshape(-1, components.shape[2]),
+        "amount": components[0].reshape(-1, components[0].shape[2]),
+        "below": components[1].reshape(-1),
     }
 
 
@@ -311,7 +315,11 @@ def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
         gain_denominator=_same(rules.scale, len(lengths)),
         event=joined("event", 0).astype(np.uint8),
     )
-    components = [rows["components"] for rows in blocks]
+    nothing = np.zeros((1, len(rules.names)), dtype=np.int64)
+    components = ComponentTable(
+        amount=np.concatenate([*(rows["amount"] for rows in blocks), nothing]),
+        denominator=joined("below", 1),
+    )
     return MDP(
         table,
         np.append((starts[:, None] + state).reshape(-1), end),
@@ -320,7 +328,7 @@ def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
         actions=rules.actions,
         discount_exact=scenario.discount,
         component_names=rules.names,
-        components=np.concatenate([*components, np.zeros((1, len(rules.names)))]),
+        component_table=components,
         events=(SKIP,),
         name=scenario.name,
         parameters=scenario.parameters,
@@ -334,6 +342,7 @@ def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
     Its rows are those of `small`, which were checked there, at other places.
     """
     count, size, table, matrix = len(order), rules.size, small.table, small.transition
+    known = small.component_table
     end = count * size
     starts = np.append(np.arange(order.max() + 1) * size, small.n_states - 1)
     rows = small.pair_offsets[starts]
@@ -383,7 +392,10 @@ def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
         "pair_state": lay(small.pair_state, rows, moved=True),
         "pair_action": lay(small.pair_action, rows),
         "pair_offsets": ends(np.diff(small.pair_offsets), starts),
-        "components": lay(small.components, rows),
+        "component_table": known
+        and ComponentTable(
+            amount=lay(known.amount, rows), denominator=lay(known.denominator, rows)
+        ),
         "reward": lay(small.reward, rows),
     }
     if indptr[-1] < 2**31 - 1:

@@ -12,7 +12,9 @@ The arrays of an archive, nothing in it being a pickle:
     gain          (N,) or (L,) integers or float64   reward of an outcome, or of a pair, is
     gain_denominator (L,) integers                   gain[i] / gain_denominator[l]
     event         (N,) uint8     optional: bit b is set where event number b happens
-    components    (L, C) float64 expected reward of each pair by component
+    components    (L, C) integers or float64     optional: expected reward of each pair by
+    component_denominator (L,) integers          component, components[l, c] over the denominator;
+                                           1 in older files, which have all components in floats
     weight_doubt  (N,) float64   optional: how far each probability, and each reward, may lie from
     gain_doubt    (N,) or (L,) float64     what it was rounded from, where the arrays do not tell
     labels        (K, S) uint8   optional: 1 where the label's states are, of the header's names
@@ -46,6 +48,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
@@ -53,7 +56,7 @@ from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable, exact
+from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, ones
 
 T = TypeVar("T")
 
@@ -234,6 +237,9 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
 OPTIONAL = tuple(field.name for field in fields(OutcomeTable) if field.default is None)
 """Arrays that a table may lack. Those that are not above are floats."""
 
+COMPONENTS = ("components", "component_denominator")
+"""Where a model has more than its reward; (L, C) integers in bytes have one row for each pair."""
+
 FLAGS = ("labels", "goal")
 """Truth values about states, which a model may lack."""
 
@@ -243,7 +249,8 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "pair_state": ("int64",),
     "pair_action": ("int64",),
     **TABLE,
-    "components": ("float64",),
+    "components": ("int64", "float64", "uint8"),
+    "component_denominator": ("int64", "uint8"),
     "labels": ("uint8",),
     "goal": ("uint8",),
     "observations": ("int64",),
@@ -267,9 +274,13 @@ def save(model: MDP, path: str | Path) -> None:
     arrays = {
         "pair_state": model.pair_state,
         "pair_action": model.pair_action,
-        "components": model.components,
         **{name: _as_bytes(array) for name, array in parts.items() if array is not None},
     }
+    if model.component_table is not None:
+        amount, below = model.component_table.amount, model.component_table.denominator
+        flat = _as_bytes(amount.reshape(-1))
+        arrays["components"] = flat.reshape(*amount.shape[:1], -1)
+        arrays["component_denominator"] = _as_bytes(np.ascontiguousarray(below))
     if model.labels:
         arrays["labels"] = np.array(list(model.labels.values()), dtype=np.uint8)
     if model.goal is not None:
@@ -305,12 +316,34 @@ def load(path: str | Path) -> MDP:
             **{name: _as_integers(arrays[name]) for name in TABLE if name in arrays}
         )
         state, action = arrays["pair_state"], arrays["pair_action"]
-        return MDP(table, state, action, components=arrays["components"], **parts)
+        known = _components(arrays, len(parts["component_names"]))
+        return MDP(table, state, action, component_table=known, **parts)
+
+
+def _components(arrays: Mapping[str, Numbers], parts: int) -> ComponentTable | None:
+    """Return the table of components; None where the reward is the only one."""
+    if "components" not in arrays:
+        return None
+    amount = arrays["components"]
+    if amount.dtype == np.uint8:
+        if parts < 1 or amount.shape[1] % parts or amount.shape[1] < WIDTH * parts:
+            raise ModelError(
+                f"rows of {amount.shape[1]} bytes for {parts} components",
+                where="components",
+                fix="save the model again",
+            )
+        amount = _as_integers(amount.reshape(len(amount) * parts, -1)).reshape(-1, parts)
+    below = arrays.get("component_denominator")
+    if below is None and amount.dtype == np.float64 and amount.shape[1] == 1 == parts:
+        return None  # an older file of a model whose only component is the reward
+    return ComponentTable(
+        amount=amount, denominator=ones(len(amount)) if below is None else _as_integers(below)
+    )
 
 
 def _check_names(names: Collection[str]) -> None:
     """Raise ModelError unless an archive holds the arrays of a model, by their names."""
-    needed = {name for name in KINDS if name not in (*OPTIONAL, *FLAGS, "observations")}
+    needed = KINDS.keys() - {*OPTIONAL, *COMPONENTS, *FLAGS, "observations"}
     if not needed <= set(names) <= KINDS.keys():
         raise ModelError(
             f"the archive holds {', '.join(names)[:200] or 'nothing'}",

@@ -16,7 +16,7 @@ format has none. To other tools
 
     rewards/reward   is Σ_i p_i r_i for each choice, from which expected totals are the same,
 
-and every reward component is a reward model of its own, likewise by choice, in floats, called by
+and every reward component is a reward model of its own, likewise by choice, called by
 its name with underscores for other signs than letters and digits (`subtask_complete`). States
 where the process has ended carry the label `terminal`; the columns of the state space are the
 states' valuations (-1 for the states beside the product). Storm, for one, then answers
@@ -42,6 +42,7 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.components import of_columns
 from exact_mdp.mdp.errors import ModelError, located, shown_text
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.npz import as_header, parts_of
@@ -170,7 +171,9 @@ def _own(content: Content, header: Mapping[str, Any], discount: object, start: o
     if not content.ours:
         parts["component_names"] = ("reward",)
     elif content.components:
-        parts["components"] = np.array(content.components, dtype=np.float64).T
+        each = np.arange(len(content.actions) + 1)
+        columns = [_stored(values, each) for values in content.components]
+        parts["component_table"] = of_columns(columns)
     if discount is not None:
         parts["discount_exact"] = as_discount(discount)
     if start is not None:
@@ -334,10 +337,11 @@ def _umb_of(model: MDP) -> Any:
         annotations={"rewards": {}, "aps": {}, GROUP: {}},
     )
     _annotate(umb, "rewards", REWARD, "choices", _expected(model))
-    # A lone component of the usual name is the reward itself.
-    if model.component_names != (REWARD,) or (model.components[:, 0] != model.reward).any():
+    known = model.component_table
+    if known is not None:
         for number, name in enumerate(model.component_names):
-            values = model.components[:, number].tolist()
+            each = np.arange(model.n_pairs + 1)
+            values = _ratios(known.amount[:, number], known.denominator, each)
             _annotate(umb, "rewards", component_key(number), "choices", values, alias=name)
     _annotate(umb, "aps", TERMINAL, "states", model.terminal.tolist())
     for number, (name, states) in enumerate(model.labels.items()):

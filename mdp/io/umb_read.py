@@ -147,7 +147,7 @@ class Content:
     header: Mapping[str, Any] | None  # of files that exact-mdp wrote
     event: list[int] | None  # (N,)
     doubts: Mapping[str, list[float]]  # (N,) or (C,)
-    components: list[list[float]]  # of (C,)
+    components: list[list[Any]]  # of (C,)
     ours: bool  # the rewards are those that the other annotations belong to
     labels: Mapping[str, NDArray[np.bool_]]  # (S,) by identifier
     goal: NDArray[np.bool_] | None  # (S,)

@@ -506,6 +506,7 @@ def test_with_validates_again() -> None:
         {"pair_state": mdp.pair_state[::-1]},
         {"pair_state": mdp.pair_state[:-1]},
         {"components": np.zeros((6, 1))},
+        {"component_names": ("a", "b")},
         {"components": np.zeros((5, 1))},
     ):
         with pytest.raises(ModelError):

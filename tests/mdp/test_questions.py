@@ -68,13 +68,13 @@ def test_the_reward_until_then_is_that_of_the_best_policy(mdp: MDP) -> None:
 
 
 def test_components_keep_their_exact_values() -> None:
-    exact = np.array([[F(1, 3), F(2, 7)], [F(1), F(1)]], dtype=object)
+    exact = [[F(1, 3), F(2, 7)], [F(1), F(1)]]
     mdp = MDP.from_arrays(
         [[["1/3", "2/3"], [0, 1]]],
         [F(13, 21), 2],
         labels={"home": [False, True]},
         component_names=("a", "b"),
-        exact_components=exact,
+        components=exact,
     )
     assert certify(mdp.until("home", "a")).start_value == F(1, 2)
     assert certify(mdp.until("home", reward="b")).start_value == F(3, 7)
@@ -82,7 +82,6 @@ def test_components_keep_their_exact_values() -> None:
     assert certify(both).start_value == F(13, 14)
     assert evaluate(both, "random").components == pytest.approx({"a": 1 / 2, "b": 3 / 7})
     assert certify(mdp.negated().until("home", "b")).start_value == F(-3, 7)
-    assert mdp.within(2).exact_components is not None
 
 
 def test_a_discount_and_a_horizon_end_the_wait() -> None:

@@ -109,7 +109,7 @@ SPOILED: dict[str, tuple[str, Any, str]] = {
     "denominator 0": ("denominator", lambda a: a * 0, "not positive"),
     "gain denominator": ("gain_denominator", lambda a: -a, "not positive"),
     "components": ("components", lambda a: a + 1, "components sum to"),
-    "components flat": ("components", lambda a: a[:, 0].copy(), "an array of type float64"),
+    "components flat": ("components", lambda a: a[:, 0].copy(), "an array of type int64"),
     "components nan": ("components", lambda a: a * np.nan, "components sum to"),
     "event": ("event", lambda a: a.astype(np.int64), "an array of type int64"),
     "short event": ("event", lambda a: a[:-1], "event has shape"),

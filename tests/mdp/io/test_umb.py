@@ -52,9 +52,10 @@ def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
     described = {d.description: key for key, d in found.index.annotations["rewards"].items()}
     aliases = {d.alias for d in found.index.annotations["rewards"].values()}
     assert {"subtask_complete", "assist_non_directive", "anger"} <= aliases
-    for number, name in enumerate(mdp.component_names):
+    for name in mdp.component_names:
         values = rewards[described[name]]["choices"]
-        assert values == mdp.components[:, number].tolist()
+        top, bottom = mdp.component(name)
+        assert values == [Fraction(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
     assert found.annotations["aps"]["terminal"]["states"] == mdp.terminal.tolist()
     assert found.state_is_initial == [state == 0 for state in range(mdp.n_states)]
     assert found.choice_action_to_string == list(mdp.actions)

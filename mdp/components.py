@@ -1,0 +1,139 @@
+"""What a reward is made of: the exact expected amount of each component, for every pair.
+
+    r(l) = Σ_c amount[l, c] / denominator[l]
+
+Amounts are integers over one denominator for each pair, or floats, each taken as the dyadic
+rational that it is. `MDP.components` is this table rounded to floats, each number once. Components
+that are given by name need not add up to the reward: what is left of it is one more, "rest". So a
+cost that is no part of the reward (Altman, Constrained Markov Decision Processes, 1999) is a
+component like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import (
+    Floats,
+    Numbers,
+    OutcomeTable,
+    divide,
+    dyadic,
+    integers,
+    multiply,
+    ones,
+    reduced,
+)
+
+REST = "rest"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ComponentTable:
+    """Expected reward of L pairs by component, of which there are C.
+
+    Attributes
+    ----------
+    amount : (L, C) integers or floats
+    denominator : (L,) integers
+        Component c of pair l is amount[l, c] / denominator[l].
+    """
+
+    amount: Numbers
+    denominator: Numbers
+
+    def floats(self) -> Floats:
+        """Return (L, C) the amounts, each rounded once."""
+        pairs, parts = self.amount.shape
+        counts = np.full(pairs, parts)
+        return divide(self.amount.reshape(-1), self.denominator, counts).reshape(pairs, parts)
+
+    def exact(self) -> tuple[Numbers, Numbers]:
+        """Return the amounts as integers (L, C) over denominators (L,)."""
+        if self.amount.dtype != np.float64:
+            return self.amount, self.denominator
+        pairs, parts = self.amount.shape
+        top, bottom = dyadic(self.amount.reshape(-1), np.arange(pairs + 1) * parts)
+        return top.reshape(pairs, parts), bottom
+
+    def column(self, number: int) -> tuple[Numbers, Numbers]:
+        """Return the amounts (L,) of one component over their denominators (L,)."""
+        return np.ascontiguousarray(self.amount[:, number]), self.denominator
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ComponentTable) or self.amount.shape != other.amount.shape:
+            return NotImplemented
+        (ours, below), (theirs, bottom) = self.exact(), other.exact()
+        left = multiply(ours, bottom[:, None]), multiply(theirs, below[:, None])
+        return np.array_equal(*left)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __neg__(self) -> ComponentTable:
+        amount = self.amount
+        if amount.dtype == np.int64 and amount.min(initial=0) == np.iinfo(np.int64).min:
+            amount = amount.astype(object)
+        return ComponentTable(amount=-amount, denominator=self.denominator)
+
+
+def of_columns(columns: Sequence[tuple[Numbers, Numbers]]) -> ComponentTable:
+    """Return the table of components that are given as numerators and denominators (L,) each."""
+    if all(top.dtype == np.float64 for top, _ in columns):
+        amount = np.stack([top for top, _ in columns], axis=1)
+        return ComponentTable(amount=amount, denominator=ones(len(amount)))
+    each = [reduced(*_whole(column)) for column in columns]
+    bottom = each[0][1].astype(object)
+    for _, below in each[1:]:
+        bottom = np.lcm(bottom, below.astype(object))
+    amounts = [multiply(top, bottom // below).astype(object) for top, below in each]
+    shape = len(bottom), len(columns)
+    return ComponentTable(
+        amount=integers(np.stack(amounts, axis=1).reshape(-1).tolist()).reshape(shape),
+        denominator=integers(bottom.tolist()),
+    )
+
+
+def _whole(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+    top, bottom = column
+    return dyadic(top, np.arange(len(top) + 1)) if top.dtype == np.float64 else (top, bottom)
+
+
+def completed(
+    columns: Mapping[str, tuple[Numbers, Numbers]], table: OutcomeTable
+) -> tuple[tuple[str, ...], ComponentTable]:
+    """Return names and table of components that were given by name, with the rest of the reward."""
+    found = of_columns(list(columns.values()))
+    amount, below = found.exact()
+    total = np.asarray(multiply(amount, integers([1]), terms=amount.shape[1]).sum(axis=1))
+    gain, bottom = table.expected_gain_exact()
+    left = multiply(gain, below) - multiply(total, bottom)
+    if not np.asarray(left != 0).any() or _adds_up(found, table):
+        return tuple(columns), found
+    if REST in columns:
+        raise ModelError(
+            f"components are given with one called {REST!r}, and do not add up to the reward",
+            where="components",
+            fix=f"leave {REST!r} out: it is what the others leave of the reward",
+        )
+    rest = reduced(left, multiply(bottom, below))
+    return (*columns, REST), of_columns([*columns.values(), rest])
+
+
+def _adds_up(found: ComponentTable, table: OutcomeTable) -> bool:
+    """Return whether floats add up to the reward but for rounding."""
+    given = np.float64 in (found.amount.dtype, table.gain.dtype, table.weight.dtype)
+    return given and not wrong_rows(found, table.expected_gain()).any()
+
+
+def wrong_rows(found: ComponentTable, reward: Floats) -> Numbers:
+    """Return (L,) where components do not add up to the rewards, up to rounding in floats."""
+    floats = found.floats()
+    with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
+        total = floats.sum(axis=1)
+        scale = np.abs(floats).sum(axis=1) + np.abs(reward)
+    lost = (floats.shape[1] + 1) * 2.0**-1074  # below the range, rounding is no longer relative
+    return np.asarray(~(np.abs(total - reward) <= 1e-12 * scale + lost))
