@@ -24,6 +24,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import load
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.space import StateSpace
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             raise ModelError(
                 f"unknown render mode {render_mode!r}", where="environment", fix='use "ansi"'
             )
+        rewards_only(model, "an environment")
         mdp = model
         self.mdp, self.pass_forced, self.render_mode = mdp, pass_forced, render_mode
         self.observed, self._seen = _observations(mdp, columns)

@@ -101,6 +101,14 @@ of_policy = together(
     click.option("--perception", metavar="FILE", help=PERCEPTION_HELP),
     horizon,
 )
+question = together(
+    click.option("--reach", metavar="LABEL", help="Ask for the probability of reaching a label."),
+    click.option("--until", metavar="LABEL", help="Ask for the expected reward until a label."),
+    click.option("--reward", metavar="NAME", help="The reward component that counts until then."),
+    click.option("--allowed", metavar="LABEL", help="Reach it through states of this label only."),
+    click.option("--minimize", is_flag=True, help="Look for the least: rewards are costs."),
+    click.option("--start", metavar="STATE", help="Start in this state, a number or a name."),
+)
 model = click.argument("model")
 policy = click.argument("policy")
 
@@ -181,6 +189,7 @@ def convert() -> None:
 @model
 @of_model
 @horizon
+@question
 @click.option(
     "--method",
     default="auto",
@@ -216,6 +225,7 @@ def solve() -> None:
 @click.argument("certificate")
 @model
 @horizon
+@question
 @of_model
 def verify() -> None:
     """Check that CERTIFICATE proves the optimum of MODEL; exit status 1 where it does not.
@@ -240,6 +250,7 @@ def verify() -> None:
     help="Whether to compute the quantiles, which can take long in large models.",
 )
 @of_policy
+@question
 @of_model
 def evaluate() -> None:
     """Compute the mean return of POLICY in MODEL, its spread, and what it is made of."""
@@ -254,6 +265,7 @@ def evaluate() -> None:
 @policy
 @click.option("--exact", is_flag=True, help="Give the probabilities as rationals, too.")
 @of_policy
+@question
 @of_model
 def returns() -> None:
     """Compute the probability of every return that POLICY can have in MODEL, at discount 1."""
@@ -293,6 +305,7 @@ def simulate() -> None:
     "--no-explain", is_flag=True, help="Do not say what the policy's columns cannot express."
 )
 @of_policy
+@question
 @of_model
 def check() -> None:
     """Compare LEARNED, a policy or Q-table, with the exact optimum of MODEL.
@@ -454,6 +467,7 @@ def train() -> None:
     help=f"{PERCEPTION_HELP} This holds for the policy held fixed; the optimum that it is compared "
     "with knows the status. Values are exact for the probabilities as rounded to floats.",
 )
+@question
 @of_model
 def sensitivity() -> None:
     """Compute how MODEL's optimum depends on its parameters.

@@ -22,6 +22,54 @@ MOST_STEPS = 10**9
 
 
 @dataclass(frozen=True, kw_only=True)
+class Question:
+    """What the options --reach, --until, --minimize, --start and those beside them ask of a model.
+
+    It is a function of models.
+    """
+
+    reach: str | None = None
+    until: str | None = None
+    reward: str | None = None
+    allowed: str | None = None
+    minimize: bool = False
+    start: str | None = None
+
+    def __post_init__(self) -> None:
+        for needy, value, needed in (
+            ("--allowed", self.allowed, self.reach),
+            ("--reward", self.reward, self.until),
+        ):
+            if value is not None and needed is None:
+                fix = {"--allowed": "--reach LABEL", "--reward": "--until LABEL, or MODEL.umb#NAME"}
+                raise ModelError(
+                    f"{needy} is part of another question", where=needy, fix=f"give {fix[needy]}"
+                )
+        if self.reach is not None and self.until is not None:
+            raise ModelError("two questions", where="--until", fix="leave out it, or --reach")
+
+    def __call__(self, mdp: MDP) -> MDP:
+        """Return the model whose optimal value is the answer."""
+        changes: dict[str, Any] = {} if self.start is None else {"start": self.start}
+        if self.minimize:
+            changes["sense"] = "min"
+        mdp = mdp.with_(**changes) if changes else mdp
+        if self.reach is not None:
+            return mdp.reaching(self.reach, self.allowed)
+        return mdp if self.until is None else mdp.until(self.until, self.reward)
+
+    def words(self) -> str | None:
+        """Return the question in words; None for the total reward."""
+        best = "least" if self.minimize else "greatest"
+        if self.reach is not None:
+            through = f" through {self.allowed}" if self.allowed else ""
+            return f"{best} probability of reaching {self.reach}{through}"
+        if self.until is not None:
+            return f"{best} expected {self.reward or 'reward'} until {self.until}"
+        return "least expected costs" if self.minimize else None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Given:
     """The model that a command names, and the policy of a command that takes one.
 
@@ -30,7 +78,9 @@ class Given:
     endless : Loaded
         The model as it is.
     loaded : Loaded
-        The model of episodes that stop after the steps of --horizon, where that is given.
+        The model that the question makes of it, of episodes that stop after the steps of --horizon
+        where that is given. It is no scenario where there is a question.
+    question : Question, optional
     head, facts : dict
         How result and facts begin.
     notes : tuple of str
@@ -41,6 +91,7 @@ class Given:
 
     endless: Loaded
     loaded: Loaded
+    question: Question | None = None
     steps: int | None
     head: dict[str, Any]
     facts: dict[str, Any]
@@ -85,26 +136,37 @@ def given(
     policy: str | None = None,
     kind: str = "auto",
     perception: str | None = None,
-    **stopping: str | None,
+    horizon: str | bool | None = False,
+    **asking: Any,
 ) -> Given:
     """Return the model that a command names, and the policy where it takes one.
 
     Parameters
     ----------
-    **stopping : {"horizon": N}, optional
+    horizon : "N" or None, optional
         The option --horizon of a command that has it.
+    **asking
+        The options of a `Question`.
     """
-    endless = load(model, sets=sets, discount=discount)
+    asked = Question(**asking)
+    question = None if asked == Question() else asked
+    endless = load(model, sets=sets, discount=discount, start=asking.get("start"))
     loaded, steps = endless, None
-    if stopping.get("horizon") is not None:
-        steps = whole_of(str(stopping["horizon"]), "--horizon", 1, MOST_STEPS)
-        loaded = replace(endless, mdp=endless.mdp.within(steps))
+    if question is not None:
+        loaded = replace(endless, mdp=question(endless.mdp), scenario=None)
+    if isinstance(horizon, str):
+        steps = whole_of(horizon, "--horizon", 1, MOST_STEPS)
+        loaded = replace(loaded, mdp=loaded.mdp.within(steps))
     mdp, limit = loaded.mdp, loaded.mdp.time_limit
-    also = f": --horizon {limit}" if "horizon" in stopping else ""
+    also = f": --horizon {limit}" if horizon is not False else ""
     head: dict[str, Any] = {"model": loaded.name, "discount": mdp.discount}
     facts: dict[str, Any] = {"model": loaded.name}
-    if stopping:
+    if horizon is not False:
         head["horizon"] = steps
+    if asking:
+        words = question.words() if question else None
+        head |= {"sense": mdp.sense, "question": words, "start": asking["start"]}
+        facts |= {"question": words, "start": asking["start"]}
     found = None
     if policy is not None:
         found = policy_from(mdp, policy, perception, kind=kind)
@@ -115,6 +177,7 @@ def given(
     return Given(
         endless=endless,
         loaded=loaded,
+        question=question,
         steps=steps,
         head=head,
         facts=facts,

@@ -40,7 +40,8 @@ def solve(
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     if operator:
         wanted: dict[str, object] = {"--certify": certify, "--certificate": certificate}
-        wanted["--horizon"] = shared.pop("horizon")
+        kept = ("model", "sets", "discount")
+        wanted |= {f"--{name}": shared.pop(name) for name in [*shared] if name not in kept}
         asked = _as_operator(method, wanted, **shared)
         method = "backward-induction" if method == "auto" else method
     else:

@@ -9,15 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
+from operator import attrgetter
 
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, Posed
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Solution
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +51,16 @@ class BaseCase:
         mdp = self.mdp
         taken = mdp.pair_action == np.asarray(choice)[mdp.pair_state]
         return np.where(mdp.forced[mdp.pair_state], 1.0, taken.astype(float))
+
+
+def maximised(model: Parametric, policy: PolicyLike) -> tuple[Parametric, PolicyLike]:
+    """Return models of costs as their negations, which engines maximise, and the policy for them.
+
+    A policy is read as one of costs first: of a table of these, the least entries count.
+    """
+    if not (isinstance(policy, str) and policy == "optimal"):
+        policy = policy_of(model.at({}), policy)
+    return Posed(family=model, ask=attrgetter("maximised")), policy
 
 
 def digest(*policies: Floats) -> str:

@@ -13,12 +13,13 @@ the points at which the rows pass from one polynomial to another.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.exact_chain import rational
 from exact_mdp.analysis.sensitivity.gap_polynomials import Ratio
 from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Sweep, moved
@@ -68,6 +69,9 @@ class RationalFunction:
         return cls(
             numerator=tuple(c / unit for c in top), denominator=tuple(c / unit for c in below)
         )
+
+    def __neg__(self) -> RationalFunction:
+        return replace(self, numerator=tuple(-c for c in self.numerator))
 
     def at(self, value: Fraction) -> Fraction:
         """Return the ratio at a point."""
@@ -149,13 +153,23 @@ class ValueFunction(Result):
     def at(self, value: object) -> Fraction:
         """Return the optimal value at the start at a value of the parameter."""
         where = exact(value)
-        return max(piece.value.at(where) for piece in self.around(where))
+        best = max if self.mdp.sense == "max" else min
+        return best(piece.value.at(where) for piece in self.around(where))
 
     def fixed_at(self, value: object) -> Fraction | None:
         """Return the value of the policy held fixed there."""
         where = exact(value)
         fixed = self.around(where)[0].fixed
         return None if fixed is None else fixed.at(where)
+
+    def negated(self, mdp: MDP) -> ValueFunction:
+        """Return the function of costs, whose model is given, from that of their negation."""
+        pieces = tuple(
+            replace(each, value=-each.value, fixed=None if each.fixed is None else -each.fixed)
+            for each in self.pieces
+        )
+        chain = None if self.chain is None else replace(self.chain, mdp=mdp)
+        return replace(self, pieces=pieces, mdp=mdp, chain=chain)
 
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
@@ -212,6 +226,11 @@ def value_function(
     (2, Fraction(9, 1), Fraction(-60, 7))
     """
     family = parametric(model)
+    if family.at({}).sense == "min":
+        rewards, held = maximised(family, "optimal" if policy is None else policy)
+        given = None if policy is None else held
+        found = value_function(rewards, name, ranges, relative=relative, policy=given)
+        return found.negated(family.at({}))
     span = range_of(family, name, ranges, relative)
     mdp, sections = family.at({}), sections_of(family, name, span)
     chain = None if policy is None else PolicyChain.of(mdp, policy)

@@ -63,6 +63,9 @@ class Checked:
     value: Fraction
     points: int
 
+    def __neg__(self) -> Checked:
+        return Checked(value=-self.value, points=self.points)
+
     @property
     def claim(self) -> Claim:
         """Estimated."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.derivatives import BoundedPass, Checked, ExactPass
 from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
@@ -65,6 +66,11 @@ class Derivative:
     left: Slope | None
     right: Slope | None
     elasticity: float | None
+
+    def negated(self) -> Derivative:
+        """Return the derivative of the value times -1, which has the same elasticity."""
+        left, right = (None if side is None else -side for side in (self.left, self.right))
+        return replace(self, left=left, right=right)
 
     @property
     def value(self) -> Slope | None:
@@ -121,6 +127,18 @@ class Gradient(Pictured):
     def error(self) -> float:
         """Bound on the error of the start value; 0 where it is exact."""
         return self.start.error if isinstance(self.start, Bounded) else 0.0
+
+    def negated(self) -> Gradient:
+        """Return the gradient of costs from that of rewards which are the costs times -1."""
+        return replace(
+            self,
+            start=-self.start,
+            derivatives={name: each.negated() for name, each in self.derivatives.items()},
+            steps={
+                name: (None if below is None else -below, -above)
+                for name, (below, above) in self.steps.items()
+            },
+        )
 
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
@@ -205,6 +223,9 @@ def gradient(
     names = [parameter.name for parameter in family.parameters] if names is None else names
     parameters = [parameter_of(family, name) for name in names]
     mdp = family.at({})
+    if mdp.sense == "min":
+        rewards, policy = maximised(family, policy)
+        return gradient(rewards, policy=policy, names=names, exact=exact).negated()
     if exact is None:
         exact = _cheap(mdp)
     passed = ExactPass(mdp, policy) if exact else BoundedPass(mdp, policy)

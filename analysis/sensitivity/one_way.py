@@ -43,11 +43,13 @@ class Values:
 
     optimal: Bounded
     fixed: Bounded
+    sense: str = "max"
 
     @property
     def regret(self) -> Bounded:
         """What holding the policy costs; not below 0, whatever rounding says."""
-        value = max(0.0, self.optimal.value - self.fixed.value)
+        lost = self.optimal.value - self.fixed.value
+        value = max(0.0, lost if self.sense == "max" else -lost)
         return Bounded(value=value, error=(self.optimal.error + self.fixed.error) * (1 + 1e-9))
 
 
@@ -260,12 +262,13 @@ def tornado(
         bars.append(Bar(parameter=parameter_of(family, name), low=low, high=high))
     bars.sort(key=lambda bar: -bar.swing)
     fixed = evaluate(base.mdp, held).numbers["mean"]
-    today = Values(optimal=base.solution.start, fixed=fixed)
+    today = Values(optimal=base.solution.start, fixed=fixed, sense=base.mdp.sense)
     return Tornado(today=today, bars=tuple(bars))
 
 
 def _point(mdp: MDP, at: Fraction, held: Floats) -> Point:
-    return Point(at=at, optimal=solve(mdp).start, fixed=evaluate(mdp, held).numbers["mean"])
+    fixed = evaluate(mdp, held).numbers["mean"]
+    return Point(at=at, optimal=solve(mdp).start, fixed=fixed, sense=mdp.sense)
 
 
 def grid(span: Range, points: int, where: str) -> list[Fraction]:

@@ -15,7 +15,7 @@ from exact_mdp.mdp.chain import termination
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of, unposed
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import beside, exact, shown
 
@@ -112,7 +112,7 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
     >>> admitted(model, rate, around(rate))
     Range(low=Fraction(18, 25), high=Fraction(19, 20))
     """
-    if isinstance(model, ScenarioFamily):  # all its models can be built, and end
+    if isinstance(unposed(model), ScenarioFamily):  # all its models can be built, and end
         return span
     low, high = room_of(model, parameter.name)
     low = span.low if low is None else max(low, span.low)

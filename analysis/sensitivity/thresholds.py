@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.gap_polynomials import Rows
 from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Sweep
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
@@ -221,6 +222,8 @@ def thresholds(
     """
     family = parametric(model)
     span = range_of(family, name, ranges, relative)
+    if family.at({}).sense == "min":
+        family, _ = maximised(family, "optimal")
     sections = sections_of(family, name, span)
     stretches = [stretch for section in sections for stretch in section]
     checked_at = next((c for each in sections if (c := each.rows.change.checked) is not None), None)

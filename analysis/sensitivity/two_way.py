@@ -70,6 +70,8 @@ class TwoWay(Pictured):
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""
         across, along = np.meshgrid(self.x_values, self.y_values)
+        lost = self.value - self.fixed_value
+        lost = lost if self.mdp.sense == "max" else -lost
         return pandas.DataFrame(
             {
                 self.x.name: across.reshape(-1),
@@ -77,7 +79,7 @@ class TwoWay(Pictured):
                 "policy (number)": self.policy.reshape(-1),
                 "value, re-optimised (reward)": self.value.reshape(-1),
                 "value, policy fixed (reward)": self.fixed_value.reshape(-1),
-                "regret (reward)": np.maximum(self.value - self.fixed_value, 0.0).reshape(-1),
+                "regret (reward)": np.maximum(lost, 0.0).reshape(-1),
                 "error bound (reward)": self.error.reshape(-1),
                 "claim": "bounded",
             }

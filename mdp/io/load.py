@@ -32,7 +32,13 @@ class Loaded:
     scenario: Scenario | None
 
 
-def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None = None) -> Loaded:
+def load(
+    spec: str | Path,
+    *,
+    sets: Sequence[str] = (),
+    discount: object | None = None,
+    start: object | None = None,
+) -> Loaded:
     """Return the model that `spec` names.
 
     Parameters
@@ -45,6 +51,8 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
     discount : number or "p/q", optional
         Instead of the model's own; it wins over `sets`. A `.umb` file of another program states
         none: 1 is taken, with a warning.
+    start : state, {state: probability} or (S,) vector, optional
+        Instead of the model's own; a `.umb` or `.drn` file may have several initial states.
 
     Raises
     ------
@@ -60,7 +68,9 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
     suffix = _suffix(text)
     if text in shipped() or suffix == ".toml":
         scenario = load_scenario(text, sets=sets, discount=discount)
-        return Loaded(name=scenario.name, mdp=scenario.compile(), scenario=scenario)
+        compiled = scenario.compile()
+        mdp = compiled if start is None else compiled.with_(start=start)
+        return Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
     if sets and (text.startswith(GYMNASIUM) or suffix in FILES):
         raise ModelError(
             f"{sets[0]!r} cannot be set: the model is not a scenario",
@@ -75,9 +85,10 @@ def load(spec: str | Path, *, sets: Sequence[str] = (), discount: object | None 
         mdp = mdp if discount is None else mdp.with_(discount=discount)
     elif suffix == ".umb":
         file, reward = _umb_parts(text)
-        mdp = umb.load(file, discount=discount, reward=reward)
+        mdp = umb.load(file, discount=discount, reward=reward, start=start)
     else:
         raise _unknown(text)
+    mdp = mdp if start is None else mdp.with_(start=start)
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=None)
 
 

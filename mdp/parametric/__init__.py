@@ -11,11 +11,13 @@ if TYPE_CHECKING:
         DISCOUNT,
         Family,
         Parametric,
+        Posed,
         moving,
         parameter_of,
         parametric,
         placed,
         room_of,
+        unposed,
     )
     from exact_mdp.mdp.parametric.parameter import Parameter
 
@@ -24,11 +26,13 @@ __all__ = [
     "Family",
     "Parameter",
     "Parametric",
+    "Posed",
     "moving",
     "parameter_of",
     "parametric",
     "placed",
     "room_of",
+    "unposed",
 ]
 
 __getattr__, __dir__ = names_later(

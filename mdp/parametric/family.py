@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -133,6 +134,58 @@ class Family:
         return {}
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Posed:
+    """A family of models with one question about each of them, such as `MDP.reaching`.
+
+    The rows that a question replaces are constant, and others stay: no degree grows.
+
+    Examples
+    --------
+    >>> costs = moving(MDP.from_arrays([[[0, 1], [0, 1]]], [3, 0]), {}, {"price": 3})
+    >>> Posed(family=costs, ask=MDP.negated).at({"price": 5}).reward.tolist()
+    [-5.0, 0.0]
+    """
+
+    family: Parametric
+    ask: Callable[[MDP], MDP]
+
+    @property
+    def name(self) -> str:
+        """What the model is called."""
+        return self.family.name
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """See `Parametric.parameters`."""
+        return self.family.parameters
+
+    def at(self, values: Mapping[str, object]) -> MDP:
+        """See `Parametric.at`."""
+        return self.ask(self.family.at(values))
+
+    def degree(self, name: str) -> int:
+        """See `Parametric.degree`."""
+        return self.family.degree(name)
+
+    def breakpoints(self, name: str) -> tuple[Fraction, ...]:
+        """See `Parametric.breakpoints`."""
+        return self.family.breakpoints(name)
+
+    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
+        """See `Parametric.neighbours`."""
+        posed = partial(Posed, ask=self.ask)
+        return {
+            name: (None if below is None else posed(family=below), posed(family=above))
+            for name, (below, above) in self.family.neighbours().items()
+        }
+
+
+def unposed(model: Parametric) -> Parametric:
+    """Return a family without the questions about its models."""
+    return unposed(model.family) if isinstance(model, Posed) else model
+
+
 def parametric(source: Source | MDP | Parametric) -> Parametric:
     """Return what a scenario, or a plain model with its rewards and its discount, may vary.
 
@@ -240,6 +293,10 @@ def moving(
             space=model.space,
             actions=model.actions,
             name=model.name,
+            sense=model.sense,
+            labels=model.labels,
+            goal=model.goal,
+            unreached=model.unreached,
         )
 
     return Family(
@@ -293,7 +350,7 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
         if parameter.name == name:
             return parameter
     fix = suggest(name, [parameter.name for parameter in model.parameters])
-    if isinstance(model, Family):
+    if isinstance(unposed(model), Family):
         fix += (
             '; name others yourself: moving(model, {"NAME": [(pair, next state)]}, '
             '{"NAME": reward}), and give that as the model'
@@ -313,7 +370,8 @@ def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | N
     """
     parameter = parameter_of(model, name)
     own = (parameter.low, parameter.high)
-    return model.room.get(name, own) if isinstance(model, Family) else own
+    within = unposed(model)
+    return within.room.get(name, own) if isinstance(within, Family) else own
 
 
 def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:

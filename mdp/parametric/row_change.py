@@ -20,7 +20,13 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.family import Family, Parametric, parameter_of, room_of
+from exact_mdp.mdp.parametric.family import (
+    Family,
+    Parametric,
+    parameter_of,
+    room_of,
+    unposed,
+)
 from exact_mdp.mdp.parametric.symbolic import degree_of
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
 
@@ -193,14 +199,15 @@ def _sampled(
     There are more of them where neither a scenario's rules state the degree nor a symbolic run
     proves it.
     """
-    if isinstance(model, ScenarioFamily):
+    family = unposed(model)
+    if isinstance(family, ScenarioFamily):
         points = piece.points(origin, degree)
         return points, [model.at({name: point}) for point in points], True
     points, models = _found(model, name, piece, origin, degree + 1)
     proof = None
-    if isinstance(model, Family):
+    if isinstance(family, Family):
         values = {parameter.name: parameter.value for parameter in model.parameters}
-        proof = degree_of(model.build, values, name, (piece.low, piece.high), points[0])
+        proof = degree_of(family.build, values, name, (piece.low, piece.high), points[0])
     if proof is None:
         points, models = _found(model, name, piece, origin, degree + EXTRA)
     return points, models, proof is not None and proof <= degree

@@ -27,6 +27,7 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
@@ -184,6 +185,7 @@ class Trainer:
     """Settings and a model, laid out once for many runs."""
 
     def __init__(self, settings: QLearning, mdp: MDP) -> None:
+        rewards_only(mdp, "a learner")
         self.settings, self.mdp = settings, mdp
         self.rows = rows_of(mdp, settings.columns)
         self.tables = tables(mdp, self.rows)

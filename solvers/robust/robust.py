@@ -73,7 +73,7 @@ class RobustModel:
     model: MDP
     ambiguity: Ambiguity
     nature: Nature = "worst"
-    objective: Objective = "max"
+    objective: Objective | None = None
 
     def solve_with(self, solver: object, tol: float | None) -> RobustSolution:
         """Return what `solve_robust` gives; `solve` calls this."""
@@ -180,7 +180,7 @@ def solve_robust(
     ambiguity: Ambiguity,
     *,
     nature: Nature = "worst",
-    objective: Objective = "max",
+    objective: Objective | None = None,
     policy: PolicyLike | None = None,
     tol: float | None = None,
     max_iterations: int = 100_000,
@@ -193,8 +193,9 @@ def solve_robust(
     ambiguity : Intervals, L1Ball, Likelihood, RelativeEntropy, or another `Ambiguity`
     nature : "worst" or "best"
         Against the agent (robust), or with it (cooperative).
-    objective : "max" or "min"
-        Whether rewards are gains or costs to the agent; to a given policy, which side is worst.
+    objective : "max" or "min", optional
+        Whether rewards are gains or costs to the agent; to a given policy, which side is worst. The
+        sense of the model unless given.
     policy : PolicyLike, optional
         Hold this policy instead of choosing the best.
     tol : float, optional
@@ -221,16 +222,16 @@ def solve_robust(
     >>> print(solve_robust(mdp, Intervals.relative(mdp, 0.2)).start)
     1.66666666667 ± ... (bounded)
     """
-    started = perf_counter()
-    for word, known in ((nature, ("worst", "best")), (objective, ("max", "min"))):
+    started, aim = perf_counter(), objective or model.sense
+    for word, known in ((nature, ("worst", "best")), (aim, ("max", "min"))):
         if word not in known:
             raise ModelError(f"unknown {word!r}", where="robust", fix=f"say {' or '.join(known)}")
     ambiguity.check(model)
     game = Game(
         mdp=model,
         ambiguity=ambiguity,
-        against=(nature == "worst") == (objective == "max"),
-        most=objective == "max",
+        against=(nature == "worst") == (aim == "max"),
+        most=aim == "max",
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
     if tol is not None and not 0 < tol < np.inf:
@@ -250,7 +251,7 @@ def solve_robust(
     solution = RobustSolution(
         mdp=model,
         nature=nature,
-        objective=objective,
+        objective="max" if game.most else "min",
         value=np.array(end.value),
         state_error=np.asarray(end.error * end.weight * SLACK),
         pairs=pairs,

@@ -8,7 +8,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from exact_mdp.analysis.cli.options import policy_from, whole_of
+from exact_mdp.analysis.cli.options import Given, policy_from, whole_of
 from exact_mdp.analysis.sensitivity.ranges import (
     Ranges,
     checked,
@@ -18,7 +18,7 @@ from exact_mdp.analysis.sensitivity.ranges import (
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.load import Loaded
-from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.parametric import Parametric, Posed, parametric
 from exact_mdp.mdp.table import FLOAT_RANGE, exact, shown
 
 STATED = ("ranges", "range_file", "relative", "whole")
@@ -30,8 +30,13 @@ ROUNDED = "of the perception, and the probabilities of actions that it makes, as
 class Asked:
     """A model and the options of a sensitivity analysis."""
 
-    loaded: Loaded
+    given: Given
     options: Mapping[str, Any]
+
+    @property
+    def loaded(self) -> Loaded:
+        """The model, with what is asked of it."""
+        return self.given.loaded
 
     def __getitem__(self, name: str) -> Any:
         """Return the value of an option; None where it was left out."""
@@ -40,9 +45,13 @@ class Asked:
     @cached_property
     def model(self) -> Parametric:
         """The model with its parameters; a scenario that is compiled stays so."""
-        if self.loaded.scenario is None:
-            return parametric(self.loaded.mdp)
-        return ScenarioFamily(scenario=self.loaded.scenario, base=self.loaded.mdp)
+        base, question = self.given.endless, self.given.question
+        family = (
+            parametric(base.mdp)
+            if base.scenario is None
+            else ScenarioFamily(scenario=base.scenario, base=base.mdp)
+        )
+        return family if question is None else Posed(family=family, ask=question)
 
     @property
     def form(self) -> str:

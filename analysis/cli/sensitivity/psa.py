@@ -273,8 +273,8 @@ def _stated(asked: Asked) -> tuple[Parametric, Stated, float]:
                 fix="give a number above 0, or a .toml file",
             ) from error
     size = EFFECTIVE_SAMPLE_SIZE if default is None else default
-    loaded = asked.loaded
-    return asked.model if loaded.scenario is not None else row_family(loaded.mdp), stated, size
+    of_rows = asked.given.endless.scenario is None
+    return row_family(asked.loaded.mdp) if of_rows else asked.model, stated, size
 
 
 def _uncertain(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from exact_mdp.analysis.cli.commands import sensitivity as declared
-from exact_mdp.analysis.cli.options import Given, given
+from exact_mdp.analysis.cli.options import Given, Question, given
 from exact_mdp.analysis.cli.render import Report, to_json
 from exact_mdp.analysis.cli.sensitivity import KINDS
 from exact_mdp.analysis.cli.sensitivity.options import Asked
@@ -25,10 +25,11 @@ def sensitivity(
     *, model: str, kind: str, sets: tuple[str, ...], discount: str | None, **options: Any
 ) -> Report:
     """Run one kind of sensitivity analysis."""
+    asking = {field.name: options.pop(field.name) for field in fields(Question)}
     check(kind, options)
-    loaded = given(model, sets, discount)
+    loaded = given(model, sets, discount, **asking)
     module, _, function = KINDS[kind].does.partition(":")
-    asked = Asked(loaded=loaded.loaded, options=options)
+    asked = Asked(given=loaded, options=options)
     found: Report = getattr(import_module(f"{__package__}.{module}"), function)(asked)
     seen = options.get("perception")
     result = {**loaded.head, "kind": kind, "perception": seen, **found.result}

@@ -16,6 +16,7 @@ from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
+from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.gains import gains
@@ -267,6 +268,7 @@ DrawSolver: TypeAlias = ModelSolver | CareSolver
 
 def solver_of(model: Parametric) -> DrawSolver:
     """Return the fastest way to solve a model at many draws."""
+    rewards_only(model.at({}), "an analysis by draws")
     if isinstance(model, ScenarioFamily):
         scenario = model.scenario
         if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:

@@ -37,6 +37,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers import certify, solve
@@ -213,6 +214,7 @@ def _opened(
 ) -> tuple[Parametric, dict[str, Range]]:
     """Return the family and the box; warn where a chance is cut off at 1 within the box."""
     family, spans = parametric(model), box_ranges(model, ranges)
+    rewards_only(family.at({}), "a box")
     if isinstance(family, ScenarioFamily):
         highest = {name: span.high for name, span in spans.items()}
         family.tell(highest, where=" at the upper ends of the ranges")

@@ -76,12 +76,17 @@ class Robust(Result):
     @property
     def price(self) -> Bounded:
         """What the robust policy gives up where the tables are right."""
-        return difference(self.value, self.robust_value)
+        return self._less(self.value, self.robust_value)
 
     @property
     def gain(self) -> Bounded:
         """What the robust policy earns more in its worst case than the nominal one in its own."""
-        return difference(self.robust.start, self.worst)
+        return self._less(self.robust.start, self.worst)
+
+    def _less(self, one: Bounded, other: Bounded) -> Bounded:
+        """Return how much better one value is than another: of costs, how much less."""
+        costs = self.mdp.sense == "min"
+        return difference(other, one) if costs else difference(one, other)
 
     @property
     def changed(self) -> Numbers:
@@ -196,7 +201,7 @@ def robust(
     ambiguity: Ambiguity | None = None,
     *,
     policy: PolicyLike = "optimal",
-    objective: Objective = "max",
+    objective: Objective | None = None,
 ) -> Robust:
     """Return what nature can do to a policy, and to the best policy against it.
 
@@ -207,7 +212,8 @@ def robust(
         Sets of laws; p ± 20 % of itself unless given.
     policy : PolicyLike
         The nominal policy.
-    objective : "max" or "min"
+    objective : "max" or "min", optional
+        The sense of the model unless given.
 
     Returns
     -------
@@ -226,15 +232,14 @@ def robust(
     146.2359 140.7817 140.7817
     """
     sets = Intervals.relative(model, "1/5") if ambiguity is None else ambiguity
-    if isinstance(policy, str) and policy == "optimal" and objective == "min":
-        # The least of all policies: nature has nothing to choose where every radius is 0.
-        policy = _weights(solve_robust(model, L1Ball(radius=0.0), objective="min"))
+    if objective not in (None, model.sense):
+        model = model.with_(sense=objective)
     chain = PolicyChain.of(model, policy)
 
     def held(weights: Floats, nature: Nature) -> Bounded:
-        return solve_robust(model, sets, nature=nature, objective=objective, policy=weights).start
+        return solve_robust(model, sets, nature=nature, policy=weights).start
 
-    best = solve_robust(model, sets, objective=objective)
+    best = solve_robust(model, sets)
     own = _weights(best)
     return Robust(
         mdp=model,
@@ -243,7 +248,7 @@ def robust(
         worst=held(chain.weights, "worst"),
         best=held(chain.weights, "best"),
         robust=best,
-        optimistic=solve_robust(model, sets, nature="best", objective=objective),
+        optimistic=solve_robust(model, sets, nature="best"),
         robust_value=evaluate(model, own).start,
         robust_best=held(own, "best"),
     )

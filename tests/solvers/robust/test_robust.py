@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from strategies import Rows, models
 
+from exact_mdp.analysis.cli import options
 from exact_mdp.analysis.cli.sensitivity.options import Asked
 from exact_mdp.analysis.cli.sensitivity.robust import robust_report
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
 from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of, robust, robust_curve
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io.load import load
 from exact_mdp.solvers import PrecisionWarning, SolverError, evaluate, solve
 from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
@@ -269,8 +269,9 @@ def test_a_box_needs_a_scenario(tmp_path) -> None:
     from exact_mdp.mdp.io.load import save_model
 
     save_model(risky(), tmp_path / "model.npz")
+    loaded = options.given(str(tmp_path / "model.npz"), (), None)
     with pytest.raises(ModelError, match="scenario"):
-        robust_report(Asked(loaded=load(tmp_path / "model.npz"), options={"set_kind": "box"}))
+        robust_report(Asked(given=loaded, options={"set_kind": "box"}))
 
 
 def test_the_curve_and_its_figure() -> None:
