@@ -34,7 +34,7 @@ from exact_mdp.mdp.parametric.symbolic import (
     outcomes_degree,
     pairs_degree,
 )
-from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable
+from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
 from exact_mdp.mdp.validate import (
     Parts,
     as_discount,
@@ -269,6 +269,28 @@ class MDP(Parts):
                 stays[alone] = ~np.logical_or.reduceat(table.gain[places] != 0, before)
         return np.asarray(np.logical_and.reduceat(stays, self.pair_offsets[:-1]))
 
+    @cached_property
+    def indifferent(self) -> NDArray[np.bool_]:
+        """(S,) True where all actions have the same outcomes, number for number."""
+        table, first = self.table, self.pair_offsets[self.pair_state]
+        lengths = np.diff(table.offsets)
+        same = lengths == lengths[first]
+        rows = np.flatnonzero(same)
+        here, there = (spans(table.offsets[x], table.offsets[x + 1]) for x in (rows, first[rows]))
+        alike = np.ones(len(here), dtype=bool)
+        for values in (table.next, table.weight, table.gain, table.event):
+            if values is None:
+                continue
+            if len(values) == len(table.next) and (values is not table.gain or table.joint):
+                alike &= np.asarray(values[here] == values[there], dtype=bool)
+            else:
+                same &= np.asarray(values == values[first], dtype=bool)
+        for bottom in (table.denominator, table.gain_denominator):
+            same &= np.asarray(bottom == bottom[first], dtype=bool)
+        ends = np.cumsum(lengths[rows])
+        same[rows] &= np.logical_and.reduceat(alike, ends - lengths[rows])
+        return np.asarray(np.logical_and.reduceat(same, self.pair_offsets[:-1]))
+
     def pairs_of(self, state: int) -> range:
         """Return the pairs of one state."""
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
@@ -287,13 +309,17 @@ class MDP(Parts):
             fix=f"choose one of {', '.join(offered)}",
         )
 
-    def action(self, name: str) -> int:
-        """Return the number of the action called `name`."""
-        if name not in self.actions:
-            raise ModelError(
-                f"unknown action {name!r}", where="actions", fix=suggest(name, self.actions)
-            )
-        return self.actions.index(name)
+    def action(self, name: object) -> int:
+        """Return the number of the action of a name; a number that is no name is its own."""
+        for word in (str(name), repr(name)):
+            if word in self.actions:
+                return self.actions.index(word)
+        word = str(name)
+        if word.isascii() and word.isdigit() and len(word) < 10 and int(word) < self.n_actions:
+            return int(word)
+        raise ModelError(
+            f"unknown action {name!r}", where="actions", fix=suggest(word, self.actions)
+        )
 
     def backup(self, value: Floats) -> Floats:
         """Return (L,) action values r + γ P V for (S,) state values."""
@@ -764,11 +790,13 @@ class MDP(Parts):
 
         Parameters
         ----------
-        env : gymnasium.Env or str
-            An environment, wrapped or not; anything with an attribute `P`; or a registered id.
+        env : gymnasium.Env, str or table
+            An environment, wrapped or not; anything with an attribute `P`, or `dynamics` with
+            matrices; such a table; or a registered id, "module:ID" where a module registers it.
         discount : number or "p/q"
         **names
-            `start` where the environment has no `initial_state_distrib`; `actions`, `states`,
+            `start` instead of the environment's `initial_state_distrib`, or of state 0 where it
+            has none; `actions`, `states`,
             `name`, `sense`, `labels`; `time_limit` instead of the environment's own.
 
         Returns
@@ -789,8 +817,9 @@ class MDP(Parts):
         >>> MDP.from_gymnasium(Coin()).table.row(0)[1]
         (Fraction(1, 2), 1, Fraction(1, 1))
         """
-        rows, parts = gymnasium.outcomes_of(env, **names)
-        return cls.from_outcomes(rows, discount, **parts)
+        make, given, parts = gymnasium.described(env, **names)
+        found: MDP = getattr(cls, make)(*given, discount, **parts)
+        return found
 
 
 def _transition(table: OutcomeTable, states: int) -> sp.csr_array:

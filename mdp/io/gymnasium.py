@@ -1,17 +1,22 @@
-"""Models from Gymnasium environments that expose their dynamics as a table `P` (toy-text).
+"""Models from Gymnasium environments that expose their dynamics: a table `P`, or matrices.
 
 `P[state][action]` lists (probability, next state, reward, terminated). An episode is over after an
 outcome with terminated = True, whatever `P` lists for the state that it names:
 
     Q(s, a) = Σ p (r + γ (1 - terminated) V(s')).
 
-States keep their numbers. A state that can only be entered by terminated outcomes becomes an
-absorbing end without reward (the holes and the goal of FrozenLake, the goal of CliffWalking, where
-`P` goes on to list moves that no episode makes). Where an episode may also pass through such a
-state alive, or start in it (Taxi with the passenger at the destination), its rows stay as they are
-and the terminated outcomes lead to one more state, "end", appended behind the others. Either way
-the optimal values of all states that `P` numbers, ends excepted, are those of the equation above;
-a Q-table of the environment's own shape is read by `Policy.from_q`.
+The next state of such an outcome may be -1, and a table may come without an environment. States
+keep their numbers; those of toy-text also get the names of their environment. A state that can only
+be entered by terminated outcomes becomes an absorbing end without reward (the holes and the goal of
+FrozenLake, the goal of CliffWalking, where `P` goes on to list moves that no episode makes). Where
+an episode may also pass through such a state alive, or start in it (Taxi with the passenger at the
+destination), its rows stay as they are and the terminated outcomes lead to one more state, "end",
+appended behind the others. Either way the optimal values of all states that `P` numbers, ends
+excepted, are those of the equation above; a Q-table of the environment's own shape is read by
+`Policy.from_q`.
+
+Without a table, `dynamics` with matrices `tx_mat` and `r_mat` (S, A, S) will do, as ICU-Sepsis has
+them (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
 
 Wrappers are looked through: what they change (rewards, observations) is no part of `P`. The number
 of steps after which an environment stops is kept as the model's `time_limit`; `MDP.within` makes
@@ -30,6 +35,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import as_start
 
 gymnasium = later("gymnasium")
@@ -59,29 +65,33 @@ Rows = dict[tuple[int, int], list[Outcome]]
 Listed = list[tuple[int, int, list[tuple[Any, int, Any]]]]
 
 
-def outcomes_of(env: object, **names: Any) -> tuple[Listed, dict[str, Any]]:
-    """Return what `MDP.from_outcomes` takes to build an environment's model: rows, and names.
+def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str, Any]]:
+    """Return the constructor of `MDP` that builds an environment's model, and what it takes.
 
     Examples
     --------
     >>> class Coin:
     ...     P = {0: {0: [(0.5, 0, 1, False), (0.5, 1, 1, True)]}, 1: {0: [(1, 0, 7, False)]}}
     ...     initial_state_distrib = (1, 0)
-    >>> rows, names = outcomes_of(Coin())
-    >>> rows
-    [(0, 0, [(0.5, 0, 1), (0.5, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    >>> make, given, names = described(Coin())
+    >>> make, *given
+    ('from_outcomes', [(0, 0, [(0.5, 0, 1), (0.5, 1, 1)]), (1, 0, [(1, 1, 0)])])
     """
     if isinstance(env, str):
         made = _make(env)
         names.setdefault("name", env)
         try:
-            return outcomes_of(made, **names)
+            return described(made, **names)
         finally:
             made.close()
-    bare = env if isinstance(env, Mapping) else getattr(env, "unwrapped", env)
+    bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
     names.setdefault("name", _name(env))
     names.setdefault("time_limit", _time_limit(env))
     where = names["name"] or "P"
+    dynamics = getattr(bare, "dynamics", None)
+    if not hasattr(bare, "P") and isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
+        given = _of_matrices(bare, dynamics, where)
+        return "from_arrays", given, {"start": dynamics.get("d_0", 0), "layout": "sas"} | names
     rows, states, actions = _rows(bare, where)
     known, columns = _named(bare, states, actions)
     names.setdefault("actions", known)
@@ -104,7 +114,7 @@ def outcomes_of(env: object, **names: Any) -> tuple[Listed, dict[str, Any]]:
     if appended:
         listed.append((goal, 0, [(1, goal, 0)]))
     space = StateSpace(columns=columns, extra=(END,) if appended else ())
-    return listed, names | {"start": dict(start), "space": space}
+    return "from_outcomes", (listed,), names | {"start": dict(start), "space": space}
 
 
 def _named(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:
@@ -153,11 +163,8 @@ def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
 
 def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
     """Return the outcomes of every pair, and the numbers of states and actions."""
-    table = env if isinstance(env, Mapping) else getattr(env, "P", None)
+    table = env if isinstance(env, Mapping | list) else getattr(env, "P", None)
     if table is None:
-        dynamics = getattr(env, "dynamics", None)
-        if isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
-            return _of_matrices(env, dynamics, where)
         raise ModelError(
             "the environment does not expose its model as P",
             where=where,
@@ -229,15 +236,15 @@ def _outcome(outcome: Any, place: str) -> Outcome:
     return values[0], int(values[1]), values[2], bool(values[3])
 
 
-def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Rows, int, int]:
-    """Return the same of matrices `tx_mat` and `r_mat` (S, A, S), as ICU-Sepsis has them.
+def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Numbers, Numbers]:
+    """Return P and R (S, A, S) from `tx_mat` and `r_mat`, as ICU-Sepsis has them.
 
-    An action that is not admissible has a row of its own in them (the mean of the others), unless
-    the environment refuses such actions. An episode is over where all that is left is to go on to
-    the absorbing state: there, nothing is earned any more and all actions are the same.
+    An action that is not admissible has a row of its own there (the mean of the others), unless the
+    environment refuses such actions. An episode is over as soon as nothing is left but to go on to
+    the absorbing state, without a reward: from death and survival.
     """
-    chances = np.asarray(dynamics["tx_mat"])
-    gains = np.asarray(dynamics.get("r_mat", np.zeros(chances.shape)))
+    chances = np.array(dynamics["tx_mat"], dtype=np.float64)
+    gains = np.array(dynamics.get("r_mat", np.zeros(chances.shape)), dtype=np.float64)
     if chances.ndim != 3 or chances.shape[0] != chances.shape[2] or gains.shape != chances.shape:
         raise ShapeError(
             f"tx_mat has shape {chances.shape}, r_mat {gains.shape}",
@@ -251,26 +258,21 @@ def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Row
             where=where,
             fix='make the environment with inadmissible_action_strategy="mean"',
         )
-    states, actions = chances.shape[:2]
-    admissible = dynamics["admissible_actions"] if strategy != "mean" else [range(actions)] * states
-    nothing = (np.where(chances > 0, gains, 0) == 0).all(axis=(1, 2))
-    absorbing = nothing & (chances[range(states), :, range(states)] == 1).all(axis=1)
-    over = nothing & (chances[:, :, absorbing].max(axis=2, initial=0) == 1).all(axis=1)
-    rows: Rows = {
-        (state, action): [
-            (chances[state, action, then], then, gains[state, action, then], bool(over[then]))
-            for then in np.flatnonzero(chances[state, action]).tolist()
-        ]
-        for state in range(states)
-        for action in admissible[state]
-    }
-    return rows, states, actions
+    states = np.arange(len(chances))
+    idle = ~((chances > 0) & (gains != 0)).any(axis=(1, 2))
+    absorbing = idle & (chances[states, :, states] == 1).all(axis=1)
+    over = np.flatnonzero(idle & (chances[:, :, absorbing].max(axis=2, initial=0) == 1).all(axis=1))
+    chances[over], gains[over], gains[over, 1:] = 0, 0, -np.inf
+    chances[over, 0, over] = 1
+    if strategy != "mean":
+        for state, admissible in enumerate(dynamics["admissible_actions"]):
+            gains[state, ~np.isin(np.arange(chances.shape[1]), admissible)] = -np.inf
+    return chances, gains
 
 
 def _start(env: Any) -> Any:
     """Return where episodes start: state 0, as everywhere, where the environment does not say."""
-    dynamics = getattr(env, "dynamics", {})
-    given = getattr(env, "initial_state_distrib", getattr(env, "isd", dynamics.get("d_0", 0)))
+    given = getattr(env, "initial_state_distrib", getattr(env, "isd", 0))
     if given is None:
         raise ModelError(
             "the environment has no initial_state_distrib",
@@ -300,7 +302,7 @@ def _time_limit(env: Any) -> int | None:
 
 
 def _name(env: Any) -> str:
-    if isinstance(env, Mapping):
+    if isinstance(env, Mapping | list):
         return ""
     spec = getattr(env, "spec", None)
     return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)
@@ -315,6 +317,13 @@ def _make(name: str) -> Any:
             warnings.simplefilter("ignore")
             return make(name)
     except errors as error:
+        module, _, _ = name.rpartition(":")
+        if module and isinstance(error.__cause__, ModuleNotFoundError):
+            raise ModelError(
+                f"there is no module {module}",
+                where=f"gymnasium:{name}",
+                fix="put the folder of the module that registers the environment on PYTHONPATH",
+            ) from error
         toy = [
             key
             for key, spec in gymnasium.registry.items()

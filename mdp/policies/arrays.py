@@ -1,7 +1,8 @@
 """What an array says of a policy: action values (a Q-table), or probabilities of actions.
 
 The rule, the same for arrays and for files. A row counts where a state with a choice reads it; rows
-of terminal states and of states with one action may hold anything. Unless `kind` says which it is,
+of terminal states and of states with one action may hold anything, and so may those of states whose
+actions are the same in all but name, in probabilities. Unless `kind` says which it is,
 
     a row that counts is not a distribution     the array is a Q-table
     every such row gives 1 to a single action   both readings are the same policy: it is one
@@ -62,6 +63,9 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     layout = _layout(model, array.shape)
     fits = _distributions(array)
     wrong = np.flatnonzero(layout.counts & ~fits)
+    if len(wrong) and kind != "q" and model.indifferent.any():
+        layout = _layout(model, array.shape, ~model.indifferent)
+        wrong = np.flatnonzero(layout.counts & ~fits)
     if kind == "q" or (kind == "auto" and len(wrong)):
         rule = _greedy(array, layout, costs=model.sense == "min")
         return layout.parts(rule, values=array, source=Q_TABLE)
@@ -165,8 +169,11 @@ class _Layout(NamedTuple):
         return {"space": self.space, "actions": self.actions, "rule": rule, **more}
 
 
-def _layout(model: MDP, shape: tuple[int, ...]) -> _Layout:
-    """Return what an array of some shape is over; raises ModelError where no reading fits."""
+def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _Layout:
+    """Return what an array of some shape is over; raises ModelError where no reading fits.
+
+    Rows count that one of the states `asked` (S,) reads.
+    """
     actions = model.actions
     space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
     expected = [f"({model.n_states}, {model.n_actions}) over all states"]
@@ -185,7 +192,7 @@ def _layout(model: MDP, shape: tuple[int, ...]) -> _Layout:
         )
     row = rows_read(model, space)
     counts = np.zeros(space.size, dtype=bool)
-    counts[row[~model.forced & ~model.terminal]] = True
+    counts[row[~model.forced & ~model.terminal & asked]] = True
     offered = np.ones((space.size, len(actions)), dtype=bool)
     if actions is model.actions:
         offered[:] = False

@@ -5,18 +5,25 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import Parts, check_action, rows_read, too_small
+from exact_mdp.mdp.policies.arrays import (
+    Parts,
+    check_action,
+    numbers_of,
+    policy_of_array,
+    rows_read,
+    too_small,
+)
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
@@ -24,7 +31,7 @@ Rows = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
 
-def read(path: str | Path, model: MDP) -> Parts:
+def read(path: str | Path, model: MDP, kind: str = "auto") -> Parts:
     """Return what a `.json` or `.csv` file says; see `Policy.read`."""
     where, suffix = str(path), Path(path).suffix.lower()
     if suffix == ".json":
@@ -33,7 +40,7 @@ def read(path: str | Path, model: MDP) -> Parts:
         )
         if not isinstance(content, dict):
             raise ModelError("the file is not a JSON object", fix='write {"0000": "none", …}')
-        return from_mapping(model, content)
+        return from_mapping(model, content, kind)
     if suffix == ".csv":
         return _from_csv(read_text(path), model)
     raise ModelError(
@@ -51,23 +58,85 @@ def _once(items: list[tuple[str, Any]]) -> dict[str, Any]:
     return entries
 
 
-def from_mapping(model: MDP, entries: Mapping[Any, Any]) -> Parts:
-    """Return what a mapping says: {status: action} or {status: {action: probability}}."""
-    names = (model.space.untimed or model.space).names
-    name = "status" if "status" in names else names[0]
-    space = StateSpace(columns=(model.space.column(name),))
+def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Parts:
+    """Return what a mapping says: of statuses, {status: action}, or else of states.
+
+    Instead of an action there may be {action: probability}; of a state also a row of A
+    probabilities or action values, for all of them.
+    """
+    if "status" not in model.space.names:
+        return _from_states(model, entries, kind)
+    space = StateSpace(columns=(model.space.column("status"),))
     rows: Rows = {}
     for label, choice in entries.items():
         key = space.columns[0].parse(str(label))
         if key in rows:
-            raise ModelError(f"{name} {label} appears twice", fix="keep one of them")
+            raise ModelError(f"status {label} appears twice", fix="keep one of them")
         mixed = choice if isinstance(choice, Mapping) else {str(choice): 1}
-        with located(f"{name} {label}"):
+        with located(f"status {label}"):
             rows[key] = {
                 check_action(str(action), model.actions, ""): _probability(value)
                 for action, value in mixed.items()
             }
     return _complete(model, space, rows)
+
+
+def from_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
+    """Return what a function answers: as `from_mapping`, asked of each state with a choice.
+
+    It is given the object that the state is, where the model was made of such; else its number.
+    """
+    space = model.space.untimed or model.space
+    read = rows_read(model, space)[~model.forced & ~model.terminal]
+    things = space.columns[0].objects if len(space.columns) == 1 else ()
+    asked: dict[Any, Any] = {}
+    for state in np.unique(read).tolist():
+        thing = things[state] if state < len(things) else state
+        answer = ask(thing)
+        if answer is None:
+            raise ModelError(
+                "the function returns None",
+                where=f"policy, {space.label(state)}",
+                fix="return an action, {action: probability}, or a row of A numbers",
+            )
+        asked[thing] = answer
+    return _from_states(model, asked, kind)
+
+
+def _from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> Parts:
+    """Return what is said of states: by number, name, column values, or the object itself."""
+    space = model.space.untimed or model.space
+    given: dict[int, Any] = {}
+    for state, choice in entries.items():
+        key = space.number(state)
+        if key in given:
+            raise ModelError(f"{space.label(key)} appears twice", fix="keep one of them")
+        given[key] = choice
+    default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
+    if default is not None:
+        given = {key: given[key] if key in given else default() for key in range(space.size)}
+    if given and all(isinstance(row, list | tuple | np.ndarray) for row in given.values()):
+        return _of_rows(model, space, given, kind)
+    rows: Rows = {}
+    for key, choice in given.items():
+        mixed = choice if isinstance(choice, Mapping) else {choice: 1}
+        with located(space.label(key)):
+            rows[key] = {model.action(action): _probability(p) for action, p in mixed.items()}
+    return _complete(model, space, rows)
+
+
+def _of_rows(model: MDP, space: StateSpace, given: Mapping[int, Any], kind: str) -> Parts:
+    """Return the policy of a row of A numbers for each state; others than asked are left open."""
+    table = np.full((space.size, model.n_actions), np.nan, dtype=object)
+    for key, row in given.items():
+        if len(row) != model.n_actions:
+            raise ShapeError(
+                f"a row of {len(row)} numbers",
+                where=f"policy, {space.label(key)}",
+                fix=f"give one for each of the {model.n_actions} actions",
+            )
+        table[key] = [exact(x) if isinstance(x, str) else x for x in row]
+    return policy_of_array(model, numbers_of(table), kind)
 
 
 def _from_csv(text: str, model: MDP) -> Parts:
@@ -77,7 +146,9 @@ def _from_csv(text: str, model: MDP) -> Parts:
         raise ModelError(f"broken CSV: {error}", fix="correct that line") from error
     header = [name.strip() for name in lines[0]] if lines else []
     columns = [name for name in header if name not in ("action", "probability")]
-    known = [*model.space.names, "action", "probability"]
+    by_state = columns == ["state"] and "state" not in model.space.names
+    known = [*columns] if by_state else [*model.space.names]
+    known += ["action", "probability"]
     for name in header:
         if name not in known:
             raise ModelError(f"unknown column {name!r}", fix=suggest(name, known))
@@ -86,7 +157,9 @@ def _from_csv(text: str, model: MDP) -> Parts:
             f"the header is {','.join(header) or 'missing'}",
             fix=f"write {','.join([*model.space.names, 'action'])}, or status,action",
         )
-    space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
+    space = model.space.untimed or model.space
+    if not by_state:
+        space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
     rows: Rows = {}
     for number, line in enumerate(lines[1:], start=2):
         with located(f"line {number}"):
@@ -101,9 +174,15 @@ def _from_csv(text: str, model: MDP) -> Parts:
 
 def _add_line(rows: Rows, space: StateSpace, model: MDP, entry: Mapping[str, str]) -> None:
     """Add one line of a CSV file, its values by heading, to the rows."""
-    values = {column.name: column.parse(entry[column.name]) for column in space.columns}
     word = entry["action"] if entry["action"] in model.actions else entry["action"].strip()
-    action, key = check_action(word, model.actions, ""), space.index(**values)
+    if "status" in space.names:
+        action = check_action(word, model.actions, "")
+    else:
+        action = model.action(word)
+    if "state" in entry and "state" not in space.names:
+        key = space.number(entry["state"])
+    else:
+        key = space.index(**{each.name: each.parse(entry[each.name]) for each in space.columns})
     chances = rows.setdefault(key, {})
     if action in chances or (chances and "probability" not in entry):
         raise ModelError(

@@ -7,10 +7,11 @@ that action is taken there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
@@ -284,6 +285,8 @@ class Policy(NDArrayOperatorsMixin):
         bad |= (offered < wanted) & ~model.forced  # however rarely it is taken
         # What is done where everything has ended does not matter: it may be left open.
         ended = bad & model.terminal
+        if (bad & ~ended).any():
+            ended |= bad & model.indifferent
         weights[ended[model.pair_state]] = 0.0
         weights[model.pair_offsets[:-1][ended]] = 1.0
         bad &= ~ended
@@ -362,8 +365,11 @@ class Policy(NDArrayOperatorsMixin):
         ----------
         model : MDP
         policy : PolicyLike
-            A policy; "random", "always:ACTION" or a file; {status: action}; (S,) action numbers;
-            a two-dimensional array of probabilities or action values; anything with a `policy`.
+            A policy; "random", "always:ACTION" or a file; {status: action}, or {state: action},
+            {action: probability} or a row of A numbers in place of an action; a function of a
+            state that returns one of these; an agent with `predict`, asked for its action in each
+            state by number; (S,) action numbers; a two-dimensional array of probabilities or
+            action values; anything with a `policy`.
             Where the model stops after N steps (`MDP.within`), S may be the states without their
             time, and (N, S) and (N, S, A) depend on time.
         kind : "auto", "q" or "policy"
@@ -397,15 +403,25 @@ class Policy(NDArrayOperatorsMixin):
             with located(str(policy)):
                 return cls(**_of_array(model, array, kind))
         given: Any = policy
+        if not isinstance(given, Policy) and callable(getattr(given, "predict", None)):
+            return cls(**_of_array(model, _predicted(model, given.predict), "auto"))
         if not isinstance(given, Policy) and hasattr(given, "policy"):
             if hasattr(given, "q") and callable(given.policy):
                 kind = "q" if kind == "auto" else kind
                 return cls(**_of_array(model, numbers_of(given.q), kind))
             given = given.policy if isinstance(given.policy, np.ndarray | Policy) else given
-        words = isinstance(given, str | Path | Mapping)
+        if isinstance(given, Mapping) or (callable(given) and not isinstance(given, Policy)):
+            with located("policy"):
+                read: Any = (
+                    files.from_mapping if isinstance(given, Mapping) else files.from_function
+                )
+                found = cls(**read(model, given, kind))
+                found.weights(model)
+                return found
+        words = isinstance(given, str | Path)
         if not words and not isinstance(given, Policy):
             return cls(**_of_array(model, numbers_of(given), kind))
-        found = cls._of_words(model, given) if words else given
+        found = cls._of_words(model, given, kind) if words else given
         if kind == "q" and found.read_as != "q":
             raise ModelError(
                 "this is a policy, not a Q-table",
@@ -415,16 +431,13 @@ class Policy(NDArrayOperatorsMixin):
         return found
 
     @classmethod
-    def _of_words(cls, model: MDP, given: str | Path | Mapping[Any, Any]) -> Policy:
+    def _of_words(cls, model: MDP, given: str | Path, kind: str) -> Policy:
         if given == "random":
             return cls.uniform(model)
         if isinstance(given, str) and given.startswith("always:"):
             return cls.always(model, given.removeprefix("always:"))
-        with located("policy" if isinstance(given, Mapping) else str(given)):
-            if isinstance(given, Mapping):
-                found = cls(**files.from_mapping(model, given))
-            else:
-                found = cls(**files.read(given, model))
+        with located(str(given)):
+            found = cls(**files.read(given, model, kind))
             found.weights(model)
         return found
 
@@ -637,12 +650,43 @@ class Solved(Protocol):
         """The policy."""
 
 
-PolicyLike: TypeAlias = Policy | str | Path | Mapping[Any, Any] | ArrayLike | Solved
-"""What is accepted as a policy: a Policy, its name or file, a mapping, an array, a Solution."""
+class Predicts(Protocol):
+    """An agent that is asked for its action."""
+
+    def predict(self, observation: Any) -> Any:
+        """Return the number of an action, alone or first of a tuple."""
+
+
+PolicyLike: TypeAlias = (
+    Policy | str | Path | Mapping[Any, Any] | Callable[[Any], Any] | ArrayLike | Solved | Predicts
+)
+"""What is accepted as a policy: a Policy, its name or file, a mapping, a function, an agent with
+`predict`, an array, a Solution."""
+
+
+def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
+    """Return (S,) the action numbers that an agent predicts, as those of Stable-Baselines3 do."""
+    space = model.space.untimed or model.space
+    takes = signature(predict).parameters
+    settings = {"deterministic": True} if "deterministic" in takes else {}
+    numbers = np.zeros(space.size, dtype=np.int64)
+    for state in np.unique(rows_read(model, space)[~model.forced & ~model.terminal]).tolist():
+        answer = predict(np.array(state), **settings)
+        action = np.asarray(answer[0] if isinstance(answer, tuple) else answer)
+        if action.size != 1 or action.dtype.kind not in "iu":
+            raise ModelError(
+                f"predict answers {answer!r}",
+                where=f"policy, {space.label(state)}",
+                fix="let it return the number of an action, or that and a state of its own",
+            )
+        numbers[state] = action.item()
+    return numbers
 
 
 def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:
     timed = model.space.untimed is not None
+    if array.ndim == 2 and array.shape[1] == 1 < model.n_actions and not timed:
+        array = array[:, 0]  # a column of action numbers
     whole = array.dtype.kind in "iu" and kind != "q"
     if whole and timed and array.ndim == 2 and by_time(model, array, 0).ndim == 1:
         if array.shape[1] != model.n_actions:

@@ -143,7 +143,7 @@ def test_tables_over_states_and_over_times_are_both_policies() -> None:
         assert evaluate(mdp, given, horizon=steps).mean == pytest.approx(wanted, abs=1e-12)
     lost = check(mdp, whole[0], horizon=steps)
     assert float(lost.regret.learned.value) == pytest.approx(wanted, abs=1e-12)
-    assert lost.policy.columns == ("state",)
+    assert lost.policy.columns == ("row", "column")
     for named in ("random", "always:1"):
         assert 0 <= evaluate(mdp, named, horizon=steps).mean < best
 

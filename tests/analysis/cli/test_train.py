@@ -121,7 +121,7 @@ def test_any_model_can_be_learned() -> None:
     done = run(
         "train", "gymnasium:CliffWalking-v1", *words, "--seeds", 4, "--epochs", 100, "--json"
     )
-    assert done.result["columns"] == ["state"]
+    assert done.result["columns"] == ["row", "column"]
     assert done.result["regret"]["mean"] < 10
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -13,9 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp.mdp import MDP, ModelError, Policy, ShapeError
 from exact_mdp.mdp.io.load import load
 from exact_mdp.mdp.lazy import later
+from exact_mdp.solvers import evaluate, solve
 
 # Gymnasium 1.3 numbers it anew.
 NUMBER = max(each.version or 0 for each in gymnasium.registry.values() if each.name == "Taxi")
@@ -220,6 +222,109 @@ def test_a_start_can_be_given() -> None:
     assert mdp.table.row(1) == [(1, 0, 9)]
 
 
+def test_a_bare_table_and_no_word_of_the_start() -> None:
+    """An environment may be as little as its table; it starts in state 0, as all models do."""
+    table = {0: {0: [(0.5, 1, 1, True), (0.5, -1, 2, True)]}, 1: {0: [(1, 0, 9, False)]}}
+    alone = MDP.from_gymnasium(table, 0.5)
+    assert (alone.n_states, alone.space.extra, alone.start) == (3, ("end",), ((0, 1),))
+    assert alone.table.row(0) == [(Fraction(1, 2), 1, 1), (Fraction(1, 2), 2, 2)]
+    env = type("Env", (), {"P": table})()
+    assert MDP.from_gymnasium(env, 0.5).table.row(0) == alone.table.row(0)
+    assert MDP.from_gymnasium(type("Env", (), {"P": table, "isd": [0, 1]})()).start == ((1, 1),)
+    # a list of states, and a state that is nobody's end
+    assert MDP.from_gymnasium([[[(1, -1, 3, True)]]], start=[1]).table.row(0) == [(1, 1, 3)]
+
+
+TOYS = {
+    "FrozenLake8x8-v1": ("LEFT, DOWN, RIGHT, UP", 10, "row 1, column 2"),
+    "CliffWalking-v1": ("UP, RIGHT, DOWN, LEFT", 25, "row 2, column 1"),
+    TAXI: (
+        "SOUTH, NORTH, EAST, WEST, PICKUP, DROPOFF",
+        328,
+        "row 3, column 1, passenger Yellow, destination Red",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TOYS)
+def test_toys_have_the_names_of_their_environment(name: str) -> None:
+    """Taxi's state 328 is the example of its documentation."""
+    mdp = MDP.from_gymnasium(name, 0.9)
+    actions, state, label = TOYS[name]
+    assert (", ".join(mdp.actions), mdp.space.label(state)) == (actions, label)
+    assert mdp.space.number(label) == state
+    own = [str(number) for number in range(mdp.n_actions)]
+    plain = MDP.from_gymnasium(name, 0.9, actions=own, states=range(mdp.space.regular))
+    assert (plain.actions, plain.space.names) == (tuple(own), ("state",))
+    assert [mdp.action(number) for number in own] == list(range(mdp.n_actions))
+    if name == TAXI:
+        env = gymnasium.make(name).unwrapped
+        assert tuple(mdp.space.values(c)[state] for c in mdp.space.names) == tuple(
+            env.decode(state)
+        )
+
+
+class Ward:
+    """As little of ICU-Sepsis: two states of a patient, death, survival, and what absorbs both."""
+
+    def __init__(self, strategy: str = "mean") -> None:
+        self._inadmissible_action_strategy = strategy
+        chances = np.zeros((5, 2, 5))
+        chances[0] = [[0.5, 0.25, 0.25, 0, 0], [0, 0.5, 0, 0.5, 0]]
+        chances[1] = [[0, 0, 0.75, 0.25, 0], [0, 0, 0.5, 0.5, 0]]
+        chances[2:, :, 4] = 1
+        gains = np.zeros((5, 2, 5))
+        gains[:, :, 3] = 1
+        self.dynamics = {
+            "tx_mat": chances,
+            "r_mat": gains,
+            "d_0": np.array([0.75, 0.25, 0, 0, 0]),
+            "admissible_actions": [[0, 1], [0], [0, 1], [0, 1], [0, 1]],
+        }
+
+    @property
+    def unwrapped(self) -> Ward:
+        return self
+
+
+def test_matrices_of_dynamics_are_a_model() -> None:
+    """Death and survival end an episode: no step counts that leads on from there."""
+    env, random = Ward(), np.array([[0.5, 0.5]] * 2 + [[0, 0]] * 3)
+    mdp = MDP.from_gymnasium(env)
+    assert mdp.start_distribution.tolist() == [0.75, 0.25, 0, 0, 0]
+    assert np.flatnonzero(mdp.terminal).tolist() == [2, 3, 4]
+    bare = MDP.from_arrays(*map(env.dynamics.get, ("tx_mat", "r_mat")), start=env.dynamics["d_0"])
+    for policy, kind in (("random", "auto"), (random, "policy")):
+        found, long = (evaluate(model, policy, kind=kind) for model in (mdp, bare))
+        # from state 1 survival has 3/8; from state 0, x = x/4 + 3/8 · 3/8 + 1/4
+        assert found.mean == pytest.approx(0.75 * (0.25 + 0.375 * 0.375) / 0.75 + 0.25 * 0.375)
+        assert (found.mean, found.steps + 1) == pytest.approx((long.mean, long.steps))
+    assert solve(mdp).value[1] == 0.5
+    admissible = MDP.from_gymnasium(Ward("raise_exception"))
+    assert solve(admissible).value[1] == 0.25
+    assert admissible.n_pairs == mdp.n_pairs - 1
+    with pytest.raises(ModelError, match="'terminate'"):
+        MDP.from_gymnasium(Ward("terminate"))
+    env.dynamics["r_mat"] = np.zeros((5, 2))
+    with pytest.raises(ShapeError, match=r"r_mat \(5, 2\)"):
+        MDP.from_gymnasium(env)
+
+
+def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_walk.py").write_text(
+        "import gymnasium\n\n\nclass Walk(gymnasium.Env):\n"
+        "    observation_space = action_space = gymnasium.spaces.Discrete(2)\n"
+        "    P = {0: {0: [(1, 0, -1, False)], 1: [(1, -1, 5, True)]}, "
+        "1: {0: [(1, 1, 9, False)]}}\n\n\n"
+        'gymnasium.register("Walk-v0", entry_point="my_walk:Walk")\n'
+    )
+    with pytest.raises(ModelError, match=r"no module my_walk(.|\n)*PYTHONPATH"):
+        load("gymnasium:my_walk:Walk-v0")
+    monkeypatch.syspath_prepend(tmp_path)
+    mdp = load("gymnasium:my_walk:Walk-v0", discount="1/2").mdp
+    assert (mdp.reward.tolist(), mdp.space.extra) == ([-1, 5, 9, 0], ("end",))
+
+
 @pytest.mark.parametrize(
     ("table", "start", "message"),
     [
@@ -262,7 +367,7 @@ def test_tables_that_are_no_model(table: Any, start: Any, message: str) -> None:
         (f"Taxi-v{NUMBER - 1}", "deprecated", f"did you mean {TAXI}?"),
         ("Nothing-v0", "Nothing", "FrozenLake-v1"),
         ("", "Gymnasium cannot make ''", "FrozenLake-v1"),
-        ("no_such_module:Env-v0", "no_such_module", "FrozenLake-v1"),
+        ("no_such_module:Env-v0", "no module no_such_module", "PYTHONPATH"),
         ("CartPole-v1", "does not expose its model", "FrozenLake-v1"),
         ("Blackjack-v1", "does not expose its model", "FrozenLake-v1"),
     ],
@@ -272,6 +377,9 @@ def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
         load(f"gymnasium:{name}")
     assert what in caught.value.what
     assert fix in caught.value.fix
+    assert "Blackjack" not in caught.value.fix
+    if "does not expose" in what:
+        assert "MDP.from_function(start, actions, outcomes)" in caught.value.fix
 
 
 def test_without_gymnasium_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,141 @@
+"""Policies as agents and their users have them: functions, `predict`, dictionaries, columns."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from exact_mdp.analysis import check
+from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp.solvers import solve
+
+LAKE = MDP.from_gymnasium("FrozenLake-v1", "99/100")
+HALL = MDP.from_function(
+    (0, "in"), lambda s: ["go", "stay"] if s[0] < 3 else [],
+    lambda s, a: [("1/2", (s[0] + (a == "go"), "in"), -1), ("1/2", s, -1)], "9/10",
+)  # fmt: skip
+
+
+class Agent:
+    """As little of a Stable-Baselines3 model as is used: `policy` is its network."""
+
+    policy = object()
+
+    def __init__(self, numbers: Any) -> None:
+        self.numbers = numbers
+
+    def predict(self, observation: Any, state: Any = None, deterministic: bool = False) -> Any:
+        assert deterministic
+        assert observation.shape == ()
+        return np.array(self.numbers[observation]), None
+
+
+@given(st.lists(st.integers(0, 3), min_size=16, max_size=16))
+def test_every_form_of_a_policy_over_states(numbers: list[int]) -> None:
+    wanted = Policy.of(LAKE, numbers).weights(LAKE)
+    names, one_hot = [LAKE.actions[a] for a in numbers], np.eye(4)[numbers]
+    seen: defaultdict[int, Any] = defaultdict(lambda: np.zeros(4))
+    seen |= {s: 2.5 * one_hot[s] for s in range(16) if numbers[s]}
+    rows = len(seen)
+    forms = {
+        "column": np.array(numbers)[:, None],
+        "agent": Agent(numbers),
+        "function to numbers": lambda s: numbers[s],
+        "function to names": lambda s: names[s],
+        "function to NumPy numbers": lambda s: np.int64(numbers[s]),
+        "function to probabilities": lambda s: {names[s]: 1},
+        "function to rows": lambda s: one_hot[s],
+        "dictionary": dict(enumerate(numbers)),
+        "dictionary by text": {str(s): str(a) for s, a in enumerate(numbers)},
+        "dictionary of names": {LAKE.space.label(s): a for s, a in enumerate(names)},
+        "dictionary by columns": {(s // 4, s % 4): a for s, a in enumerate(names)},
+        "dictionary of rows": {s: list(one_hot[s]) for s in range(16)},
+        "defaultdict of rows": seen,
+    }
+    for name, form in forms.items():
+        assert Policy.of(LAKE, form).weights(LAKE).tolist() == wanted.tolist(), name
+    assert len(seen) == rows
+    within = LAKE.within(3)
+    unrolled = Policy.of(within, numbers).weights(within)
+    for form in (forms["agent"], forms["function to names"], forms["dictionary"]):
+        assert Policy.of(within, form).weights(within).tolist() == unrolled.tolist()
+
+
+def test_a_function_is_given_the_objects_that_states_are() -> None:
+    found = check(HALL, lambda state: "stay" if state == (1, "in") else "go")
+    assert [HALL.space.label(each.state) for each in found.disagreements] == ["state (1, 'in')"]
+    assert check(HALL, {(0, "in"): "go", (1, "in"): "go", (2, "in"): {"go": 1}}).passed
+    assert check(HALL, solve(HALL)).passed
+
+
+LINES = {
+    "number.csv": ("state,action\n", "{s},DOWN\n", "", "policy"),
+    "old.csv": ("state,action\n", "{s},1\n", "", "policy"),
+    "columns.csv": ("row,column,action\n", "{row},{column},1\n", "", "policy"),
+    "rows.json": ('{"0": [0,1,0,0]', ', "{s}": ["1/8", 0.5, "3/8", 0]', "}", "q"),
+}
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_a_file_by_state(tmp_path: Path, name: str) -> None:
+    first, line, last, read_as = LINES[name]
+    lines = (line.format(s=s, row=s // 4, column=s % 4) for s in range("json" in name, 16))
+    (tmp_path / name).write_text(first + "".join(lines) + last)
+    policy = Policy.read(tmp_path / name, LAKE, kind="q" if read_as == "q" else "auto")
+    assert policy.read_as == read_as
+    assert (policy.weights(LAKE) == Policy.always(LAKE, "DOWN").weights(LAKE)).all()
+
+
+def test_rows_may_hold_anything_where_all_actions_are_the_same() -> None:
+    """As in ICU-Sepsis: from death and survival the way leads on to the absorbing state."""
+    P = np.zeros((4, 2, 4))
+    P[0, :, 1:3] = [[0.5, 0.5], [0.25, 0.75]]
+    P[1:, :, 3] = 1
+    R = np.zeros((4, 2, 4))
+    R[:, :, 2] = 1
+    mdp = MDP.from_arrays(P, R, start=[1.0, 0, 0, 0])
+    assert mdp.indifferent.tolist() == [False, True, True, True]
+    table = np.array([[0.5, 0.5], [0, 0], [0, 0], [0, 0]])
+    assert Policy.of(mdp, table, kind="policy").weights(mdp)[:2].tolist() == [0.5, 0.5]
+    assert check(mdp, table[:, ::-1] * [0, 2]).passed
+    with pytest.raises(ModelError, match="not a distribution"):
+        Policy.of(mdp, table * 0, kind="policy")
+
+
+BAD: dict[str, tuple[Any, str]] = {
+    "nothing": (lambda s: None, "returns None"),
+    "no action": (lambda s: "FLY", "unknown action 'FLY'"),
+    "no number": (lambda s: 7, "unknown action 7"),
+    "short rows": (lambda s: [1, 0], "a row of 2 numbers"),
+    "no state": ({99: "DOWN"}, "state 99 is outside"),
+    "states missing": ({0: "DOWN"}, "rows are missing"),
+    "twice": ({0: "DOWN", "0": "UP"}, "appears twice"),
+    "no agent": (Agent(np.full((16, 2), 1)), "predict answers"),
+    "agent of another": (Agent([9] * 16), "outside 0 … 3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_no_policy(name: str) -> None:
+    form, message = BAD[name]
+    with pytest.raises(ModelError) as caught:
+        Policy.of(LAKE, form)
+    assert message in caught.value.what
+    assert "policy" in caught.value.where
+    assert caught.value.fix
+
+
+def test_an_agent_of_the_environment_itself() -> None:
+    """Directions by name are those that the environment moves in."""
+    env = gymnasium.make("FrozenLake-v1", is_slippery=False).unwrapped
+    mdp = MDP.from_gymnasium(env)
+    after = {name: env.P[0][mdp.action(name)][0][1] for name in ("RIGHT", "DOWN", "LEFT", "UP")}
+    places = {name: tuple(mdp.space.as_dict(state).values()) for name, state in after.items()}
+    assert places == {"RIGHT": ("0", "1"), "DOWN": ("1", "0"), "LEFT": ("0", "0"), "UP": ("0", "0")}
