@@ -142,7 +142,7 @@ def sparse(chain: sp.csr_array, discount: float) -> Solve:
     matrix = matrix_of(chain, discount).tocsc()
     if chain.nnz < COMPILED:
         return _superlu(matrix)
-    order = _order(matrix)
+    order = fill_order(matrix)
     matrix = matrix[order][:, order].tocsc()
     if fill(matrix) is None:
         raise TooLarge(
@@ -175,7 +175,7 @@ def fill(matrix: sp.csc_array) -> int | None:
     return None if found < 0 else found
 
 
-def _order(matrix: sp.csc_array) -> Numbers:
+def fill_order(matrix: sp.csc_array) -> Numbers:
     """Return the states (S,) in an order that keeps the fill low."""
     if matrix.nnz > MOST_ORDERED:
         return np.asarray(csgraph.reverse_cuthill_mckee(matrix + matrix.T, symmetric_mode=True))

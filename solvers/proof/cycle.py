@@ -12,9 +12,9 @@ The exact optimal values of states on one cycle, given those of the states that 
 
     pivot(l) · v(s) = fixed(l) + Σ weight(i) v(next(i)),   the sum over states on the cycle
 
-for the best pair l of every state. Policy iteration in floats and then in fixed point finds a
-policy, and policy iteration in rational arithmetic improves it until no pair is better (Howard,
-Dynamic Programming and Markov Processes, 1960). It ends because every step gains exactly.
+for the best pair l of every state. Policy iteration in floats finds a policy, and policy iteration
+in rational arithmetic improves it until no pair is better (Howard, Dynamic Programming and Markov
+Processes, 1960). It ends because every step gains exactly.
 """
 
 from __future__ import annotations
@@ -40,7 +40,6 @@ flint = later("flint")
 linalg = later("scipy.sparse.linalg")
 
 STEPS = 100  # of policy iteration, before the exact ones
-PRECISE = 256  # bits of fixed-point values
 LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
 CHUNK = 64  # states whose pairs are multiplied together
 FILLED = 4  # one in this many entries of a matrix is not zero, at least
@@ -189,10 +188,7 @@ class Cycle:
         )
 
     def policy(self) -> Integers:
-        """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits can show."""
-        return self._sharpened(self._rough())
-
-    def _rough(self) -> Integers:
+        """Return (K,) pairs that are optimal as far as floats can show."""
         size, policy = len(self.offsets) - 1, self.offsets[:-1].copy()
         largest = max(1, *(abs(int(number)) for number in self.fixed))
         pivot = self.pivot
@@ -210,43 +206,14 @@ class Cycle:
                 except RuntimeError:  # singular, up to rounding
                     break
                 gain = earned + chain @ value - np.repeat(value, np.diff(self.offsets))
-                better = self._better(policy, gain, 1e-12 * np.abs(value).max())
-                if better is None:
+                best = np.maximum.reduceat(gain, self.offsets[:-1])
+                better = best > 1e-12 * np.abs(value).max()
+                if not better.any():
                     break
-                policy = better
+                equal = gain == np.repeat(best, np.diff(self.offsets))
+                first = np.where(equal, np.arange(len(gain)), len(gain))
+                policy = np.where(better, np.minimum.reduceat(first, self.offsets[:-1]), policy)
         return policy
-
-    def _sharpened(self, policy: Integers) -> Integers:
-        """Improve a policy by fixed-point values, until no pair gains one part in 2^128."""
-        longest = max(int(number).bit_length() for number in self.fixed)
-        fixed = [number >> max(0, longest - PRECISE) for number in self.fixed]
-        length = min(longest, PRECISE)
-        pivot, weight = np.array(self.pivot, dtype=object), self.weight.astype(object)
-        first = np.flatnonzero(np.diff(self.row, prepend=-1))
-        for _ in range(STEPS):
-            found = self._equations(policy).approximate([fixed[l] for l in policy], PRECISE)
-            if found is None:
-                break
-            value = np.array(found[0], dtype=object)
-            gain = np.array([int(number) << found[1] for number in fixed], dtype=object)
-            gain -= pivot * np.repeat(value, np.diff(self.offsets))
-            if len(first):
-                gain[self.row[first]] += np.add.reduceat(weight * value[self.column], first)
-            better = self._better(policy, gain // pivot, 1 << found[1] + length - PRECISE // 2)
-            if better is None:
-                break
-            policy = better
-        return policy
-
-    def _better(self, policy: Integers, gain: Numbers, least: float) -> Integers | None:
-        """Return the policy with the best pairs where they gain more than `least`, if any do."""
-        best = np.maximum.reduceat(gain, self.offsets[:-1])
-        better = np.asarray(best > least, dtype=bool)
-        if not better.any():
-            return None
-        equal = np.asarray(gain == np.repeat(best, np.diff(self.offsets)), dtype=bool)
-        first = np.where(equal, np.arange(len(gain)), len(gain))
-        return np.where(better, np.minimum.reduceat(first, self.offsets[:-1]), policy)
 
     def values(self, policy: Integers) -> tuple[list[fmpz], fmpz]:
         """Return the values of a policy as integers over one positive denominator."""

@@ -1,22 +1,26 @@
-"""Exact solutions of A x = b for sparse integer matrices, by long division with a float inverse.
+"""Exact solutions of A x = b for sparse integer matrices, by p-adic lifting.
 
-A = diag(pivot) - W with W ≥ 0 is an M-matrix: the equations of one policy. Its floats are factored
-once. Then, as in long division, digits of b are brought down and digits of x come out:
+A is factored once, modulo a prime p < 2³¹ (`solvers.kernels.modular`). Then the p-adic digits of x
+come out one after the other (Dixon, Numerische Mathematik 40, 1982), so that after t of them
 
-    r ← 2³² r + next digit of b,    y ← A⁻¹ r in floats, rounded,    r ← r - A y exactly
+    A X = b  modulo  M = p^t.
 
-so that x = Σ y 2⁻³²ᵏ, to as many digits as wanted at the price of one sparse solve each (Wan,
-Journal of Symbolic Computation 41, 2006). Every denominator divides det A, whose size the floats
-tell, and with it the number of digits that determine x; a continued fraction then gives the
-denominator. The result is put into the equations; where it is wrong, and for few equations, p-adic
-lifting of the dense matrix takes over (Dixon, Numerische Mathematik 40, 1982).
+A denominator d is found by rational reconstruction (Wang, Guy and Davenport, SIGSAM Bulletin 16,
+1982) from a combination of the entries of X, and is put to the test: N = d X modulo M, symmetric
+around 0, satisfies A N = d b modulo M, and both sides are smaller than M / 2 where
+
+    |A| |N| < M / 2,   |d| |b| < M / 2.
+
+Then they are equal, and x = N / d is proven; no bound on the size of x is needed. Otherwise more
+digits are taken. So short solutions are found early. A pivot may vanish modulo p: another prime is
+taken. A few equations, and those that no prime of a few suits, as all singular ones, are left to
+FLINT's dense solver.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import log2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,19 +28,22 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers, Numbers, magnitude
+from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.solvers.bounds.elimination import fill_order
 
 if TYPE_CHECKING:
     from flint import fmpz
 
 flint = later("flint")
-linalg = later("scipy.sparse.linalg")
+linear = later("exact_mdp.solvers.kernels.linear")
+modular = later("exact_mdp.solvers.kernels.modular")
 
-LONGEST = 900  # bits of a pivot that floats hold, its remainders too
-WRAPPING = 2**58  # pivots below this leave remainders that 64 bits tell apart
-FARTHEST, STRETCHED = 2.0**62, 2.0**30  # digits and inverses that are too large to go on
-SPARE = 64  # bits beyond those that determine x
-FEW, MANY = 40, 4_000  # equations that p-adic lifting solves faster, or that are too many for it
+LARGEST_PRIME = 2**31 - 1
+PRIMES = 4  # tried before A is taken to be singular
+FEW, MANY = 40, 4_000  # equations that FLINT solves faster, or that are too many for it
+FIRST, GROWTH = 16, 1.3  # digits before the first test, and how many more before the next
+SPARE = 40  # bits by which a reconstruction has to be shorter than chance makes it
+SHORT = 600  # bits that Euclid's algorithm takes off at once
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,40 +58,18 @@ class Equations:
     def solve(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
         """Return x as integers over one positive denominator; ZeroDivisionError: A is singular."""
         if len(self.pivot) > FEW:
-            found = self.divide(right)
-            if found is not None and self._satisfied(*found, right):
-                return found
-        return self._lifted(right)
+            for prime in _primes():
+                found = self.lifted(right, prime)
+                if found is not None:
+                    return found
+        return self.dense(right)
 
-    def divide(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz] | None:
-        """Return what long division and a continued fraction give, None where floats fail."""
-        inverse = _Inverse.of(self)
-        if inverse is None:
-            return None
-        places = 2 * inverse.bits + int(inverse.stretch).bit_length() + SPARE
-        found = inverse.digits(right, places)
-        return None if found is None else _rationals(*found, inverse.bits)
-
-    def approximate(self, right: Sequence[fmpz], places: int) -> tuple[list[int], int] | None:
-        """Return x times 2^places as integers, and the places: a few more than asked for.
-
-        They are off by a few times the greatest row sum of A's inverse; None where floats fail.
-        """
-        inverse = _Inverse.of(self)
-        return None if inverse is None else inverse.digits(right, places)
-
-    def _satisfied(self, value: list[fmpz], below: fmpz, right: Sequence[fmpz]) -> bool:
-        rest = [p * v - below * b for p, v, b in zip(self.pivot, value, right, strict=True)]
-        entries = zip(self.row.tolist(), self.column.tolist(), self.weight.tolist(), strict=True)
-        for row, column, weight in entries:
-            rest[row] -= value[column] * weight
-        return not any(rest)
-
-    def _lifted(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
+    def dense(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
+        """Return what FLINT's dense solver finds."""
         size = len(self.pivot)
         if size > MANY:
             raise ModelError(
-                f"a cycle of {size} states is too ill-conditioned to be solved exactly",
+                f"the equations of a cycle of {size} states are singular, or nearly so",
                 fix="use certify(mdp, bounded=True), which proves bounds in floating point",
             )
         matrix = np.zeros((size, size), dtype=object)
@@ -95,116 +80,187 @@ class Equations:
         numerator, denominator = found.numer_denom()
         return numerator.entries(), denominator
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Inverse:
-    """A's factors in floats, each row divided by its pivot."""
-
-    equations: Equations
-    factors: Any
-    bits: int  # Length of det A in bits, or a little more
-    stretch: float  # Greatest row sum of the inverse
-
-    @classmethod
-    def of(cls, equations: Equations) -> _Inverse | None:
-        """Return the factors, None where floats do not tell A from a singular matrix."""
-        pivot, row, size = equations.pivot, equations.row, len(equations.pivot)
-        shares = zip(equations.weight.tolist(), row.tolist(), strict=True)
-        try:
-            share = [weight / pivot[i] for weight, i in shares]
-        except OverflowError:
+    def lifted(self, right: Sequence[fmpz], prime: int) -> tuple[list[fmpz], fmpz] | None:
+        """Return x by lifting with one prime, None where a pivot vanishes modulo it."""
+        size = len(self.pivot)
+        own = np.empty(size, dtype=object)
+        own[:] = self.pivot
+        row = np.concatenate([self.row, np.arange(size)])
+        column = np.concatenate([self.column, np.arange(size)])
+        entry = np.concatenate([-self.weight.astype(object), own])
+        dominant = np.where(row == column, size + 1.0, 1.0)
+        order = fill_order(sp.csc_array((dominant, (row, column)), (size, size)))
+        place = np.argsort(order)
+        row, column = place[row], place[column]
+        sequence = np.lexsort((column, row))
+        row, column, entry = row[sequence], column[sequence], entry[sequence]
+        indptr = np.searchsorted(row, np.arange(size + 1))
+        pattern = _pattern(row, column, size)
+        entries = len(pattern.column)
+        factors = modular.Factors(*(np.zeros(n, np.uint64) for n in (entries, entries, size)))
+        residue, scratch = (entry % prime).astype(np.uint64), np.zeros(size, dtype=np.uint64)
+        if modular.eliminate(indptr, column, residue, prime, pattern, factors, scratch) >= 0:
             return None
-        moving = sp.csc_array((share, (row, equations.column)), shape=(size, size))
-        if max(pivot).bit_length() > LONGEST:
-            return None
-        try:
-            factors = linalg.splu((sp.eye_array(size, format="csc") - moving).tocsc())
-        except RuntimeError:
-            return None
-        with np.errstate(all="ignore"):
-            length = sum(map(log2, pivot)) + np.log2(np.abs(factors.U.diagonal())).sum()
-            stretch = float(np.abs(factors.solve(np.ones(size))).max())
-        if not (np.isfinite(length) and stretch < STRETCHED):
-            return None
-        bits = max(1, int(length) + 1)
-        return cls(equations=equations, factors=factors, bits=bits, stretch=stretch)
-
-    def digits(self, right: Sequence[fmpz], places: int) -> tuple[list[int], int] | None:
-        """Return x times 2^places for the next places that are whole digits, and these."""
-        pivot, weight = self.equations.pivot, self.equations.weight
-        wraps = max(pivot) < WRAPPING and magnitude(weight) < WRAPPING
-        kind: Any = np.uint64 if wraps else object
-        width = 32 if self.stretch < 2**14 else 16
-        known = _digits(right, width)
-        digits = np.zeros((len(known) - (-places // width), len(pivot)), dtype=np.int64)
-        digits[: len(known)] = known
-        first = np.flatnonzero(np.diff(self.equations.row, prepend=-1))
-        filled, column = self.equations.row[first], self.equations.column
-        own, weight = np.array(pivot, dtype=kind), weight.astype(kind)
-        scale = np.array(pivot, dtype=np.float64)
-        exact, rest = np.zeros(len(pivot), dtype=kind), np.zeros(len(pivot))
-        for digit in digits:
-            guess = np.rint(self.factors.solve((rest * 2.0**width + digit) / scale))
-            if not np.abs(guess).max() < FARTHEST:
-                return None
-            exact = exact * 2**width + digit.astype(kind)
-            digit[:] = guess
-            taken = digit.astype(kind)
-            exact -= own * taken
-            if len(first):
-                exact[filled] += np.add.reduceat(weight * taken[column], first)
-            rest = (exact.view(np.int64) if kind is np.uint64 else exact).astype(np.float64)
-            if not (np.abs(rest) <= 4 * scale).all():
-                return None
-        return _joined(digits, width), width * (len(digits) - len(known))
+        norm = int(np.add.reduceat(np.abs(entry), indptr[:-1]).max())
+        width = min(22, 31 - int(np.diff(indptr).max()).bit_length())
+        matrix = modular.Limbs(indptr, column, _limbs(entry, width), width)
+        rest = np.zeros((size, (norm.bit_length() + 33) // width + 2), dtype=np.int64)
+        given = [right[state] for state in order.tolist()]
+        largest = max(abs(int(number)) for number in given)
+        bits = prime.bit_length() - 1
+        known = _expanded(given, flint.fmpz(prime), largest.bit_length() // bits + 2)
+        # How much longer than their denominator numerators may be; all digits that det A needs.
+        excess = max(0, largest.bit_length() - int(own.min()).bit_length())
+        full = (2 * sum(int(p).bit_length() for p in self.pivot) + excess + 3 * SPARE) // bits
+        share = np.random.default_rng(size).integers(1, 1024, size)
+        mixed, parts, count = list[int](), list[Numbers](), FIRST
+        while True:
+            fresh = np.empty((count - len(mixed), size), dtype=np.int32)
+            brought = np.zeros(fresh.shape, dtype=np.int64)
+            coming = known[len(mixed) : count]
+            brought[: len(coming)] = coming
+            if not modular.lift(prime, matrix, pattern, factors, brought, rest, scratch, fresh):
+                raise RuntimeError("a remainder of p-adic lifting is not divisible by the prime")
+            parts.append(fresh)
+            mixed += (fresh @ share).tolist()
+            modulus = flint.fmpz(prime) ** count
+            below = _denominator(_evaluated(mixed, prime) % modulus, modulus, excess)
+            if below is not None:
+                found = _rationals(np.concatenate(parts), below, prime, norm, largest, excess)
+                if found is not None:
+                    return [found[0][i] for i in place.tolist()], found[1]
+            more = int(count * GROWTH) + 1
+            count = full if count < full < more * GROWTH else more
 
 
-def _digits(numbers: Sequence[fmpz], width: int) -> Integers:
-    """Return integers in two's complement as rows of digits, the first signed, the last lowest."""
-    listed = [int(number) for number in numbers]
-    count = max(number.bit_length() for number in listed) // width + 1
-    content = b"".join(n.to_bytes(count * width // 8, "big", signed=True) for n in listed)
-    digits = np.frombuffer(content, dtype=f">u{width // 8}").reshape(-1, count).T.astype(np.int64)
-    digits[0] -= (digits[0] >> (width - 1)) << width
-    return digits
+def _primes() -> Iterator[int]:
+    prime = LARGEST_PRIME
+    for _ in range(PRIMES):
+        while not flint.fmpz(prime).is_prime():
+            prime -= 2
+        yield prime
+        prime -= 2
 
 
-def _joined(digits: Integers, width: int) -> list[int]:
-    """Return the integers whose signed digits, of any size, are given in rows."""
-    carry = np.zeros(digits.shape[1], dtype=np.int64)
-    normal = np.empty(digits.shape, dtype=f">u{width // 8}")
-    for place in range(len(digits) - 1, -1, -1):
-        carry += digits[place]
-        normal[place] = carry & (2**width - 1)
-        carry >>= width
-    columns = np.ascontiguousarray(normal.T)
-    return [
-        (high << width * len(digits)) + int.from_bytes(low.tobytes(), "big")
-        for high, low in zip(carry.tolist(), columns, strict=True)
-    ]
+def _pattern(row: Integers, column: Integers, size: int) -> Any:
+    """Return where the factors of a matrix have entries, whatever its numbers are."""
+    ends = (np.maximum(row, column), np.minimum(row, column))
+    below = sp.csr_array((np.ones(len(row), dtype=np.int8), ends), (size, size))
+    parent, seen, count = np.empty((3, size), dtype=np.int64)
+    entries = linear.fill(below.indptr, below.indices, 2**62, np.inf, parent, seen, count) - size
+    first = np.concatenate([[0], np.cumsum(count - 1)])
+    found = np.empty(entries, dtype=np.int32)
+    seen[:] = -1
+    modular.structure(below.indptr, below.indices, parent, seen, first[:-1].copy(), found)
+    owner = np.repeat(np.arange(size, dtype=np.int32), np.diff(first))
+    back = np.concatenate([[0], np.cumsum(np.bincount(found, minlength=size))])
+    return modular.Pattern(first, found, back, owner[np.argsort(found, kind="stable")])
 
 
-def _rationals(numbers: list[int], places: int, bits: int) -> tuple[list[fmpz], fmpz]:
-    """Return the rationals nearest to numbers / 2^places, of denominators below 2^bits."""
-    one, half = flint.fmpz(1) << places, flint.fmpz(1) << (places - 1)
-    below = flint.fmpz(1)
+def _limbs(numbers: Numbers, width: int) -> Numbers:
+    """Return integers as limbs (Q, M), each of the sign of its number."""
+    left, sign, found = np.abs(numbers), np.where(numbers < 0, -1, 1), []
+    while True:
+        found.append((left & (1 << width) - 1).astype(np.int64) * sign)
+        left = left >> width
+        if not left.any():
+            return np.array(found, dtype=np.int32)
+
+
+def _expanded(numbers: list[fmpz], base: fmpz, length: int) -> Integers:
+    """Return numbers as rows (T, K) of digits, the lowest first, all but the last not negative."""
+
+    def split(values: list[fmpz], length: int) -> list[list[int]]:
+        if length == 1:
+            return [[int(value) for value in values]]
+        power = base ** (length // 2)
+        parts = [divmod(value, power) for value in values]
+        low = split([part[1] for part in parts], length // 2)
+        return low + split([part[0] for part in parts], length - length // 2)
+
+    return np.array(split(numbers, length), dtype=np.int64)
+
+
+def _evaluated(digits: list[int], prime: int) -> fmpz:
+    found: fmpz = flint.fmpz_poly(digits)(flint.fmpz(prime))
+    return found
+
+
+def _rationals(
+    digits: Integers, below: fmpz, prime: int, norm: int, largest: int, excess: int
+) -> tuple[list[fmpz], fmpz] | None:
+    """Return the proven rationals whose p-adic digits (T, K) are given, None where too few are.
+
+    `below` is a first denominator; where one number needs another, the least common one is taken.
+    """
+    modulus = flint.fmpz(prime) ** len(digits)
+    longest = modulus.bit_length() - norm.bit_length() - 2
     found: list[fmpz] = []
-    for number in map(flint.fmpz, numbers):
-        product = below * number
-        nearest = (product + half) >> places
-        if abs(product - nearest * one).bit_length() > places - bits:
-            factor = _denominator(int(product % one), places, bits)
+    for column in digits.T:
+        product = _symmetric(below * _evaluated(column.tolist(), prime), modulus)
+        if product.bit_length() > longest:
+            factor = _denominator(product % modulus, modulus, excess)
+            if factor is None:
+                return None
             below, found = below * factor, [value * factor for value in found]
-            nearest = (product * factor + half) >> places
-        found.append(nearest)
-    return found, below
+            product = _symmetric(product * factor, modulus)
+        found.append(product)
+    most = max(int(abs(value)) for value in found)
+    proven = 2 * norm * most < modulus and 2 * int(below) * largest < modulus
+    return (found, below) if proven else None
 
 
-def _denominator(fraction: int, places: int, bits: int) -> int:
-    """Return the denominator of the first convergent as near as 2^-bits to fraction / 2^places."""
-    high, low, before, below = 1 << places, fraction, 0, 1
-    limit = 1 << (places - bits)
-    while low > limit:
+def _symmetric(number: fmpz, modulus: fmpz) -> fmpz:
+    rest = number % modulus
+    return rest - modulus if 2 * rest > modulus else rest
+
+
+def _denominator(number: fmpz, modulus: fmpz, excess: int) -> fmpz | None:
+    """Return d > 0 with d · number = n modulo the modulus, both short; None where there are none.
+
+    n may be about `excess` bits longer than d.
+    """
+    length = modulus.bit_length()
+    end = max(0, min((length + excess) // 2, length - SPARE))
+    high, low, before, below = modulus, number, flint.fmpz(0), flint.fmpz(1)
+    while low.bit_length() > end:
         quotient, rest = divmod(high, low)
-        high, low, before, below = low, rest, below, quotient * below + before
-    return below
+        high, low, before, below = low, rest, below, before - quotient * below
+        if low.bit_length() > end:
+            a, b, c, d = _steps(high, low, low.bit_length() - end)
+            high, low = a * high + b * low, c * high + d * low
+            before, below = a * before + b * below, c * before + d * below
+            if abs(low) > abs(high):
+                high, low, before, below = low, high, below, before
+            if high * low < 0:
+                low, below = -low, -below
+            if high < 0:
+                high, low, before, below = -high, -low, -before, -below
+    short = below.bit_length() + low.bit_length() < length - SPARE
+    return abs(below) if short and below else None
+
+
+def _steps(high: fmpz, low: fmpz, bits: int) -> tuple[fmpz, fmpz, fmpz, fmpz]:
+    """Return a matrix (a, b; c, d) of steps of Euclid's algorithm that take about `bits` bits off.
+
+    They are those of the leading digits, which hardly differ (Lehmer, American Mathematical Monthly
+    45, 1938); many bits are taken off in two halves.
+    """
+    spare = max(0, high.bit_length() - 2 * bits - 64)
+    high, low = high >> spare, low >> spare
+    end = high.bit_length() - bits
+    a, b, c, d = flint.fmpz(1), flint.fmpz(0), flint.fmpz(0), flint.fmpz(1)
+    while low.bit_length() > end:
+        if bits > SHORT and low.bit_length() - end > bits // 4:
+            e, f, g, h = _steps(high, low, (low.bit_length() - end) // 2)
+            a, b, c, d = e * a + f * c, e * b + f * d, g * a + h * c, g * b + h * d
+            high, low = e * high + f * low, g * high + h * low
+            if low < 0:
+                low, c, d = -low, -c, -d
+            if high < low:
+                high, low, a, b, c, d = low, high, c, d, a, b
+        if low.bit_length() > end:
+            quotient, rest = divmod(high, low)
+            high, low = low, rest
+            a, b, c, d = c, d, a - quotient * c, b - quotient * d
+    return a, b, c, d
