@@ -483,6 +483,47 @@ def sensitivity() -> None:
 
 
 @command(
+    "explore:explore",
+    "A page on which a parameter moves, and the optimum with it.",
+    epilog=POLICY_HELP,
+)
+@model
+@click.argument("policy", required=False)
+@click.option(
+    "--parameter",
+    "parameters",
+    multiple=True,
+    required=True,
+    metavar="NAME",
+    help="The parameter that moves. A second one moves in steps.",
+)
+@click.option("--html", required=True, metavar="FILE", help="Write the page: .html.")
+@click.option(
+    "--range",
+    "ranges",
+    multiple=True,
+    metavar="NAME=LOW:HIGH",
+    help="Move a parameter from LOW to HIGH; otherwise by ± 20 %. May be repeated.",
+)
+@click.option("--relative", metavar="X", help="Another share than 0.2.")
+@click.option("--whole", is_flag=True, help="All values that the parameters may take.")
+@click.option("--grid", default="11", metavar="N", help="Values of the second parameter (11).")
+@click.option(
+    "--kind",
+    default="auto",
+    metavar="q|policy|auto",
+    help="What a .npy or .npz file holds: a Q-table, or probabilities of actions.",
+)
+@of_model
+def explore() -> None:
+    """Write one page that shows how MODEL's optimum moves with a parameter, and POLICY's regret.
+
+    The pieces between the switching points are worked out beforehand, in rational arithmetic, so
+    that the page needs no server and shows exact values; it says which of them are certified.
+    """
+
+
+@command(
     "perception:perception",
     "What errors of perception cost, and what memory would save.",
     epilog=POLICY_HELP,
@@ -554,5 +595,6 @@ COMMANDS = (
     check,
     train,
     sensitivity,
+    explore,
     perception,
 )

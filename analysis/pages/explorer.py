@@ -1,0 +1,312 @@
+"""The explorer: a page on which one parameter moves, and value, regret and policy move with it.
+
+The page holds the pieces of `analysis.sensitivity.curve`: on each one the optimal actions, and the
+optimal value and that of a policy held fixed as ratios of polynomials with whole coefficients. Its
+script evaluates them in whole numbers of any size, so that what it shows at a rational value is
+exact. At both ends of the range, today's value and both sides of each switching point the optimum
+has been proved, the proof checked, and its value compared with the ratio's. A second parameter
+moves in steps: for each of its values the first one's pieces are worked out anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from html import escape
+from itertools import pairwise
+from math import lcm
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.layout import arrange, symbols
+from exact_mdp.analysis.pages.page import render
+from exact_mdp.analysis.sensitivity.curve import RationalFunction, ValueFunction, value_function
+from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
+from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import shown
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+MOST_CELLS = 4000  # of the map; a larger model shows the states that change
+GRID = 11  # values of the second parameter
+MOST_GRID = 101
+STEPS = 1000  # of the slider
+HIGH = 860  # pixels of a notebook's frame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explorer(Result):
+    """The pieces of one parameter, for each value of a second one, and the page that shows them.
+
+    Attributes
+    ----------
+    model : str
+        What the model is called.
+    curves : tuple of ValueFunction
+        One for each value of the second parameter; one without a second parameter.
+    second : Parameter or None
+    grid : tuple of Fraction
+        The second parameter's values.
+    policy : str or None
+        What the policy held fixed is called.
+    """
+
+    model: str
+    curves: tuple[ValueFunction, ...]
+    second: Parameter | None = None
+    grid: tuple[Fraction, ...] = ()
+    policy: str | None = None
+
+    def __repr__(self) -> str:
+        curve = self.curves[0]
+        also = f", {len(self.grid)} values of {self.second.name}" if self.second else ""
+        count = sum(len(each.pieces) for each in self.curves)
+        low, high = shown(curve.range.low), shown(curve.range.high)
+        return f"Explorer({curve.parameter.name} from {low} to {high}, {count} pieces{also})"
+
+    def frame(self) -> DataFrame:
+        """Return one row for each piece."""
+        frames = [curve.frame() for curve in self.curves]
+        if self.second is not None:
+            values = map(float, self.grid)
+            frames = [
+                f.assign(**{self.second.name: v}) for f, v in zip(frames, values, strict=True)
+            ]
+        return pandas.concat(frames, ignore_index=True)
+
+    def page(self, *, rerun: str = "") -> str:
+        """Return the page; `rerun` is the command that makes it again."""
+        curve = self.curves[0]
+        name = curve.parameter.name
+        title = f"{name}, {self.second.name}" if self.second else name
+        return render(
+            "explorer.html.j2",
+            title=f"{self.model}: {title}",
+            model=self.model,
+            policy=self.policy,
+            data=_data(self),
+            rerun=rerun,
+        )
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe title="{escape(repr(self))}" srcdoc="{escape(self.page())}" '
+            f'style="width:100%;height:{HIGH}px;border:0"></iframe>'
+        )
+
+
+def explore(
+    model: Scenario | MDP | Parametric,
+    *names: str,
+    ranges: Mapping[str, object] | None = None,
+    relative: object | None = None,
+    policy: PolicyLike | None = None,
+    said: str | None = None,
+    n: int = GRID,
+) -> Explorer:
+    """Return the explorer of one parameter, or of two; in a notebook it shows itself.
+
+    Parameters
+    ----------
+    model : Scenario, MDP or Parametric
+    *names : str
+        The parameter that moves, and perhaps a second one that moves in steps.
+    ranges : {name: (low, high)}, optional
+        Today's value ± 20 % unless given, within what the model admits.
+    relative : number, optional
+        Another share than 20 %, or "whole".
+    policy : PolicyLike, optional
+        A policy held fixed, whose value and regret are shown.
+    said : str, optional
+        What the page calls that policy.
+    n : int
+        Values of the second parameter, from 2 to 101, evenly spaced; today's is added.
+
+    Returns
+    -------
+    Explorer
+
+    Raises
+    ------
+    ModelError
+        For no parameter or more than two, and as `thresholds` does.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
+    >>> explore(MDP.from_outcomes(rows, "9/10"), "discount", policy="random")
+    Explorer(discount from 0.72 to 0.95, 2 pieces)
+    """
+    if not 1 <= len(set(names)) == len(names) <= 2:
+        raise ModelError(
+            f"{len(names)} parameters, or one twice", where="explorer", fix="name one or two"
+        )
+    if not 2 <= n <= MOST_GRID:
+        raise ModelError(f"{n} values", where="explorer", fix=f"choose from 2 to {MOST_GRID}")
+    family = parametric(model)
+    spans = ranges_of(family, names, ranges, relative)
+    for name, span in spans.items():
+        if span.low == span.high:
+            raise ModelError(f"{name} has no range", where="explorer", fix="state a range")
+    name = names[0]
+    second = parameter_of(family, names[1]) if len(names) == 2 else None
+    grid = () if second is None else _grid(spans[second.name], second.value, n)
+    curves = []
+    for value in grid or (None,):
+        here, where = family, ""
+        if second is not None and value is not None:
+            here, where = _held(family, second.name, value), f"{second.name} = {shown(value)}"
+        with located(where) if where else located(f"explorer of {name}"):
+            curve = value_function(here, name, spans[name], policy=policy)
+            _prove(here, curve)
+        curves.append(curve)
+    if said is None and policy is not None:
+        said = policy if isinstance(policy, str) else "the policy"
+    name = family.name or "model"
+    return Explorer(model=name, curves=tuple(curves), second=second, grid=grid, policy=said)
+
+
+def certified(curve: ValueFunction) -> list[Fraction]:
+    """Return the values of the parameter at which the optimum is proved, in rising order."""
+    points = {curve.range.low, curve.range.high}
+    points |= {end for piece in curve.pieces for end in (*piece.low, *piece.high)}
+    today = curve.parameter.value
+    return sorted(points | ({today} if curve.range.low <= today <= curve.range.high else set()))
+
+
+def _prove(family: Parametric, curve: ValueFunction) -> None:
+    """Prove the optimum at the points that are called certified, and compare the ratios there."""
+    for point in certified(curve):
+        if proven(family.at({curve.parameter.name: point})).start_value != curve.at(point):
+            raise RuntimeError(f"the curve is not the optimum at {point}")
+
+
+def _held(family: Parametric, name: str, value: Fraction) -> Parametric:
+    """Return the family with another value of a parameter that does not move."""
+    if isinstance(family, ScenarioFamily):
+        scenario = family.scenario.with_(parameters={name: value})
+        return ScenarioFamily(scenario=scenario, told=family.told)
+    if isinstance(family, Family):
+        moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
+        return replace(family, parameters=tuple(moved))
+    raise ModelError(
+        f"the parameters of {family.name} cannot be held",
+        where="explorer",
+        fix="give a scenario, a model or a Family, or one parameter alone",
+    )
+
+
+def _grid(span: Range, today: Fraction, n: int) -> tuple[Fraction, ...]:
+    steps = {span.low + (span.high - span.low) * k / (n - 1) for k in range(n)}
+    return tuple(sorted(steps | ({today} if span.low <= today <= span.high else set())))
+
+
+# ---- what the script of the page reads ---------------------------------------------------------
+
+
+def _data(explorer: Explorer) -> dict[str, Any]:
+    first = explorer.curves[0]
+    mdp, sets = first.mdp, _Sets(first.mdp)
+    layout = arrange(mdp)
+    drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
+    curves = [_curve(curve, sets) for curve in explorer.curves]
+    taken = None if first.chain is None else sets.numbers(first.chain.chosen > 0)
+    every = np.array([piece["sets"] for curve in curves for piece in curve["pieces"]])
+    moving = np.flatnonzero((every != every[0]).any(axis=0)).tolist()
+    for curve in curves:  # of each piece but the first, only what has changed
+        pieces = curve["pieces"]
+        for before, piece in reversed([*pairwise(pieces)]):
+            both = zip(before["sets"], piece["sets"], strict=True)
+            piece["turns"] = [(s, now) for s, (old, now) in enumerate(both) if old != now]
+            del piece["sets"]
+    states = layout.shown.tolist() if drawn else moving
+    return {
+        "parameter": _parameter(first.parameter),
+        "low": _exact(first.range.low),
+        "high": _exact(first.range.high),
+        "steps": STEPS,
+        "second": explorer.second and _parameter(explorer.second),
+        "grid": [_exact(value) for value in explorer.grid],
+        "curves": curves,
+        "sets": [list(each) for each in sets.known],
+        "signs": list(sets.sign.items()),
+        "taken": taken,
+        "idle": np.flatnonzero(mdp.forced | mdp.terminal).tolist(),
+        "labels": {state: mdp.space.label(state) for state in states},
+        "moving": moving,
+        "map": drawn
+        and {
+            "caption": f"down: {layout.down}; across: {layout.across}",
+            "rows": layout.rows,
+            "columns": layout.columns,
+            "cells": [[s, int(layout.row[s]), int(layout.column[s])] for s in states],
+        },
+        "checked": first.checked,
+        "bounds": sum(len(certified(curve)) for curve in explorer.curves),
+    }
+
+
+def _curve(curve: ValueFunction, sets: _Sets) -> dict[str, Any]:
+    """Return the pieces of a curve, and the different values of the policy held fixed."""
+    fixed = list(dict.fromkeys(piece.fixed for piece in curve.pieces if piece.fixed is not None))
+    return {
+        "pieces": [
+            {
+                "low": [_exact(end) for end in piece.low],
+                "high": [_exact(end) for end in piece.high],
+                "value": _whole(piece.value),
+                "fixed": fixed.index(piece.fixed) if piece.fixed is not None else None,
+                "sets": sets.numbers(piece.optimal),
+            }
+            for piece in curve.pieces
+        ],
+        "fixed": [_whole(each) for each in fixed],
+        "certified": [_exact(point) for point in certified(curve)],
+    }
+
+
+class _Sets:
+    """Numbers for sets of actions, and what they are called: "wait or prompt"."""
+
+    def __init__(self, mdp: MDP) -> None:
+        self.mdp, self.known = mdp, dict[tuple[str, ...], int]()
+        self.sign = dict(zip(mdp.actions, symbols(mdp.actions), strict=True))
+
+    def numbers(self, pairs: Any) -> list[int]:
+        """Return the number of each state's set, of pairs (L,) bool."""
+        names: list[list[str]] = [[] for _ in range(self.mdp.n_states)]
+        for pair in np.flatnonzero(pairs).tolist():
+            names[self.mdp.pair_state[pair]].append(self.mdp.actions[self.mdp.pair_action[pair]])
+        return [self.known.setdefault(tuple(each), len(self.known)) for each in names]
+
+
+def _parameter(parameter: Parameter) -> dict[str, str]:
+    return {
+        "name": parameter.name,
+        "unit": unit_of(parameter),
+        "today": _exact(parameter.value),
+    }
+
+
+def _exact(number: Fraction) -> str:
+    """Return a rational in hexadecimal, "p/q": no number of digits is too large for that."""
+    return f"{number.numerator:x}/{number.denominator:x}"
+
+
+def _whole(ratio: RationalFunction) -> list[list[str]]:
+    """Return the coefficients of N and of D, times a number that makes them whole."""
+    both: tuple[Sequence[Fraction], ...] = (ratio.numerator, ratio.denominator)
+    scale = lcm(*(c.denominator for part in both for c in part))
+    return [[f"{int(c * scale):x}" for c in part] for part in both]

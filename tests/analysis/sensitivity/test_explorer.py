@@ -1,0 +1,227 @@
+"""The explorer's page: its numbers against certificates, in Python and as a browser shows them."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Browser
+from cli_runner import run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from exact_mdp.analysis.pages.explorer import Explorer, explore
+from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.parametric import parametric
+from exact_mdp.solvers import certify
+
+F = Fraction
+TEA = Scenario.load("tea").with_(tasks=[2], max_trial=2)
+BOTH = ("base.anxiety", "reward.assist.prompt")
+RANGES = {"base.anxiety": (0, "1/2"), "reward.assist.prompt": (-4, 0)}
+NASTY = ["</script><b>", "$x & 'y'", '"z" <img src=x>']
+
+
+def data_of(page: str) -> dict[str, Any]:
+    """What the script of a page reads."""
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    data: dict[str, Any] = json.loads(found[1])
+    return data
+
+
+def number(text: str) -> Fraction:
+    top, below = text.split("/")
+    return F(int(top, 16), int(below, 16))
+
+
+def worth(ratio: list[list[str]], at: Fraction) -> Fraction:
+    top, below = (sum(int(c, 16) * at**k for k, c in enumerate(part)) for part in ratio)
+    return F(top) / below
+
+
+def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str) -> None:
+    """What the page holds at a value of its parameter, against a proof and linear equations."""
+    curve, certificate = data["curves"][row], certify(mdp)
+    sets, around = [], []
+    for piece in curve["pieces"]:
+        sets = list(piece.get("sets", sets))
+        for state, to in piece.get("turns", ()):
+            sets[state] = to
+        low, high = (number(piece[end][k]) for k, end in enumerate(("low", "high")))
+        if low <= at <= high:
+            around.append((piece, list(sets)))
+    assert max(worth(piece["value"], at) for piece, _ in around) == certificate.start_value
+    chain = ExactChain(mdp, policy)
+    values = chain.values(chain.reward)
+    held = sum((F(int(values[s].p), int(values[s].q)) * w for s, w in mdp.start), F(0))
+    taken = [data["sets"][number] for number in data["taken"]]
+    chosen = [[mdp.actions[mdp.pair_action[p]] for p, _ in w] for w in chain.weight]
+    assert taken == chosen
+    assert worth(curve["fixed"][around[0][0]["fixed"]], at) == held
+    if len(around) == 1:
+        for state in np.flatnonzero(~mdp.terminal).tolist():
+            best = [p for p in mdp.pairs_of(state) if certificate.optimal_pairs[p]]
+            said = data["sets"][around[0][1][state]]
+            assert said == [mdp.actions[mdp.pair_action[p]] for p in best]
+
+
+@settings(max_examples=15, deadline=None)
+@given(k=st.integers(0, 60), row=st.integers(0, 2))
+def test_the_page_holds_what_is_true_at_any_value(k: int, row: int) -> None:
+    data = data_of(tea().page())
+    low, high, grid = number(data["low"]), number(data["high"]), list(map(number, data["grid"]))
+    assert (low, high, grid) == (0, F(1, 2), [-4, -2, 0])
+    at = low + (high - low) * F(k, 60)
+    mdp = parametric(TEA).at(dict(zip(BOTH, (at, grid[row]), strict=True)))
+    check_at(data, row, at, mdp, "random")
+    certified = [number(each) for each in data["curves"][row]["certified"]]
+    for each in certified[:: max(1, len(certified) // 3)]:
+        mdp = parametric(TEA).at(dict(zip(BOTH, (each, grid[row]), strict=True)))
+        check_at(data, row, each, mdp, "random")
+
+
+KEPT: list[Explorer] = []
+
+
+def tea() -> Explorer:
+    if not KEPT:
+        KEPT.append(explore(TEA, *BOTH, ranges=RANGES, policy="random", n=3))
+    return KEPT[0]
+
+
+def test_it_is_a_result() -> None:
+    assert repr(tea()).startswith("Explorer(base.anxiety from 0 to 0.5, ")
+    assert set(tea().frame()["reward.assist.prompt"]) == {-4.0, -2.0, 0.0}
+    assert 'srcdoc="&lt;!DOCTYPE html&gt;' in tea()._repr_html_()
+
+
+def cliff(names: list[str]) -> MDP:
+    rows = [(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (0, 1, [(1, 2, 3)]), (1, 0, [(1, 2, 5)])]
+    return MDP.from_outcomes(
+        [*rows, (2, 0, [(1, 2, 0)])], discount="1/2", states=names, actions=names[:2], name=names[0]
+    )
+
+
+def test_names_are_text(tmp_path: Path) -> None:
+    model, html = tmp_path / "m.npz", tmp_path / "p.html"
+    save_model(cliff(NASTY), model)
+    done = run("explore", model, "--parameter", "discount", "--html", html, "--json")
+    assert done.result["written"] == str(html)
+    page = html.read_text(encoding="utf-8")
+    assert page.count("<script") == 2
+    assert "<img" not in page
+    assert "<b>" not in page
+    assert set(data_of(page)["labels"].values()) == {f"state {name}" for name in NASTY}
+    assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", page)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--html", "p.html"), "--parameter"),
+        (("--parameter", "base.anxeity", "--html", "p.html"), "base.anxiety"),
+        (("--parameter", "base.anxiety", "--html", "p.txt"), ".html"),
+        ((*("--parameter", "base.anxiety") * 2, "--html", "p.html"), "name one or two"),
+        (("--parameter", "reward.assist.wait", "--html", "p.html"), "state a range"),
+        (("--parameter", "base.anxiety", "--grid", "1", "--html", "p.html"), "--grid"),
+        (("always:sing", "--parameter", "base.anxiety", "--html", "p.html"), "sing"),
+    ],
+)
+def test_bad_requests(
+    words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run("explore", "tea", *words)
+    assert (done.status, done.out) == (2, "")
+    assert said in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ranges_that_no_model_has() -> None:
+    with pytest.raises(ModelError, match="outside"):
+        explore(TEA, "base.anxiety", ranges={"base.anxiety": (0, 2)})
+
+
+# ---- in a browser ------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_page_in_a_browser(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(tea().page(rerun="exact-mdp explore …"), encoding="utf-8")
+    with warnings.catch_warnings(), Browser(tmp_path / "browser") as browser:
+        warnings.simplefilter("ignore", ResourceWarning)
+        for wide, dark in ((400, False), (400, True), (1280, False), (1280, True)):
+            browser.open(page, wide=wide, dark=dark)
+            assert browser.js("document.documentElement.scrollWidth") <= wide
+            ground = browser.js("getComputedStyle(document.body).backgroundColor")
+            assert (int(re.findall(r"\d+", ground)[0]) < 60) == dark
+            assert browser.asked == [page.as_uri()]
+            use_by_keyboard(browser)
+        assert browser.errors == []
+
+
+def use_by_keyboard(browser: Browser) -> None:
+    """Move both parameters without a mouse, and compare what is shown with proofs."""
+
+    def text(name: str) -> str:
+        return str(browser.js(f"document.getElementById('{name}').textContent"))
+
+    def focused() -> str:
+        return str(browser.js("document.activeElement.id"))
+
+    def holds(second: Fraction) -> None:
+        at = F(text("exact_at"))
+        mdp = parametric(TEA).at(dict(zip(BOTH, (at, second), strict=True)))
+        best = certify(mdp).start_value
+        assert F(text("exact_best")) == best
+        chain = ExactChain(mdp, "random")
+        value = chain.values(chain.reward)[0]
+        held = F(int(value.p), int(value.q))
+        assert F(text("exact_held")) == held
+        assert float(text("best")) == pytest.approx(float(best), rel=1e-9)
+        assert float(text("regret")) == pytest.approx(float(best - held), rel=1e-9)
+
+    holds(F(-2))
+    browser.press("Tab")
+    assert focused() == "first"
+    for key, times in (("ArrowRight", 7), ("ArrowLeft", 2), ("End", 1), ("Home", 1)):
+        browser.press(key, times)
+        holds(F(-2))
+    assert F(text("exact_at")) == 0
+    browser.press("Tab")
+    assert focused() == "typed"
+    browser.js("document.activeElement.select()")
+    browser.press("1/7")
+    holds(F(-2))
+    assert F(text("exact_at")) == F(1, 7)
+    browser.js("document.activeElement.select()")
+    browser.press("3")
+    assert "from 0 to 0.5" in text("wrong")
+    browser.press("Tab")
+    assert focused() == "today"
+    browser.press("Enter")
+    assert F(text("exact_at")) == F(1, 10)
+    assert text("claim").startswith("Certified")
+    browser.js("document.getElementById('first').focus()")
+    browser.press("Home")
+    browser.press("Tab", 3)
+    assert focused() == "on"  # the button before it has nowhere to go
+    browser.press("Enter")
+    assert text("claim").startswith("Certified")
+    assert "switches" in text("claim")
+    holds(F(-2))
+    browser.js("document.getElementById('second').focus()")
+    browser.press("ArrowRight")
+    holds(F(0))
+    assert browser.js("document.querySelectorAll('#map tbody td').length") == 48
