@@ -22,14 +22,16 @@ def explore(
     html: str,
     grid: str,
     kind: str,
-    sets: tuple[str, ...],
-    discount: str | None,
-    **ranges: Any,
+    ranges: tuple[str, ...],
+    relative: str | None,
+    whole: bool,
+    **shared: Any,
 ) -> Report:
     """Write the page."""
     check_outputs((html, (".html",)))
-    loaded = given(model, sets, discount, policy=policy, kind=kind)
-    asked = Asked(loaded=loaded.loaded, options={**ranges, "parameters": parameters})
+    loaded = given(model, policy=policy, kind=kind, **shared)
+    options = {"ranges": ranges, "relative": relative, "whole": whole, "parameters": parameters}
+    asked = Asked(given=loaded, options=options)
     found = explorer.explore(
         asked.model,
         *parameters,

@@ -29,7 +29,7 @@ from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import Family, Parametric, Posed, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
@@ -195,6 +195,8 @@ def _prove(family: Parametric, curve: ValueFunction) -> None:
 
 def _held(family: Parametric, name: str, value: Fraction) -> Parametric:
     """Return the family with another value of a parameter that does not move."""
+    if isinstance(family, Posed):
+        return replace(family, family=_held(family.family, name, value))
     if isinstance(family, ScenarioFamily):
         scenario = family.scenario.with_(parameters={name: value})
         return ScenarioFamily(scenario=scenario, told=family.told)
@@ -243,6 +245,7 @@ def _data(explorer: Explorer) -> dict[str, Any]:
         "sets": [list(each) for each in sets.known],
         "signs": list(sets.sign.items()),
         "taken": taken,
+        "sense": mdp.sense,
         "idle": np.flatnonzero(mdp.forced | mdp.terminal).tolist(),
         "labels": {state: mdp.space.label(state) for state in states},
         "moving": moving,

@@ -63,15 +63,16 @@ shares = st.integers(1, 6)
     rewards=st.lists(st.integers(-5, 5), min_size=6, max_size=6),
     place=st.fractions(0, 1, max_denominator=50),
     name=st.sampled_from(["p", "discount", "gain"]),
+    sense=st.sampled_from(["max", "min"]),
 )
 def test_random_models_with_cycles(
-    weights: list[tuple[int, int, int]], rewards: list[int], place: Fraction, name: str
+    weights: list[tuple[int, int, int]], rewards: list[int], place: Fraction, name: str, sense: str
 ) -> None:
     rows = [
         (s // 2, s % 2, [(F(w, sum(each)), t, rewards[s]) for t, w in enumerate(each)])
         for s, each in enumerate(weights)
     ]
-    mdp = MDP.from_outcomes(rows, discount="9/10", start={0: F(1, 3), 2: F(2, 3)})
+    mdp = MDP.from_outcomes(rows, discount="9/10", start={0: F(1, 3), 2: F(2, 3)}, sense=sense)
     gains = {"gain": rewards[1]} if rewards[1] else {"gain": rewards[0]} if rewards[0] else {}
     family = moving(mdp, {"p": [(0, 1)]}, gains)
     if name not in [parameter.name for parameter in family.parameters]:
