@@ -15,22 +15,20 @@
 # # 6. Your own scenario, from a TOML file
 #
 # **After this notebook you can** write a care scenario of your own as a text file, have it checked,
-# solved and proven, and move a slider over one of its numbers to see where the best action changes.
+# solved and proven, and move one of its numbers to see where the best action changes.
 #
 # The scenario shipped as `tea` has three statuses, three actions and two tasks. Its numbers are
 # made up. Here we write a smaller one from scratch.
 
 # %%
 import tempfile
-from fractions import Fraction
 from pathlib import Path
 
 from exact_mdp.analysis import value_of_memory
-from exact_mdp.analysis.plots import plot_policy_map, style
-from exact_mdp.analysis.plots.slider import Slider
+from exact_mdp.analysis.pages.explorer import explore
 from exact_mdp.analysis.sensitivity import thresholds
 from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.solvers import certify, evaluate, solve
+from exact_mdp.solvers import certify, evaluate
 
 text = """
 name = "shoes"
@@ -116,37 +114,30 @@ for best in value_of_memory(mdp, ["status"]):
 # %% [markdown]
 # Today it does. Below, other values of one number make the best action depend on the trial.
 #
-# ## A slider over one entry of the tables
+# ## Move one entry of the tables
 #
-# How likely is frustration to appear by itself? Move the slider: the map of best actions changes
-# where a threshold is passed. The pictures are drawn beforehand, so that the slider also works in a
-# page without a running notebook.
+# How likely is frustration to appear by itself? Move the slider: the best actions change where a
+# threshold is passed. Between two thresholds the optimal value is a ratio of polynomials, which the
+# page evaluates exactly at any value of the parameter; at the thresholds the optimum is certified
+# on both sides. The page needs no running notebook: `explored.page()` returns it as one file.
 
 # %%
-values = [Fraction(k, 20) for k in range(15)]
-
-
-def draw(number, ax):
-    at = scenario.with_(parameters={"base.frustration": values[number]}).compile()
-    plot_policy_map(at, solve(at).policy, statuses=scenario.statuses, ax=ax)
-    ax.set_title("best action, first trial of the first subtask")
-
-
-with style():
-    shown = Slider(
-        draw, [f"{float(v):.2f}" for v in values], name="base.frustration", first=2, size=(4.6, 2.8)
-    )
-shown
+explored = explore(
+    scenario, "base.frustration", ranges={"base.frustration": (0, "7/10")}, policy="always:prompt"
+)
+explored
 
 # %% [markdown]
-# The slider moves in steps. The thresholds themselves are exact: every value at which an optimal
-# action changes, certified on both sides.
+# The same thresholds as a table: every value at which an optimal action changes.
 
 # %%
-found = thresholds(scenario, "base.frustration", (0, "7/10"))
-for each in found.found:
-    for switch in each.switches:
-        print(f"{each.value:.12f}  {switch.label}: {switch.before} → {switch.after}")
+thresholds(scenario, "base.frustration", (0, "7/10"))
+
+# %% [markdown]
+# From the command line: `exact-mdp new shoes.toml` writes such a file to start from,
+# `exact-mdp lint shoes.toml` lists all that is wrong with it at once, and
+# `exact-mdp explore shoes.toml always:prompt --parameter base.frustration --html page.html` writes
+# the page.
 
 # %%
 folder.cleanup()

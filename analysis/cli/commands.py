@@ -514,6 +514,7 @@ def sensitivity() -> None:
     metavar="q|policy|auto",
     help="What a .npy or .npz file holds: a Q-table, or probabilities of actions.",
 )
+@question
 @of_model
 def explore() -> None:
     """Write one page that shows how MODEL's optimum moves with a parameter, and POLICY's regret.
