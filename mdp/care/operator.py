@@ -30,7 +30,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -219,6 +219,8 @@ class CareOperator:
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     # ---- what it has in common with the explicit model -----------------------------------------
+
+    sense: ClassVar[str] = "max"
 
     @property
     def name(self) -> str:
