@@ -105,7 +105,7 @@ def _as_operator(
     mdp = cast("MDP", scenario.operator())
     loaded = Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
     facts = {"model": scenario.name, "discount": mdp.discount}
-    head = facts | {"horizon": None}
+    head = facts | {"horizon": None, "sense": mdp.sense, "question": None, "start": None}
     return Given(endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=())
 
 
