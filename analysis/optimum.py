@@ -87,7 +87,7 @@ class Optimum:
         best = self.best
         if not isinstance(best, solvers.Solution):
             return best.optimal_pairs
-        lost = best.value[self.mdp.pair_state] - best.q
+        lost = best.value[self.mdp.pair_state] - self.mdp.backup(best.value)
         return np.asarray((-lost if self.mdp.sense == "min" else lost) <= 2 * best.error_bound)
 
     @property

@@ -269,6 +269,46 @@ class MDP(Parts):
                 stays[alone] = ~np.logical_or.reduceat(table.gain[places] != 0, before)
         return np.asarray(np.logical_and.reduceat(stays, self.pair_offsets[:-1]))
 
+    def by_action(self, values: ArrayLike, missing: float = np.nan) -> NDArray[Any]:
+        """Return a table (S, A) of numbers of pairs (L,), `missing` where there is no pair.
+
+        Truth values are False there.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_pairs([0, 0, 1], [0, 1, 1], [[0, 1]] * 3, [5, "1/2", 0])
+        >>> mdp.by_action(mdp.reward).tolist(), mdp.R.tolist()
+        ([[5.0, 0.5], [nan, 0.0]], [[5.0, 0.5], [-inf, 0.0]])
+        """
+        array = np.asarray(values)
+        kind = array.dtype if array.dtype.kind in "bO" else np.result_type(array, np.float64)
+        fill = False if array.dtype.kind == "b" else missing
+        table = np.full((self.n_states, self.n_actions), fill, dtype=kind)
+        table[self.pair_state, self.pair_action] = array
+        return table
+
+    @property
+    def R(self) -> Floats:
+        """(S, A) expected rewards; -inf (of costs inf) where an action is not offered."""
+        return self.by_action(self.reward, np.inf if self.sense == "min" else -np.inf)
+
+    def P(self, action: object) -> sp.csr_array:
+        """Return the (S, S) transitions of an action; rows are empty where it is not offered.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_pairs([0, 0, 1], [0, 1, 1], [[0, 1]] * 3, [5, "1/2", 0])
+        >>> mdp.P(0).toarray().tolist(), mdp.P("1").toarray().tolist()
+        ([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]])
+        """
+        whole = isinstance(action, int | np.integer) and 0 <= action < self.n_actions
+        taking = np.flatnonzero(self.pair_action == (action if whole else self.action(action)))
+        rows = self.transition[taking]
+        lengths = np.zeros(self.n_states, dtype=np.int64)
+        lengths[self.pair_state[taking]] = np.diff(rows.indptr)
+        indptr = np.concatenate([[0], np.cumsum(lengths)])
+        return sp.csr_array((rows.data, rows.indices, indptr), (self.n_states, self.n_states))
+
     @cached_property
     def indifferent(self) -> NDArray[np.bool_]:
         """(S,) True where all actions have the same outcomes, number for number."""

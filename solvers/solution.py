@@ -249,8 +249,8 @@ class Solution(Pictured):
     >>> found = solve(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
     >>> found.value.tolist(), found.policy.tolist(), found.start.interval
     ([3.0, 0.0], [1, 0], (2.99..., 3.00...))
-    >>> found.frame().action.tolist()
-    ['1', '0']
+    >>> found.frame().action.tolist(), found.q.tolist(), found.gap_table.tolist()
+    (['1', '0'], [[1.0, 3.0], [0.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])
     """
 
     mdp: MDP
@@ -310,8 +310,19 @@ class Solution(Pictured):
 
     @property
     def q(self) -> Floats:
-        """(L,) action values r + γ P V."""
-        return self.mdp.backup(self.value)
+        """(S, A) action values r + γ P V; -inf (of costs inf) where an action is not offered."""
+        never = np.inf if getattr(self.mdp, "sense", "max") == "min" else -np.inf
+        table: Floats = MDP.by_action(self.mdp, self.mdp.backup(self.value), never)
+        return table
+
+    @property
+    def gap_table(self) -> Floats:
+        """(S, A) what each action loses against the value; NaN where it is not offered."""
+        sign = -1 if getattr(self.mdp, "sense", "max") == "min" else 1
+        with np.errstate(invalid="ignore"):  # two infinite values
+            lost = sign * (self.value[self.mdp.pair_state] - self.mdp.backup(self.value))
+        table: Floats = MDP.by_action(self.mdp, lost)
+        return table
 
     def negated(self, mdp: MDP) -> Solution:
         """Return the solution of `mdp`, of which this solution's model is the negation."""

@@ -20,6 +20,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
 from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
+from exact_mdp.solvers.dynamic.known import opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.operator import solve_operator
@@ -85,6 +86,7 @@ def solve(
     *,
     tol: float | None = ...,
     horizon: int | None = ...,
+    start: Any = ...,
 ) -> Solution: ...
 @overload
 def solve(
@@ -95,7 +97,12 @@ def solve(
     horizon: int | None = ...,
 ) -> Found: ...
 def solve(
-    model: object, solver: Any = "auto", *, tol: float | None = None, horizon: int | None = None
+    model: object,
+    solver: Any = "auto",
+    *,
+    tol: float | None = None,
+    horizon: int | None = None,
+    start: Any = None,
 ) -> object:
     """Return optimal values and a policy, with bounds on their error.
 
@@ -115,6 +122,9 @@ def solve(
     horizon : int, optional
         Stop after this many steps, without a further reward: the solution is that of
         `mdp.within(horizon)`, whose states are times and states.
+    start : a solution, (S,) floats or PolicyLike, optional
+        Values near the optimum, or a policy, to begin with: of a similar model, say. The answer and
+        its bounds hold as without; models without cycles are solved in one pass all the same.
 
     Returns
     -------
@@ -155,12 +165,12 @@ def solve(
     if horizon is not None:
         mdp = mdp.within(horizon)
     if mdp.sense == "min":
-        return solve(mdp.maximised, solver, tol=tol).negated(mdp)
+        return solve(mdp.maximised, solver, tol=tol, start=opposite(mdp, start)).negated(mdp)
     if solver == "auto":
         if numbered_in_order(mdp) or levels(mdp) is not None:
             return _within(BackwardInduction().solve(mdp), tol)
         solver = ModifiedPolicyIteration()
-    return _with_tolerance(_named(solver), tol).solve(mdp)
+    return _with_settings(_named(solver), tol=tol, start=start).solve(mdp)
 
 
 def is_average(criterion: str) -> bool:
@@ -185,17 +195,20 @@ def _named(solver: Any) -> Solver:
     return named
 
 
-def _with_tolerance(solver: Any, tol: float | None) -> Solver:
-    """Return the solver with a tolerance; raises ModelError where it takes none."""
-    if tol is not None:
-        if "tol" not in getattr(type(solver), "__dataclass_fields__", {}):
-            takers = [name for name, kind in SOLVERS.items() if hasattr(kind, "tol")]
+def _with_settings(solver: Any, **settings: Any) -> Solver:
+    """Return the solver with what was given to `solve`; raises ModelError where it takes none."""
+    why = {"tol": "its error is what rounding leaves", "start": "it needs one pass"}
+    for name, value in settings.items():
+        if value is None:
+            continue
+        if name not in getattr(type(solver), "__dataclass_fields__", {}):
+            takers = [key for key, kind in SOLVERS.items() if hasattr(kind, name)]
             raise ModelError(
-                f"{solver.name} takes no tol: its error is what rounding leaves",
+                f"{solver.name} takes no {name}: {why[name]}",
                 where="solve",
-                fix=f"leave tol out, or choose {', '.join(takers)}",
+                fix=f"leave {name} out, or choose {', '.join(takers)}",
             )
-        solver = replace(solver, tol=tol)
+        solver = replace(solver, **{name: value})
     found: Solver = solver
     return found
 

@@ -98,7 +98,8 @@ class Today:
 
 def best_pairs(mdp: MDP, solution: Solution) -> Mask:
     """Return (L,) whether a pair is optimal, up to rounding."""
-    return np.asarray(solution.q >= solution.value[mdp.pair_state] - 2 * solution.error_bound)
+    lost = solution.value[mdp.pair_state] - mdp.backup(solution.value)
+    return np.asarray(lost <= 2 * solution.error_bound)
 
 
 def _numbers(scenario: Scenario, mdp: MDP) -> Integers:

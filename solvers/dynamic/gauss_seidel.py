@@ -10,8 +10,8 @@ bounds of `solvers.bounds.sweeps`; the solver stops when these are as close as a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class GaussSeidel:
         Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
     max_iterations : int
         Pairs of sweeps after which to give up, with a SolverError.
+    start : (S,) floats or PolicyLike, optional
+        Values to begin with, or a policy whose values are meant; 0 unless given.
 
     Examples
     --------
@@ -40,6 +42,7 @@ class GaussSeidel:
 
     tol: float | None = None
     max_iterations: int = 1_000_000
+    start: Any = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "gauss-seidel"
 

@@ -49,11 +49,12 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma, greedy, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.dynamic.known import pairs_of
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
@@ -149,7 +150,7 @@ class LinearProgram:
         margin_weights(mdp)
         if self.start is None:
             return self._optimised(mdp)
-        return _pairs_of(mdp, self.start), None, 0
+        return pairs_of(mdp, self.start), None, 0
 
     def _optimised(self, mdp: MDP) -> tuple[Integers, float | None, int]:
         """Return the pairs (S,) that the optimiser's values imply, their mean, and its steps."""
@@ -184,19 +185,6 @@ class LinearProgram:
         if not abs(objective - reached) <= AGREEMENT * (abs(reached) + scale):
             detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
             raise SolverError(Status.PROGRAM_FAILED, detail)
-
-
-def _pairs_of(mdp: MDP, start: PolicyLike) -> Integers:
-    """Return (S,) the pairs of a known policy; raises ModelError where it has none."""
-    policy = Policy.of(mdp, start)
-    if not policy.deterministic:
-        raise ModelError(
-            "the policy is mixed: it draws its actions",
-            where="LinearProgram(start=…)",
-            fix="give a solution of this model, a deterministic policy, or an action number for "
-            "each state",
-        )
-    return np.flatnonzero(policy.weights(mdp))
 
 
 def visits(mdp: MDP, pairs: Integers) -> tuple[Floats, Floats]:

@@ -12,8 +12,8 @@ until rounding stops them, so that ties show as ties.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class ModifiedPolicyIteration:
         Most sweeps for one policy before its linear equations are solved.
     max_iterations : int
         Policies to improve before giving up, with a SolverError.
+    start : (S,) floats or PolicyLike, optional
+        Values to begin with, or a policy whose values are meant; 0 unless given.
 
     Examples
     --------
@@ -45,6 +47,7 @@ class ModifiedPolicyIteration:
     tol: float | None = None
     sweeps: int = 100
     max_iterations: int = 10_000
+    start: Any = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "modified-policy-iteration"
 

@@ -9,18 +9,18 @@ Processes, 1994, section 6.4). The number of iterations does not depend on how f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds, levels, margin_weights
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, margin_weights
 from exact_mdp.solvers.bounds.gains import gains, greedy
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.dynamic.known import evaluated, greedy_of
 from exact_mdp.solvers.dynamic.stopping import check_settings, conclude, of_costs
 from exact_mdp.solvers.solution import Solution, Status
 
@@ -33,6 +33,8 @@ class PolicyIteration:
     ----------
     max_iterations : int
         Policies to evaluate before giving up, with a SolverError.
+    start : PolicyLike or (S,) floats, optional
+        The policy to improve first, or values whose greedy policy is meant.
 
     Examples
     --------
@@ -44,6 +46,7 @@ class PolicyIteration:
     """
 
     max_iterations: int = 1000
+    start: Any = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "policy-iteration"
 
@@ -56,7 +59,7 @@ class PolicyIteration:
         """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
         started = perf_counter()
         margin_weights(model)
-        pairs = greedy(model, gains(model, np.zeros(model.n_states)))
+        pairs = greedy_of(model, self.start)
         found, iterations, stable = improved(model, pairs, self.max_iterations)
         status = Status.DIRECT if stable else Status.ITERATION_LIMIT
         return conclude(model, self, found, status=status, iterations=iterations, started=started)
@@ -81,9 +84,3 @@ def improved(
         if pairs.tobytes() in seen:
             return bounds(mdp, value, greedy(mdp, gain)), iteration, True
     return bounds(mdp, value), iteration, False
-
-
-def evaluated(mdp: MDP, pairs: Integers) -> Floats:
-    """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
-    chain, reward = policy_chain(mdp, pairs)
-    return LinearSystem(chain, mdp.discount, order=levels(mdp)).approximate(reward)

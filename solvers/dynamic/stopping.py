@@ -32,6 +32,7 @@ from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
 from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.bounds.sweeps import Judged, Pass, Sweeps, sweeps_of
+from exact_mdp.solvers.dynamic.known import values_of
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 RELATIVE_TOLERANCE = 1e-9
@@ -65,7 +66,9 @@ def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution
 
 
 class Run:
-    """The passes of a solver that improves values from 0, until their error is proven small.
+    """The passes of a solver that improves values, from 0 or from those that its `start` gives.
+
+    They go on until the error is proven small.
 
         run = Run(mdp, solver)              # the solver has `tol` and `max_iterations`
         for found in run:                   # a pass: T V - V around the values so far
@@ -91,7 +94,8 @@ class Run:
         self._tol, self._polish = solver.tol, polish
         sweeps = sweeps_of(mdp, margin_weights(mdp), strict=self._tol is not None)
         self._weight = float(sweeps.weights.value.max(initial=0.0))
-        self.values, self.iteration, self.ready = Iterate(sweeps, np.zeros(mdp.n_states)), 0, False
+        self.values = Iterate(sweeps, values_of(mdp, getattr(solver, "start", None)))
+        self.iteration, self.ready = 0, False
         self._half = self._best = np.inf
         self._idle, self._stalled, self._doubt = 0, False, 1.0
         self._end: tuple[Status, Bounds] | None = None
@@ -341,7 +345,9 @@ def conclude(
 def check_settings(solver: Any) -> None:
     """Raise ModelError for a `tol` that is not positive, or another number below 1."""
     name = type(solver).__name__
-    settings = {field.name: getattr(solver, field.name) for field in fields(solver)}
+    settings = {
+        field.name: getattr(solver, field.name) for field in fields(solver) if field.name != "start"
+    }
     check_tolerance(name, settings.pop("tol", None))
     check_counts(name, **settings)
 

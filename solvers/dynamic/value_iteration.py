@@ -9,8 +9,8 @@ The answer is the middle between the bounds (MacQueen 1966; Porteus 1971).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +29,8 @@ class ValueIteration:
         Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
     max_iterations : int
         Sweeps after which to give up, with a SolverError.
+    start : (S,) floats or PolicyLike, optional
+        Values to begin with, or a policy whose values are meant; 0 unless given.
 
     Examples
     --------
@@ -39,6 +41,7 @@ class ValueIteration:
 
     tol: float | None = None
     max_iterations: int = 1_000_000
+    start: Any = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "value-iteration"
 

@@ -18,10 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers, divide
 from exact_mdp.solvers.proof.checker import (
@@ -118,6 +120,32 @@ class Certificate(ExactClaims, Pictured):
         """
         top, bottom = np.array(self.numerator, object), np.array(self._below, object)
         return divide(top, bottom)
+
+    @property
+    def optimal(self) -> NDArray[np.bool_]:
+        """(S, A) whether an action is optimal; False where it is not offered.
+
+        Raises ModelError where the certificate was read from a file: it lacks the model.
+        """
+        return np.asarray(_model(None, self.mdp).by_action(self.optimal_pairs))
+
+    def optimal_policy(self) -> Policy:
+        """Return the policy that draws one of the optimal actions of each state, all alike.
+
+        Raises ModelError where the certificate was read from a file: it lacks the model.
+
+        Examples
+        --------
+        >>> from exact_mdp.solvers import certify
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 3, [[3, 1, 3], [0, 0, 0]])
+        >>> certify(mdp).optimal_policy().table[0].tolist()
+        [0.5, 0.0, 0.5]
+        """
+        mdp, optimal = _model(None, self.mdp), self.optimal
+        table = optimal / optimal.sum(axis=1, keepdims=True)
+        return Policy(
+            space=mdp.space, actions=mdp.actions, rule=table, shares=optimal.astype(np.int64)
+        )
 
     @property
     def _below(self) -> list[int]:

@@ -300,6 +300,11 @@ class Evaluation(Pictured):
         return pair_visits(self.chain, self._discounted)
 
     @property
+    def occupancy_table(self) -> Floats:
+        """(S, A) the same by state and action; NaN where an action is not offered."""
+        return np.asarray(self.mdp.by_action(self.occupancy))
+
+    @property
     def visits(self) -> Floats:
         """(S,) expected number of visits to each state, from the start.
 

@@ -329,7 +329,7 @@ def test_gaps_and_visits(solver: LinearProgram, name: str) -> None:
     found = solve(mdp, solver)
     assert found.gaps is not None
     assert found.occupancy is not None
-    q = solve(mdp, PolicyIteration()).q
+    q = mdp.backup(solve(mdp, PolicyIteration()).value)
     gaps = found.value[mdp.pair_state] - q
     assert np.abs(found.gaps - gaps).max() < 1e-9
     assert found.gaps.min() > -1e-12
