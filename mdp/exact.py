@@ -23,6 +23,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from hashlib import sha256
+from itertools import pairwise
+from math import fsum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +34,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     EXACT_IN_FLOAT,
     EXACT_IN_INT64,
+    ROW_TOLERANCE,
     Floats,
     Integers,
     Numbers,
@@ -103,8 +106,11 @@ class BellmanRows:
         )
 
 
-def bellman_rows(model: MDP) -> BellmanRows:
+def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
     """Return the Bellman equations of a model in integers.
+
+    With `pairs`, (K,) rising numbers with one of each state at least, they are those of these
+    pairs, over the scale that these need.
 
     Examples
     --------
@@ -115,13 +121,17 @@ def bellman_rows(model: MDP) -> BellmanRows:
     >>> rows.scale.tolist(), rows.constant.tolist(), rows.weight.tolist()
     ([30, 10], [5, 0], [9, 18, 9])
     """
-    offsets, following, weight, denominator = merged(model.table)
-    gain, gain_denominator = reduced(*model.table.expected_gain_exact())
+    table, pair_offsets, pair_state = model.table, model.pair_offsets, model.pair_state
+    if pairs is not None and len(pairs) < model.n_pairs:
+        table, pair_state = table.of_pairs(pairs), pair_state[pairs]
+        pair_offsets = np.searchsorted(pairs, pair_offsets)
+    offsets, following, weight, denominator = merged(table)
+    gain, gain_denominator = reduced(*table.expected_gain_exact())
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
     bottom = multiply(denominator, _integer(under))
     scale = _lcm(bottom, gain_denominator)
-    state_scale = _lcm_by_group(scale, model.pair_offsets)
-    scale = state_scale[model.pair_state]
+    state_scale = _lcm_by_group(scale, pair_offsets)
+    scale = state_scale[pair_state]
     factor = multiply(scale // bottom, _integer(over))
     lengths = np.diff(offsets)
     if over == 0:
@@ -129,7 +139,7 @@ def bellman_rows(model: MDP) -> BellmanRows:
     else:
         weight = multiply(weight, np.repeat(factor, lengths))
     return BellmanRows(
-        pair_offsets=model.pair_offsets,
+        pair_offsets=pair_offsets,
         terminal=model.terminal,
         scale=state_scale,
         constant=multiply(gain, scale // gain_denominator),
@@ -160,6 +170,18 @@ def per_step(model: MDP) -> MDP:
     if table is model.table and model.discount_exact == 1:
         return model
     return model.with_(discount=1, table=table)
+
+
+def slack_signs(model: MDP) -> Numbers:
+    """Return (L,) the signs of 1 - γ Σ P, exactly."""
+    table, rate = model.table, model.discount_exact
+    if rate * (1 + 2 * ROW_TOLERANCE) < 1 or table.sums_to_one:
+        return np.full(model.n_pairs, int(rate < 1))
+    if rate == 1 and table.weight.dtype == np.float64:
+        rows = pairwise(table.offsets.tolist())
+        sums = [fsum([1.0, *(-table.weight[first:last]).tolist()]) for first, last in rows]
+        return np.sign(sums)  # a sum rounded once has the sign of the sum
+    return np.sign(bellman_rows(model).slack())
 
 
 def row_sums(values: Numbers, offsets: Integers) -> Numbers:

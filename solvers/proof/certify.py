@@ -10,6 +10,7 @@ upper = V + c w and lower = V - c' w, c and c' being the least that satisfy the 
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from math import lcm
@@ -20,15 +21,15 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable, require_termination, termination, topological_levels
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
+from exact_mdp.mdp.exact import bellman_rows, fingerprint, slack_signs
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
-from exact_mdp.solvers.proof.checker import UNIT, gains
 from exact_mdp.solvers.proof.exact import solve_exactly
+from exact_mdp.solvers.proof.margins import UNIT, falling, gains
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve
 
@@ -121,10 +122,10 @@ def certify(
             numerator=[-number for number in of_rewards.numerator],
             start_value=-of_rewards.start_value,
         )
-    rows = bellman_rows(mdp)
-    rank, weight = _proof(mdp, rows)
-    found = solve_exactly(rows)
-    optimal, first = found.optimal, mdp.pair_offsets[:-1]
+    rank, weight = _proof(mdp)
+    pairs, optimal = _contenders(mdp), np.zeros(mdp.n_pairs, dtype=bool)
+    found = solve_exactly(bellman_rows(mdp, pairs))
+    optimal[pairs], first = found.optimal, mdp.pair_offsets[:-1]
     reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
     count = np.add.reduceat(optimal.astype(np.int64), first)
     numbers = np.where(optimal, np.arange(mdp.n_pairs), mdp.n_pairs)
@@ -147,9 +148,40 @@ def certify(
     )
 
 
-def _proof(mdp: MDP, rows: BellmanRows) -> tuple[Integers | None, list[int] | None]:
+MANY = 20_000  # transitions from which on floats choose the pairs that are solved exactly
+
+
+def _contenders(mdp: MDP) -> Integers:
+    """Return (K,) the pairs that floats do not prove worse than two others of their state.
+
+    Bounds on the values bound what each pair is worth. Pairs above which another one is proven to
+    be are not optimal; and those that another one of these is proven to be above do not make the
+    gap.
+    """
+    every, state = np.arange(mdp.n_pairs), mdp.pair_state
+    if mdp.n_transitions < MANY or mdp.n_pairs < 2 * mdp.n_states:
+        return every
+    try:
+        found = _bounded(mdp, None, None)
+    except (SolverError, ModelError):
+        return every
+    low, high = _worth(mdp, found.lower, -1), _worth(mdp, found.upper, 1)
+    first = mdp.pair_offsets[:-1]
+    behind = high < np.maximum.reduceat(low, first)[state]
+    second = np.maximum.reduceat(np.where(behind, low, -np.inf), first)[state]
+    return np.flatnonzero(~behind | (high >= second) | mdp.terminal[state])
+
+
+def _worth(mdp: MDP, value: Floats, sign: int) -> Floats:
+    """Return (L,) what pairs are worth before these values, at least (-1) or at most (1)."""
+    gain, error = gains(mdp, value)
+    own = value[mdp.pair_state]
+    return np.asarray(own + gain + sign * (error + 4 * UNIT * (np.abs(own) + np.abs(gain) + error)))
+
+
+def _proof(mdp: MDP) -> tuple[Integers | None, list[int] | None]:
     """Return what proves that values are unique: nothing, a rank, or weights."""
-    slack = rows.slack()[~mdp.terminal[mdp.pair_state]]
+    slack = slack_signs(mdp)[~mdp.terminal[mdp.pair_state]]
     if (slack > 0).all():
         return None, None
     require_termination(mdp)
@@ -159,7 +191,13 @@ def _proof(mdp: MDP, rows: BellmanRows) -> tuple[Integers | None, list[int] | No
     level = topological_levels(mdp)
     if level is not None:
         return level, None
+    with suppress(SolverError):
+        weight = [int(number) for number in np.rint(2.0**20 * margin_weights(mdp).value)]
+        proven = falling(mdp, np.array(weight, dtype=object))
+        if (proven | mdp.terminal[mdp.pair_state]).all():
+            return None, weight
     # The greatest expected number of steps: w = 1 + γ P w for the pairs that take longest.
+    rows = bellman_rows(mdp)
     ones = np.where(mdp.terminal[mdp.pair_state], 0, rows.scale[rows.pair_state])
     steps = solve_exactly(replace(rows, constant=ones), positive=True)
     common = lcm(*steps.denominator)

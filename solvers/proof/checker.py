@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
 from math import lcm
 from operator import mul
 from typing import Any
@@ -29,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.chain import reachable
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums, slack_signs
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.proof.margins import falling, gains, others, undecided
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,15 +95,18 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     if mdp.sense == "min":  # the least costs are minus the greatest of rewards times -1
         value = [-number for number in found.numerator]
         found, mdp = replace(found, numerator=value, start_value=-found.start_value), mdp.maximised
-    rows, ends = bellman_rows(mdp), mdp.terminal
-    if not _one_solution(rows, found.rank, found.weight):
+    ends = mdp.terminal
+    if not _one_solution(mdp, found.rank, found.weight):
         wrong.append("nothing proves that the Bellman equations have one solution")
     wrong += [
         f"terminal state {s} is not worth 0"
         for s in np.flatnonzero(ends).tolist()
         if found.numerator[s]
     ]
-    wrong += _equations(rows, found)
+    kept = undecided(mdp, found)
+    wrong += _equations(
+        bellman_rows(mdp, kept), replace(found, optimal_pairs=found.optimal_pairs[kept])
+    )
     pairs = policy_pairs(mdp, found.policy)
     if pairs is None or not found.optimal_pairs[pairs].all():
         wrong.append("the policy takes a pair that is not optimal")
@@ -137,22 +140,23 @@ def policy_pairs(mdp: MDP, policy: Integers) -> Integers | None:
     return pairs if (offered[pairs] == wanted).all() else None
 
 
-def _one_solution(rows: BellmanRows, rank: Integers | None, weight: Sequence[int] | None) -> bool:
-    live = ~rows.terminal
-    state = rows.pair_state
+def _one_solution(mdp: MDP, rank: Integers | None, weight: Sequence[int] | None) -> bool:
+    live, state = ~mdp.terminal, mdp.pair_state
     open_pairs = live[state]
-    slack = rows.slack()[open_pairs]  # of 1 - γ Σ P
+    slack = slack_signs(mdp)[open_pairs]  # of 1 - γ Σ P
     if (slack > 0).all():
         return True
     if weight is not None and len(weight) == len(live):
         w = np.where(live, np.array(weight, dtype=object), 0)
-        margin = rows.scale[state] * w[state] - row_sums(rows.weight * w[rows.next], rows.offsets)
-        return bool((w[live] > 0).all() and (margin[open_pairs] > 0).all())
+        kept = others(mdp, falling(mdp, w))
+        rows, of = bellman_rows(mdp, kept), state[kept]
+        margin = rows.scale[of] * w[of] - row_sums(rows.weight * w[rows.next], rows.offsets)
+        return bool((w[live] > 0).all() and (margin[open_pairs[kept]] > 0).all())
     if rank is None or rank.shape != live.shape or (rank[~live] != 0).any():
         return False
-    after = rank[rows.next]
-    falls = np.minimum.reduceat(after, rows.offsets[:-1]) < rank[state]
-    falls_always = np.maximum.reduceat(after, rows.offsets[:-1]) < rank[state]
+    after, first = rank[mdp.table.next], mdp.table.offsets[:-1]
+    falls = np.minimum.reduceat(after, first) < rank[state]
+    falls_always = np.maximum.reduceat(after, first) < rank[state]
     proven = falls[open_pairs].all() and (rank[live] > 0).all()
     return bool(proven and (falls_always[open_pairs].all() or (slack >= 0).all()))
 
@@ -195,10 +199,6 @@ def _equations(rows: BellmanRows, found: ExactClaims) -> list[str]:
     return wrong
 
 
-UNIT, TINY, SLACK = 2.0**-53, 2.0**-1000, 1 + 2.0**-20
-CHUNK = 2**21
-
-
 def bounded_violations(found: BoundedClaims, mdp: MDP) -> list[str]:
     """Return what does not hold of a bounded certificate, in words; nothing where it is sound."""
     vectors = {"lower": found.lower, "upper": found.upper, "weight": found.weight}
@@ -233,37 +233,3 @@ def bounded_violations(found: BoundedClaims, mdp: MDP) -> list[str]:
     if not (gain >= error)[pairs[live]].all():
         wrong.append("the lower values are not proven to be below the policy's")
     return wrong
-
-
-def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Floats]:
-    """Return r + γ P V - V(s) for each pair (L,) with a bound (L,) on its rounding error."""
-    table, matrix, rate = mdp.table, mdp.transition, mdp.discount
-    terms = np.diff(table.offsets) * 1.0
-    steps, flow, total = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
-    cuts = np.unique([*np.searchsorted(matrix.indptr, range(0, matrix.nnz, CHUNK)), mdp.n_pairs])
-    with np.errstate(all="ignore"):
-        for first, last in pairwise(cuts.tolist()):
-            begin, end = matrix.indptr[first], matrix.indptr[last]
-            own = np.repeat(
-                value[mdp.pair_state[first:last]], np.diff(matrix.indptr[first : last + 1])
-            )
-            share, begins = matrix.data[begin:end], matrix.indptr[first:last] - begin
-            term = share * (value[matrix.indices[begin:end]] - own)
-            steps[first:last] = np.add.reduceat(term, begins)
-            flow[first:last] = np.add.reduceat(np.abs(term), begins)
-            total[first:last] = np.add.reduceat(share, begins)
-        own = value[mdp.pair_state]
-        leak = float(1 - mdp.discount_exact)  # of 1 - γ Σ P, where rows sum to 1
-        reward, reward_error = mdp.reward * earning, UNIT * np.abs(mdp.reward) * earning
-        floats = np.float64 in (table.weight.dtype, table.gain.dtype)
-        if earning and floats and table.joint:
-            size = np.add.reduceat(
-                table.probabilities() * np.abs(table.gains()), table.offsets[:-1]
-            )
-            reward_error = (terms + 4) * UNIT * size
-        error = (2 * terms + 8) * UNIT * rate * flow + reward_error
-        error += 4 * UNIT * (np.abs(reward) + np.abs(leak * own))
-        if not table.sums_to_one:
-            error += rate * (np.abs(total - 1) + 2 * terms * UNIT) * np.abs(own)
-        error = error * SLACK + TINY * (terms + 1) * (1 + np.abs(value).max())
-        return np.asarray(reward + rate * steps - leak * own), np.asarray(error)

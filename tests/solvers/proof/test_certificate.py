@@ -13,16 +13,18 @@ from cases import CASES, Case
 from cases.reference import every_policy_ends, solve_exact
 from certificates import CYCLE, MODELS, certified
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from oracle import END, Oracle
 from strategies import Rows, exact_gains, exact_values, model_of, models
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.exact import bellman_rows
+from exact_mdp.mdp.exact import bellman_rows, slack_signs
 from exact_mdp.solvers import Claim, SolverError, certify, evaluate, solve
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
-from exact_mdp.solvers.proof.checker import gains
+from exact_mdp.solvers.proof.margins import gains, undecided
 
-CHECKER = Path(__file__).parents[3] / "solvers" / "proof" / "checker.py"
+PROOF = Path(__file__).parents[3] / "solvers" / "proof"
+MARGINS = "exact_mdp.solvers.proof.margins"
 
 
 def check(found: Certificate, mdp: MDP) -> None:
@@ -98,6 +100,56 @@ def test_random_models_are_solved_exactly(rows: Rows) -> None:
         check_bounds(mdp, certify(mdp, bounded=True))
         if not floats:
             check_reference(rows, found, mdp)
+
+
+@settings(max_examples=60, deadline=None)
+@given(models(), st.booleans())
+def test_pairs_that_floats_decide_are_left_out(rows: Rows, floats: bool) -> None:
+    """The maker finds the same with and without them; the checker skips none that it needs."""
+    mdp = rows.model(floats=floats)
+    wanted = certify(mdp)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("exact_mdp.solvers.proof.certify.MANY", 0)
+        found = certify(mdp)
+    assert found.violations() == []
+    assert list(found.value) == list(wanted.value)
+    assert list(found.gaps) == list(wanted.gaps)
+    assert found.optimal_pairs.tolist() == wanted.optimal_pairs.tolist()
+    kept, losses = set(undecided(mdp, found).tolist()), exact_gains(mdp, list(found.value))
+    assert set(mdp.pair_state[list(kept)].tolist()) == set(range(mdp.n_states))
+    for pair, state in enumerate(mdp.pair_state.tolist()):
+        if pair not in kept:
+            assert -losses[pair] > found.gaps[state]
+
+
+@pytest.mark.parametrize("gap", [F(0), F(1, 10**15), F(1, 10**16), F(1, 10**40)])
+def test_near_ties_are_decided_exactly(gap: F) -> None:
+    """Three actions nearly alike, and two that are far off, in many states."""
+    size = 60
+    moves = [{(s + k) % size: F(1, 3) for k in (1, 2, 5)} for s in range(size)]
+    rows = [
+        (s, a, F(1, 3) - worse * gap - off, moves[s])
+        for s in range(size)
+        for a, (worse, off) in enumerate([(0, 0), (1, 0), (2, 0), (0, 1), (0, 2)])
+    ]
+    mdp = model_of(size, rows, F(9, 10))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("exact_mdp.solvers.proof.certify.MANY", 0)
+        found = certify(mdp)
+    assert found.violations() == []
+    assert set(found.value) == {F(10, 3)}
+    assert set(found.gaps) == {gap or 1}
+    assert set(undecided(mdp, found)) <= {5 * s + a for s in range(size) for a in range(4)}
+
+
+@settings(max_examples=100, deadline=None)
+@given(models(), st.booleans())
+def test_signs_of_what_rows_leave(rows: Rows, floats: bool) -> None:
+    mdp = rows.model(floats=floats)
+    slack = [
+        1 - mdp.discount_exact * sum(p for p, _, _ in mdp.table.row(l)) for l in range(mdp.n_pairs)
+    ]
+    assert slack_signs(mdp).tolist() == [(x > 0) - (x < 0) for x in slack]
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -394,8 +446,11 @@ def test_settings_that_do_not_belong() -> None:
         certify(MODELS["cycle"], tol=1e-3)
 
 
-def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver() -> None:
-    text = CHECKER.read_text("utf-8")
+@pytest.mark.parametrize("part, borrows", [("checker", {MARGINS}), ("margins", set())])
+def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver(
+    part: str, borrows: set[str]
+) -> None:
+    text = (PROOF / f"{part}.py").read_text("utf-8")
     assert len(text.splitlines()) <= 275
     tree = ast.parse(text)
     typing = [
@@ -405,9 +460,9 @@ def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver() -> None:
         for statement in node.body
     ]
     imported = [
-        node.module if isinstance(node, ast.ImportFrom) else node.names[0].name
+        str(node.module if isinstance(node, ast.ImportFrom) else node.names[0].name)
         for node in ast.walk(tree)
         if isinstance(node, ast.Import | ast.ImportFrom) and node not in typing
     ]
-    assert not [module for module in imported if "solvers" in str(module)]
+    assert {module for module in imported if "solvers" in module} == borrows
     assert "flint" not in text

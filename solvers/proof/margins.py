@@ -1,0 +1,134 @@
+"""What floats prove of exact claims, so that few pairs are left to exact arithmetic.
+
+A pair l of state s loses V(s) - r(l) - γ P_l V. With V rounded to floats v, |V - v| ≤ u |v|, the
+loss is known but for the rounding errors of its own sum and u (|v(s)| + γ P_l |v|) (Higham,
+Accuracy and Stability of Numerical Algorithms, SIAM 2002, section 3.1). Where it is above a claimed
+gap by more than that, the pair is neither optimal nor the best of the others, and need not be
+looked at again. The same holds of w > γ P w. Numbers beyond the floats decide nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers, Numbers
+
+UNIT, TINY, SLACK = 2.0**-53, 2.0**-1000, 1 + 2.0**-20
+CHUNK = 2**21
+
+
+class Claims(Protocol):
+    """Exact values V(s) = numerator[s] / denominator[group[s]], what is optimal, and gaps."""
+
+    @property
+    def numerator(self) -> Sequence[int]:
+        """One for each state."""
+
+    @property
+    def group(self) -> Integers:
+        """(S,) the place of each state's denominator."""
+
+    @property
+    def denominator(self) -> Sequence[int]:
+        """Each positive."""
+
+    @property
+    def optimal_pairs(self) -> NDArray[np.bool_]:
+        """(L,) the pairs that attain the maximum."""
+
+    @property
+    def gap(self) -> Sequence[int | None]:
+        """The next best Q is gap[s] / (gap_scale[s] · denominator[group[s]]) below V(s)."""
+
+    @property
+    def gap_scale(self) -> Sequence[int]:
+        """One for each state."""
+
+
+def undecided(mdp: MDP, found: Claims) -> Integers:
+    """Return (K,) the pairs, one of each state at least, that floats do not prove to lose enough.
+
+    Enough is more than the claimed gap of their state.
+    """
+    below = [found.denominator[group] for group in found.group.tolist()]
+    value = np.array([_quotient(a, b) for a, b in zip(found.numerator, below, strict=True)])
+    claimed = zip(found.gap, found.gap_scale, below, strict=True)
+    gap = np.array([np.inf if a is None else _quotient(a, scale * b) for a, scale, b in claimed])
+    state = mdp.pair_state
+    with np.errstate(all="ignore"):
+        gain, error = _about(mdp, value, earning=True)
+        least = gap[state] * (1 + 4 * UNIT) + TINY
+        decided = ~found.optimal_pairs & ~mdp.terminal[state] & (-gain - error > least)
+    return others(mdp, decided)
+
+
+def others(mdp: MDP, decided: NDArray[np.bool_]) -> Integers:
+    """Return (K,) the pairs that are not among the (L,) `decided`, one of each state at least."""
+    first, kept = mdp.pair_offsets[:-1], ~decided
+    kept[first] |= np.logical_and.reduceat(decided, first)
+    return np.flatnonzero(kept)
+
+
+def falling(mdp: MDP, weight: Numbers) -> NDArray[np.bool_]:
+    """Return (L,) the pairs of which floats prove w > γ P w."""
+    largest = max(1, *(abs(int(number)) for number in weight))
+    value = np.array([_quotient(int(number), largest) for number in weight])
+    with np.errstate(all="ignore"):
+        gain, error = _about(mdp, value, earning=False)
+        return np.asarray(-gain - error > 0)
+
+
+def _quotient(top: int, bottom: int) -> float:
+    """Return the nearest float; not a number where there is none."""
+    try:
+        return top / bottom
+    except (OverflowError, ZeroDivisionError):
+        return np.nan
+
+
+def _about(mdp: MDP, value: Floats, *, earning: bool) -> tuple[Floats, Floats]:
+    """Return `gains` of numbers that were rounded to `value`, with a bound on all errors."""
+    gain, error = gains(mdp, value, earning=earning)
+    size = np.abs(value)
+    spread = size[mdp.pair_state] + mdp.discount * (mdp.transition @ size)
+    return gain, (error + 2 * UNIT * spread) * SLACK + 4 * TINY
+
+
+def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Floats]:
+    """Return r + γ P V - V(s) for each pair (L,) with a bound (L,) on its rounding error."""
+    table, matrix, rate = mdp.table, mdp.transition, mdp.discount
+    terms = np.diff(table.offsets) * 1.0
+    steps, flow, total = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
+    cuts = np.unique([*np.searchsorted(matrix.indptr, range(0, matrix.nnz, CHUNK)), mdp.n_pairs])
+    with np.errstate(all="ignore"):
+        for first, last in pairwise(cuts.tolist()):
+            begin, end = matrix.indptr[first], matrix.indptr[last]
+            own = np.repeat(
+                value[mdp.pair_state[first:last]], np.diff(matrix.indptr[first : last + 1])
+            )
+            share, begins = matrix.data[begin:end], matrix.indptr[first:last] - begin
+            term = share * (value[matrix.indices[begin:end]] - own)
+            steps[first:last] = np.add.reduceat(term, begins)
+            flow[first:last] = np.add.reduceat(np.abs(term), begins)
+            total[first:last] = np.add.reduceat(share, begins)
+        own = value[mdp.pair_state]
+        leak = float(1 - mdp.discount_exact)  # of 1 - γ Σ P, where rows sum to 1
+        reward, reward_error = mdp.reward * earning, UNIT * np.abs(mdp.reward) * earning
+        floats = np.float64 in (table.weight.dtype, table.gain.dtype)
+        if earning and floats and table.joint:
+            size = np.add.reduceat(
+                table.probabilities() * np.abs(table.gains()), table.offsets[:-1]
+            )
+            reward_error = (terms + 4) * UNIT * size
+        error = (2 * terms + 8) * UNIT * rate * flow + reward_error
+        error += 4 * UNIT * (np.abs(reward) + np.abs(leak * own))
+        if not table.sums_to_one:
+            error += rate * (np.abs(total - 1) + 2 * terms * UNIT) * np.abs(own)
+        error = error * SLACK + TINY * (terms + 1) * (1 + np.abs(value).max())
+        return np.asarray(reward + rate * steps - leak * own), np.asarray(error)
