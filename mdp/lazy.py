@@ -1,15 +1,14 @@
 """Heavy and optional packages, loaded when they are first used: the one list of them.
 
-    cvxpy = later("cvxpy")        # at the top of a module; nothing is loaded yet
-    cvxpy.Variable(3)             # loads it, or names the extra that brings it
+    nx = later("networkx")        # at the top of a module; nothing is loaded yet
+    nx.DiGraph()                  # loads it, or names the extra that brings it
 
 A package's own names load when they are first asked for, too:
 
     __getattr__, __dir__ = names_later(__name__, {"exact_mdp.solvers.solve": ["solve"]})
 
-The core needs NumPy, SciPy, pandas, numba, python-flint, joblib, tqdm, click and rich.
-`pip install exact-mdp` brings everything that the commands of the README use; an environment that
-leaves some of the others out learns what is missing where it is needed.
+The core, which `pip install exact-mdp` brings, is NumPy, SciPy, pandas, numba, python-flint,
+joblib, tqdm, click, rich and jinja2: all that the commands need, but for what the extras name.
 """
 
 from __future__ import annotations
@@ -26,15 +25,11 @@ EXTRAS = {
     "SALib": "sensitivity",
     "bitstring": "umb",
     "certifi": "agents-openai",
-    "clarabel": "lp",
-    "cvxpy": "lp",
     "dask": "cluster",
     "distributed": "cluster",
     "gymnasium": "gymnasium",
-    "highspy": "lp",
     "httpcore": "agents-openai",
     "ipywidgets": "notebooks",
-    "jinja2": "report",
     "matplotlib": "plots",
     "networkx": "plots",
     "pyarrow": "parquet",
@@ -49,6 +44,7 @@ HEAVY = (
     "exact_mdp.paper_repro.agents.transport",  # made of classes of httpcore
     "exact_mdp.solvers.kernels",
     "flint",
+    "jinja2",
     "joblib",
     "numba",
     "pandas",

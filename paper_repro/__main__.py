@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from importlib import import_module
 from pathlib import Path
 
 import click
 
 from exact_mdp.analysis.exit_status import FAILED, Program
 from exact_mdp.mdp import ModelError
+from exact_mdp.mdp.lazy import load
 
 
 @click.command(cls=Program)
@@ -53,7 +53,7 @@ def main(
             fix="give one, such as return.random; claims.json and the report list them",
         )
     try:
-        work = import_module("exact_mdp.paper_repro.run")  # the help does not wait for it
+        work = load("exact_mdp.paper_repro.run")  # the help does not wait for it
         failed = work.reproduce(out, quick, scheduler, name, candidates)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):

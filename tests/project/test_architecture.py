@@ -203,7 +203,6 @@ BY_NAME = {
     "analysis/cli/commands.py": "a command loads its own work, so that help comes at once",
     "analysis/cli/sensitivity/run.py": "a kind loads its own analysis",
     "analysis/pytest_plugin.py": "a plugin costs the tests of others nothing",
-    "paper_repro/__main__.py": "help comes at once",
 }
 
 

@@ -41,14 +41,14 @@ COMMANDS = [
     "solve yuan2025 --certify",
     "evaluate yuan2025 random",
     "returns yuan2025 random",
-    "check yuan2025 optimal",
+    "solve yuan2025 --method linear-program",
+    "check yuan2025 optimal --html page.html --junit report.xml",
     "simulate yuan2025 random --episodes 20",
     "sensitivity yuan2025 gradient --parameter base.anger",
     "sensitivity yuan2025 tornado --parameter base.anger",
 ]
 
 NEEDED = {
-    "solve yuan2025 --method linear-program": "exact-mdp[lp]",
     "info gymnasium:FrozenLake-v1 --discount 0.9": "exact-mdp[gymnasium]",
     "convert yuan2025 m.umb": "exact-mdp[umb]",
     "sensitivity yuan2025 sobol --samples 8": "exact-mdp[sensitivity]",
@@ -87,3 +87,10 @@ def test_a_missing_package_names_its_extra(tmp_path: Path, command: str) -> None
     assert done.returncode == 2, done.stderr
     assert f'pip install "{NEEDED[command]}"' in done.stderr
     assert done.stdout == ""
+
+
+def test_so_does_the_reproduction(tmp_path: Path) -> None:
+    done = run("from exact_mdp.paper_repro.__main__ import main; main(['--quick'])", tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert 'pip install "exact-mdp[plots]"' in done.stderr
+    assert list(tmp_path.iterdir()) == []

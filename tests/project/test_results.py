@@ -20,6 +20,7 @@ from exact_mdp.analysis import best_policy, check, compare, value_function
 from exact_mdp.analysis.learning import instability
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
+from exact_mdp.analysis.pages.explorer import explore
 from exact_mdp.analysis.perception.accuracy import accuracy_curves, hedging
 from exact_mdp.analysis.perception.cost import Counted, price_of_perception, value_under_counts
 from exact_mdp.analysis.perception.errors import error_costs
@@ -91,6 +92,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Certificate": lambda: certify(care()),
     "Comparison": lambda: instability.compare(np.array([0.5, 0.5]), np.array([3, 5])),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
+    "Explorer": lambda: explore(SMALL, "base.anger"),
     "ErrorCosts": lambda: error_costs(care(), "optimal", ROUGH),
     "Evaluation": lambda: evaluate(care(), "random"),
     "Gradient": lambda: gradient(SMALL),

@@ -1,0 +1,160 @@
+"""The README's workflow and pre-commit hook, run as far as a shell can: every script they start."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+ACTION = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))
+BLOCKS = [
+    yaml.safe_load(block)
+    for block in re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
+]
+WORKFLOW = next(block for block in BLOCKS if "jobs" in block)
+HOOKS = next(block for block in BLOCKS if "repos" in block)
+PROGRAM = Path(sys.executable).with_name("exact-mdp")
+
+# A stand-in for Python that makes an "environment" of the program that is installed here.
+PYTHON = """#!/bin/bash -e
+[ "$1 $2" = "-m venv" ]
+mkdir -p "$3/bin"
+ln -sf {program} "$3/bin/exact-mdp"
+printf '#!/bin/bash\\nprintf "%%s\\\\n" "$@" > {log}\\n' > "$3/bin/pip"
+chmod +x "$3/bin/pip"
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A repository with a model and a Q-table, as the README names them."""
+    folder = tmp_path / "project"
+    folder.mkdir()
+    source = ROOT / "mdp" / "scenarios" / "tea.toml"
+    (folder / "model.toml").write_text(source.read_text("utf-8"), "utf-8")
+    table = np.zeros((8, 3))
+    table[:, 1] = 1
+    np.save(folder / "q_table.npy", table)
+    return folder
+
+
+def gate() -> dict[str, str]:
+    """Return what the README's workflow gives to the action."""
+    (step,) = (
+        step
+        for step in WORKFLOW["jobs"]["policy"]["steps"]
+        if step["uses"].startswith("OWNER/exact-mdp@")
+    )
+    given: dict[str, str] = step["with"]
+    return given
+
+
+def act(project: Path, program: Path = PROGRAM, **given: str) -> tuple[int, str, str]:
+    """Run the action's steps as a runner does; return status, output and what pip was told."""
+    inputs = {name: about.get("default") for name, about in ACTION["inputs"].items()} | given
+    assert None not in inputs.values(), "an input that is required is missing"
+    assert set(inputs) == set(ACTION["inputs"]), "an input that the action does not have"
+    bin, temp, log = (project.parent / name for name in ("bin", "temp", "pip.txt"))
+    for folder in (bin, temp):
+        folder.mkdir(exist_ok=True)
+    fake = PYTHON.format(program=shlex.quote(str(program)), log=shlex.quote(str(log)))
+    (bin / "python3").write_text(fake)
+    (bin / "python3").chmod(0o755)
+    environment = os.environ | {
+        "PATH": f"{bin}:{os.environ['PATH']}",
+        "RUNNER_TEMP": str(temp),
+        "GITHUB_ACTIONS": "true",
+        "GITHUB_STEP_SUMMARY": str(project.parent / "summary.md"),
+    }
+    said = ""
+    for step in ACTION["runs"]["steps"]:
+        assert "${{" not in step["run"], "a script with an input in it runs what the input says"
+        env = {name: filled(text, inputs) for name, text in step["env"].items()}
+        done = subprocess.run(
+            ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
+            cwd=project,
+            env=environment | env,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        said += done.stdout + done.stderr
+        if done.returncode:
+            break
+    return done.returncode, said, log.read_text()
+
+
+def filled(text: str, inputs: dict[str, Any]) -> str:
+    """Return an expression's value."""
+    found = re.fullmatch(r"\$\{\{ (?:inputs\.([\w-]+)|(github\.action_path)) \}\}", text)
+    assert found, text
+    return str(ROOT) if found[2] else inputs[found[1]]
+
+
+def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project: Path) -> None:
+    status, said, told = act(project, **gate())
+    assert status == 1, said
+    assert told.splitlines()[-1] == str(ROOT)
+    (told,) = (line for line in said.splitlines() if line.startswith("::"))
+    assert told.startswith("::error title=q_table.npy in tea%3A failed::")
+    assert "%0Afailed: the regret is at most 0.5; it is " in told
+    assert "| state | yours | optimal |" in (project.parent / "summary.md").read_text("utf-8")
+    root = ElementTree.parse(project / "policy-report.xml").getroot()
+    assert (root.get("failures"), root.get("errors")) == ("1", "0")
+    assert "<!DOCTYPE html>" in (project / "policy-report.html").read_text("utf-8")
+    (upload,) = (s for s in WORKFLOW["jobs"]["policy"]["steps"] if "upload" in s["uses"])
+    assert len(list(project.glob(upload["with"]["path"]))) == 2
+
+
+def test_a_good_policy_passes(project: Path) -> None:
+    given = {"policy": "optimal", "max-regret": "", "options": "--set\ntasks=[2]\n\n"}
+    status, said, told = act(project, **gate() | given | {"extras": "gymnasium,umb"})
+    assert status == 0, said
+    assert told.splitlines()[-1] == f"{ROOT}[gymnasium,umb]"
+
+
+@pytest.mark.parametrize("name", ["$(touch owned)", "`touch owned`", '"; touch owned; "', "--x y"])
+def test_an_input_is_no_command(project: Path, name: str) -> None:
+    """Whatever an input says is one word of the command, and model and policy are no options."""
+    echo = project / "echo"
+    echo.write_text('#!/bin/bash\nprintf "%s\\n" "$@"\n')
+    echo.chmod(0o755)
+    inputs = ("model", "policy", "max-regret", "options", "junit", "html")
+    _, said, _ = act(project, echo, **dict.fromkeys(inputs, name))
+    options = [name, f"--max-regret={name}", f"--junit={name}", f"--html={name}"]
+    assert said.splitlines() == ["check", *options, "--", name, name]
+    assert not list(project.parent.rglob("owned"))
+
+
+def test_bad_input_is_reported_too(project: Path) -> None:
+    status, said, _ = act(project, **gate() | {"policy": "nowhere.npy"})
+    assert status == 2, said
+    assert "::error title=exact-mdp check model.toml::ModelError" in said
+    root = ElementTree.parse(project / "policy-report.xml").getroot()
+    assert (root.get("failures"), root.get("errors")) == ("0", "1")
+
+
+def test_the_hook_of_the_readme(project: Path) -> None:
+    (hook,) = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text("utf-8"))
+    (used,) = HOOKS["repos"][0]["hooks"]
+    assert used["id"] == hook["id"]
+    assert hook["pass_filenames"] is False
+    assert re.search(hook["files"], "model.toml")
+    assert re.search(hook["files"], "q_table.npy")
+    program, *words = [*shlex.split(hook["entry"]), *used["args"]]
+    assert program == PROGRAM.name
+    done = subprocess.run(
+        [PROGRAM, *words], cwd=project, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    assert "FAILED" in done.stdout
