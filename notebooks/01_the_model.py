@@ -59,7 +59,7 @@ row = [
     (str(probability), round(float(probability), 6), str(gain), mdp.space.label(following))
     for probability, following, gain in mdp.table.row(pair)
 ]
-print(pd.DataFrame(row, columns=["exact", "float", "reward", "next state"]).to_string(index=False))
+pd.DataFrame(row, columns=["exact", "float", "reward", "next state"])
 
 # %% [markdown]
 # With probability 19/25 no anger and no disengagement appear, and the subtask is completed. Under
@@ -73,7 +73,7 @@ print(pd.DataFrame(row, columns=["exact", "float", "reward", "next state"]).to_s
 
 # %%
 with style():
-    figure, ax = plt.subplots(figsize=(4.2, 7.5), dpi=70)
+    figure, ax = plt.subplots(figsize=(4.2, 7.5))
     ax.spy(mdp.transition, markersize=0.35, color="black", aspect="auto")
     ax.set_xlabel("next state")
     ax.set_ylabel("state and action")
@@ -88,7 +88,7 @@ print(f"{mdp.n_transitions} transitions, {mdp.n_transitions / mdp.transition.sha
 
 # %%
 with style():
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.8), dpi=70)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.8))
     plot_influence(scenario, ax=left)
     left.set_title("influence without assistance, percentage points")
     plot_status_transitions(
@@ -106,8 +106,8 @@ with style():
 # %%
 calmer = scenario.with_(parameters={"base.anger": "1/100"}, tasks=[3, 1])
 other = scenario.with_(readings={"influence_orientation": "column-to-row"})
-for label, each in (("the paper's", scenario), ("calmer", calmer), ("other reading", other)):
-    print(f"{label:14} {each.compile()}")
+models = {"the paper's": scenario, "calmer": calmer, "other reading": other}
+pd.Series({label: repr(each.compile()) for label, each in models.items()}, name="model").to_frame()
 
 # %% [markdown]
 # A wrong name is refused, with the nearest one:

@@ -47,7 +47,7 @@ for name in SOLVERS:
     solution = solve(mdp, name)
     rows.append((name, solution.start_value, str(solution.claim), solution.error_bound < 1e-6))
 table = pd.DataFrame(rows, columns=["solver", "start value", "claim", "bound below 1e-6"])
-print(table.to_string(index=False, float_format="%.9f"))
+table.style.format(precision=9)
 
 # %% [markdown]
 # ## What to do in each status
@@ -58,7 +58,7 @@ print(table.to_string(index=False, float_format="%.9f"))
 # %%
 solution = solve(mdp)
 with style():
-    figure, ax = plt.subplots(figsize=(6.2, 3.8), dpi=80)
+    figure, ax = plt.subplots(figsize=(6.2, 3.8))
     plot_policy_map(mdp, solution.policy, statuses=scenario.statuses, ax=ax)
     plt.show()
 
@@ -102,7 +102,7 @@ print("forged:", forged.violations(mdp)[0])
 wait = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]]
 cut = [[1, 0, 0]] * 3
 forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount="9/10")
-print([str(each) for each in certify(forest).value])
+certify(forest)
 
 # %% [markdown]
 # ## Everything about one policy
@@ -113,4 +113,4 @@ print([str(each) for each in certify(forest).value])
 # %%
 found = evaluate(mdp, "random")
 print(f"mean {found.mean:.4f}, sd {found.sd:.4f}, {found.steps:.3f} timesteps")
-print(pd.Series(found.components, name="expected total").round(4).to_string())
+pd.Series(found.components, name="expected total").round(4).to_frame()

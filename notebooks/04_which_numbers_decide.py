@@ -25,6 +25,7 @@
 import warnings
 
 import matplotlib.pyplot as plt
+import pandas as pd
 
 from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.plots.psa import plot_optimal_actions
@@ -49,7 +50,7 @@ frame = gradient(scenario).frame().set_index("parameter")
 size = frame["elasticity (% per %)"].abs()
 ranked = frame.loc[size.sort_values(ascending=False).index]
 columns = ["value", "derivative (reward per unit)", "elasticity (% per %)", "claim"]
-print(ranked[columns].head(10).to_string(float_format="%.4f"))
+ranked[columns].head(10).round(4)
 
 # %% [markdown]
 # ## Over ranges: a tornado diagram
@@ -61,7 +62,7 @@ print(ranked[columns].head(10).to_string(float_format="%.4f"))
 names = [name for name in ranked.index if not name.startswith(("reward", "discount"))][:12]
 found = tornado(scenario, names=names)
 with style():
-    figure, ax = plt.subplots(figsize=(7, 4), dpi=80)
+    figure, ax = plt.subplots(figsize=(7, 4))
     found.plot(ax)
     plt.show()
 
@@ -80,12 +81,11 @@ looked_at = {
 }
 found = {name: thresholds(scenario, name, bounds) for name, bounds in looked_at.items()}
 with style():
-    figure, ax = plt.subplots(figsize=(7, 2.6), dpi=80)
+    figure, ax = plt.subplots(figsize=(7, 2.6))
     plot_thresholds(found, ax=ax)
     plt.show()
-for name, each in found.items():
-    low, high = each.stable()
-    print(f"{name}: the policy stays as it is from {float(low):.6f} to {float(high):.6f}")
+stable = {name: map(float, each.stable()) for name, each in found.items()}
+pd.DataFrame.from_dict(stable, orient="index", columns=["the policy stays from", "to"])
 
 # %% [markdown]
 # ## One entry, continuously
@@ -93,7 +93,7 @@ for name, each in found.items():
 # %%
 curve = one_way(scenario, "base.anger", (0, "1/2"))
 with style():
-    figure, ax = plt.subplots(figsize=(6, 3), dpi=80)
+    figure, ax = plt.subplots(figsize=(6, 3))
     curve.plot(ax)
     plt.show()
 
@@ -106,7 +106,7 @@ with style():
 bounds = {"base.anger": ("1/100", "1/4"), "base.disengagement": ("1/100", "2/5")}
 plane = two_way(scenario, *bounds, ranges=bounds, points=15)
 with style():
-    figure, ax = plt.subplots(figsize=(5, 4), dpi=80)
+    figure, ax = plt.subplots(figsize=(5, 4))
     plane.plot(ax)
     plt.show()
 
@@ -125,7 +125,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", ScenarioWarning)
     drawn = psa(scenario, 20_000, rng=0, effective_sample_size=20)
 with style():
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), dpi=80)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4))
     drawn.plot(left)
     plot_optimal_actions(drawn, ax=right)
     plt.show()
@@ -145,7 +145,7 @@ print(f"EVPI, at least {worth.low}, at most {worth.high}")
 probabilities = [name for name in scenario.names if not name.startswith("reward")]
 indices = sobol(scenario, names=probabilities, n=512, rng=0)
 with style():
-    figure, ax = plt.subplots(figsize=(7, 4), dpi=80)
+    figure, ax = plt.subplots(figsize=(7, 4))
     indices.plot(ax)
     plt.show()
 
@@ -158,6 +158,6 @@ with style():
 # %%
 curve = robust_curve(scenario.compile(), "l1", [k / 10 for k in range(0, 13, 2)])
 with style():
-    figure, ax = plt.subplots(figsize=(6, 3.4), dpi=80)
+    figure, ax = plt.subplots(figsize=(6, 3.4))
     curve.plot(ax)
     plt.show()

@@ -41,9 +41,9 @@ from exact_mdp.paper_repro.readings.search import search
 from exact_mdp.paper_repro.reported import STARTS
 
 space = ReadingSpace(options={**READINGS, "tasks": ((3,),), "evaluation_discount": (1,)})
-for name, options in space.options.items():
-    print(f"{name:22} {', '.join(str(option) for option in options)}")
 print(len(space), "readings")
+options = {name: ", ".join(map(str, options)) for name, options in space.options.items()}
+pd.Series(options, name="options").to_frame()
 
 # %% [markdown]
 # ## Every compatible policy under every reading
@@ -55,10 +55,11 @@ print(len(space), "readings")
 # %%
 found = search(space=space)
 print(f"{found.evaluations:,} exact evaluations, shape {found.mean.shape}")
-default = {name: found.mean[0, :, k] for k, name in enumerate(STARTS)}
-for name, means in default.items():
-    low, high = means.min(), means.max()
-    print(f"{name:14} in 0000: {low:7.2f} to {high:7.2f}, paper {reported.AVERAGE_RETURN[name]}")
+means = found.mean[0].T  # under the default reading, by what the policy does in 0000
+pd.DataFrame(
+    {"least": means.min(axis=1), "most": means.max(axis=1), "paper": reported.AVERAGE_RETURN},
+    index=pd.Index(STARTS, name="in 0000"),
+).round(2)
 
 # %% [markdown]
 # ## How likely does a reading make what was reported?
@@ -77,10 +78,9 @@ for number in judged.ranking[:6]:
          space.label(int(number))]
     )  # fmt: skip
 table = pd.DataFrame(rows, columns=["weight", *STARTS, "random", "reading"])
-with pd.option_context("display.max_colwidth", None, "display.width", 250):
-    print(table.to_string(index=False, float_format="%.3f"))
-print("\nreported:", *reported.AVERAGE_RETURN.values(), "| random about 70")
+print("reported:", *reported.AVERAGE_RETURN.values(), "| random about 70")
 print(f"as if {judged.effective_number:.1f} readings were equally likely")
+table.style.format(precision=3)
 
 # %% [markdown]
 # ## A picture
@@ -91,7 +91,7 @@ print(f"as if {judged.effective_number:.1f} readings were equally likely")
 # %%
 best = found.mean[np.arange(len(space)), judged.completion]
 with style():
-    figure, ax = plt.subplots(figsize=(6, 4), dpi=80)
+    figure, ax = plt.subplots(figsize=(6, 4))
     ax.scatter(best[:, 0], found.random_mean, s=6, color="0.55", label="a reading")
     top = judged.ranking[:6]
     ax.scatter(best[top, 0], found.random_mean[top], s=30, color="#0072B2", label="best six")

@@ -24,8 +24,11 @@
 import tempfile
 from pathlib import Path
 
+import pandas as pd
+
 from exact_mdp.analysis import value_of_memory
 from exact_mdp.analysis.pages.explorer import explore
+from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.sensitivity import thresholds
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.solvers import certify, evaluate
@@ -108,8 +111,8 @@ print(f"acting at random: {evaluate(mdp, 'random').mean:.3f}")
 # Is it worth remembering which trial and subtask it is, or does the status alone suffice?
 
 # %%
-for best in value_of_memory(mdp, ["status"]):
-    print(f"{best.value.value:.6f} by a policy that reads {', '.join(best.columns)}")
+found = value_of_memory(mdp, ["status"])
+pd.DataFrame({"reads": [", ".join(f.columns) for f in found], "value": [f.value for f in found]})
 
 # %% [markdown]
 # Today it does. Below, other values of one number make the best action depend on the trial.
@@ -128,10 +131,14 @@ explored = explore(
 explored
 
 # %% [markdown]
-# The same thresholds as a table: every value at which an optimal action changes.
+# The same thresholds as a table: every value at which an optimal action changes; and as a picture,
+# beside the range in which the policy of today stays as it is.
 
 # %%
-thresholds(scenario, "base.frustration", (0, "7/10"))
+found = thresholds(scenario, "base.frustration", (0, "7/10"))
+with style():
+    found.plot()
+found
 
 # %% [markdown]
 # From the command line: `exact-mdp new shoes.toml` writes such a file to start from,

@@ -39,7 +39,7 @@ WHITE, BLUE, BLACK = PALETTE[0], PALETTE[2], "#000000"
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7])
 
 SETTINGS: dict[Any, Any] = {
-    "figure.dpi": 100,
+    "figure.dpi": 144,
     "savefig.dpi": 200,
     "font.size": 9,
     "font.family": "DejaVu Sans",

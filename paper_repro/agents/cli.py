@@ -18,7 +18,7 @@ from exact_mdp.mdp import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.space import Column
-from exact_mdp.paper_repro.agents import local, measure, session
+from exact_mdp.paper_repro.agents import local, measure, session, views
 from exact_mdp.paper_repro.agents import recording as recordings
 from exact_mdp.paper_repro.agents.chat import SHAPES, Style
 from exact_mdp.paper_repro.agents.claims import statements
@@ -250,12 +250,12 @@ def main() -> None:
 def run(
     out: Path, resume: bool, limit: int | None, price: tuple[float, float] | None, **words: Any
 ) -> None:
-    """Hold a conversation, and write its recording, text and page."""
+    """Hold a conversation, print it, and write its recording, text and page."""
     talk = conversation(backend_of(words), **scene_of(words))
+    header = talk.header()
 
     def tell(step: Mapping[str, Any]) -> None:
-        if sys.stderr.isatty():
-            click.echo(f"timestep {step['timestep']}: {step['action']}, {step['event']}", err=True)
+        click.echo(views.spoken(header, step))
 
     try:
         told = session.hold(talk, out, resume=resume, limit=limit, progress=tell)
@@ -393,6 +393,7 @@ def measure_command(
         )
     tell_use(chosen.used, price, chosen.uncounted)
     click.echo(out / "confusion.csv")
+    click.echo(measure.sentence(worth))
 
 
 @main.command()

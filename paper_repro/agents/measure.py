@@ -297,6 +297,27 @@ def cost(
     }  # fmt: skip
 
 
+def sentence(worth: Mapping[str, Any]) -> str:
+    """Return in one sentence what the errors cost.
+
+    Examples
+    --------
+    >>> print(sentence({"perfect": {"value": 146.24}, "loss": 20.5}))
+    These errors of perception cost 20.50 of the 146.24 that the policy earns in a conversation with
+    perfect perception (14 %).
+    >>> print(sentence({"perfect": {"value": 146.24}, "loss": 0.0}))
+    These errors of perception cost nothing of the 146.24 that the policy earns in a conversation
+    with perfect perception.
+    """
+    perfect, loss = worth["perfect"]["value"], worth["loss"]
+    cost = f"cost {loss:.2f} of" if loss > 0 else f"add {-loss:.2f} to"
+    share = f" ({100 * loss / abs(perfect):.2g} %)" if loss > 0 and perfect else ""
+    return (
+        f"These errors of perception {cost if loss else 'cost nothing of'} the {perfect:.2f} that "
+        f"the policy earns in a conversation with perfect perception{share}."
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Answers:
     """What the robot says to one behaviour with one kind of assistance, by variant."""

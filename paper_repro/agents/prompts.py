@@ -311,7 +311,8 @@ class Modules:
             "guidelines": self.prompts.status_lines(self.statuses),
             "status": encode(dict(status)),
         }
-        facts = self._facts(place) | {"latest": latest, "status": dict(status)}
+        said = [exchange[part] for exchange in past for part in ("nonverbal", "verbal")]
+        facts = self._facts(place) | {"latest": latest, "status": dict(status), "said": said}
         return self._request("behaviour", values, behaviour_schema(), facts, seed)
 
     def perception(self, behaviour: Mapping[str, str], seed: int) -> Request:
@@ -341,7 +342,9 @@ class Modules:
             "action": action,
             "assistance": self.prompts.assistance_lines(detailed=detailed),
         }
-        facts = self._facts(place) | {"action": action, "detailed": detailed, **behaviour}
+        said = [exchange["caregiver"] for exchange in past]
+        facts = self._facts(place) | {"action": action, "detailed": detailed, "said": said}
+        facts |= behaviour
         if told:
             values["status"] = encode(dict(perceived))
             facts["status"] = dict(perceived)

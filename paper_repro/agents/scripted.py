@@ -6,6 +6,8 @@ with probability ε, independently. So its confusion matrix is known:
 
     C(s, p) = Π_i (1 - ε)^[s_i = p_i] ε^[s_i ≠ p_i]
 
+Nobody says a line twice in a conversation: phrases that were not heard yet come first, and once all
+were, no two lines are put together of the same ones.
 It shows that the parts work together. It is no evidence about language models.
 """
 
@@ -13,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -93,40 +96,49 @@ class Scripted:
         present = [name for name, value in facts["status"].items() if value]
         kinds = present or ["calm"]
         tables = [look_up(self.behaviours, kind, "status") for kind in kinds]
-        nonverbal = [_pick(table["nonverbal"], rng) for table in tables]
-        verbal = [_pick(table["verbal"], rng) for table in tables]
+        spoken = "verbal"
         if facts["latest"] and not present and rng.random() < 0.6:
-            verbal = [_pick(self.behaviours["calm"]["answering"], rng)]
+            spoken = "answering"
         return {
-            "nonverbal": " ".join(_fill(text, facts) for text in nonverbal),
-            "verbal": " ".join(_fill(text, facts) for text in verbal),
+            "nonverbal": _line([table["nonverbal"] for table in tables], facts, rng),
+            "verbal": _line([table[spoken] for table in tables], facts, rng),
         }
 
     def _perception(self, request: Request, rng: np.random.Generator) -> dict[str, int]:
-        text = f"{request.facts['nonverbal']} {request.facts['verbal']}".lower()
-        seen = {}
-        for status in request.schema["properties"]:
-            cued = any(cue in text for cue in look_up(self.cues, status, "status"))
-            seen[status] = int(cued != (rng.random() < self.noise))
-        return seen
+        return {
+            status: int(self._cued(request.facts, status) != (rng.random() < self.noise))
+            for status in request.schema["properties"]
+        }
+
+    def _cued(self, facts: Mapping[str, Any], status: str) -> bool:
+        text = f"{facts['nonverbal']} {facts['verbal']}".lower()
+        return any(cue in text for cue in look_up(self.cues, status, "status"))
 
     def _execution(self, request: Request, rng: np.random.Generator) -> dict[str, str]:
         facts = request.facts
         table = look_up(self.speeches, facts["action"], "assistance")
         told = facts.get("status", {})
-        opening = [
-            _pick(texts, rng)
-            for status, texts in self.speeches["status"].items()
-            if told.get(status)
-        ]
-        said = [*opening[:1], _pick(table["first"], rng)]
+        opening = [texts for name, texts in self.speeches["status"].items() if told.get(name)]
+        heard = [name for name in self.cues if told.get(name) or self._cued(facts, name)]
+        mood = "anger" if "anger" in heard else "other" if heard else "calm"
+        said = [*opening[:1], table.get(mood, table)["first"]]
         if facts["detailed"]:
-            said.append(_pick(table["more"], rng))
-        return {"speech": " ".join(_fill(text, facts) for text in said)}
+            said.append(table["more"])
+        return {"speech": _line(said, facts, rng)}
 
 
-def _pick(texts: list[str], rng: np.random.Generator) -> str:
-    return texts[int(rng.integers(len(texts)))]
+def _line(parts: list[list[str]], facts: Mapping[str, Any], rng: np.random.Generator) -> str:
+    """Return one text of each part, in a line that was not said before."""
+    said = facts.get("said", ())
+    filled = [[_fill(text, facts) for text in texts] for texts in parts]
+    heard = " ".join(said)
+    fresh = [[t for t in texts if not t or t not in heard] or texts for texts in filled]
+    drawn = [texts[int(rng.integers(len(texts)))] for texts in fresh]
+    # The drawn texts come first; after them, all others in the order of a shuffle.
+    orders = [[one, *rng.permutation(texts)] for one, texts in zip(drawn, filled, strict=True)]
+    lines = (" ".join(filter(None, chosen)) for chosen in product(*orders))
+    line = next((line for line in lines if not line or line not in said), None)
+    return _line([*parts, parts[-1]], facts, rng) if line is None else line
 
 
 def _fill(text: str, facts: Mapping[str, Any]) -> str:

@@ -42,7 +42,7 @@ def hold(
     out : folder, made where it does not exist
     resume : go on where the recording stops
     limit : stop after this many timesteps in all; resume goes on from there
-    progress : called with each step once it is on the disk
+    progress : called with each step once it is on the disk, those that the folder held first
 
     Raises
     ------
@@ -56,6 +56,8 @@ def hold(
     if kept:
         _follows(talk, kept, path)
     steps = list(kept.steps) if kept else []
+    for step in steps:
+        progress(step)
     if kept and kept.end:
         return kept
     try:

@@ -84,6 +84,18 @@ return so far {number(step["return"])}
 """
 
 
+def spoken(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
+    """Return one timestep as a dialogue: what was done and said, and what came of it."""
+    behaviour, place = step["behaviour"], header["steps"][step["subtask"]]
+    action = header["actions"].index(step["action"])
+    return f"""{step["timestep"]}. {plain(place["step"])} \
+(trial {min(step["trial"] + 1, header["trials"])} of {header["trials"]})
+   [{plain(behaviour["nonverbal"])}]
+   PLWD:  {plain(behaviour["verbal"]) or "(says nothing)"}
+   Robot: {plain(step["assistance"]) or "(says nothing)"} (a{action} {plain(step["action"])})
+   {OUTCOMES[step["event"]]}"""
+
+
 def closing(end: Mapping[str, Any]) -> str:
     """Return the last line: how the scenario went."""
     return (

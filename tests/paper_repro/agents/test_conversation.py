@@ -141,6 +141,34 @@ def test_the_kinds_of_assistance_keep_to_their_guidelines() -> None:
         assert step.item not in said["supportive"]
 
 
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("policy", ["random", "always:supportive", "always:none", "optimal"])
+def test_nobody_says_a_line_twice(policy: str, variant: str) -> None:
+    for seed, sets in ((0, ()), (1, ("max_trial=14", "tasks=[3]")), (2, ("tasks=[3,2]",))):
+        one = talk(policy=policy, variant=variant, seed=seed, sets=sets, backend=Scripted())
+        steps = list(one.steps())
+        for said in (
+            [step["behaviour"]["nonverbal"] for step in steps],
+            [text for step in steps if (text := step["behaviour"]["verbal"])],
+            [text for step in steps if (text := step["assistance"])],
+        ):
+            assert len(set(said)) == len(said)
+
+
+def test_nobody_who_is_angry_is_praised() -> None:
+    backend, modules = Scripted(), talk().modules
+    place = Place(step=modules.activity.steps[0], attempt=2, attempts=5)
+    praise = backend.speeches["supportive"]["calm"]["first"]
+    for variant, seed, told in product(VARIANTS, range(20), (0, 1)):
+        behaviour = {"nonverbal": "Turns away abruptly.", "verbal": "Leave me alone with that!"}
+        status = dict.fromkeys(modules.statuses, 0) | {"anger": told}  # it may be misread
+        asked = replace(modules, variant=variant).execution(
+            place, (), behaviour, "supportive", status, seed
+        )
+        speech = str(backend.answer(asked).data["speech"])
+        assert not any(phrase in speech for phrase in praise), speech
+
+
 def test_execution_is_asked_only_where_there_is_something_to_say() -> None:
     for policy, asked in (("always:none", 0), ("always:directive", 1)):
         tap = Tap(Scripted())
@@ -463,6 +491,10 @@ def test_run_replay_and_render_from_the_command_line(tmp_path: Path) -> None:
     done = cli("run", "--out", out, "--policy", "random", "--seed", 3, "--limit", 2)
     assert done.exit_code == 0, done.output
     assert "not finished" in done.output
+    told = [json.loads(line) for line in (out / NAME).read_text("utf-8").splitlines()][1:]
+    for step in told:
+        assert step["behaviour"]["verbal"] in done.output
+        assert step["assistance"] in done.output
     done = cli("run", "--out", out, "--policy", "random", "--seed", 3, "--resume")
     assert done.exit_code == 0, done.output
     assert set(contents(out)) == FILES | {"run.json"}

@@ -162,6 +162,8 @@ def test_measuring_from_the_command_line(tmp_path: Path) -> None:
     assert lines.pop(0)["kind"] == "header"
     assert np.array_equal(count([(f["status"], f["perceived"]) for f in lines], 4), counts)
     assert "Not medical advice" in result["disclaimer"]
+    loss = result["value"]["perfect"]["value"] - result["value"]["measured"]["value"]
+    assert done.output.splitlines()[-1].startswith(f"These errors of perception cost {loss:.2f} of")
 
 
 def test_a_measurement_that_stops_goes_on(tmp_path: Path) -> None:
