@@ -56,8 +56,8 @@ def hold(
     if kept:
         _follows(talk, kept, path)
     steps = list(kept.steps) if kept else []
-    for step in steps:
-        progress(step)
+    for held in steps:
+        progress(held)
     if kept and kept.end:
         return kept
     try:
