@@ -130,7 +130,7 @@ def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
     bottom = multiply(denominator, _integer(under))
     scale = _lcm(bottom, gain_denominator)
-    state_scale = _lcm_by_group(scale, pair_offsets)
+    state_scale = lcm_by_group(scale, pair_offsets)
     scale = state_scale[pair_state]
     factor = multiply(scale // bottom, _integer(over))
     lengths = np.diff(offsets)
@@ -204,14 +204,14 @@ def _lcm(left: Numbers, right: Numbers) -> Numbers:
     return multiply(left // np.gcd(left, right), right)
 
 
-def _lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
+def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
     """Return the least common multiples of groups of positive integers, none of them empty."""
     found = np.asarray(np.lcm.reduceat(values, offsets[:-1]))
     if values.dtype != object:
         # a 64-bit product that overflowed is not a multiple of all its factors, or is one by chance
         safe = bool((found > 0).all())
         if not safe or (np.repeat(found, np.diff(offsets)) % values).any():
-            return _lcm_by_group(values.astype(object), offsets)
+            return lcm_by_group(values.astype(object), offsets)
     return found
 
 

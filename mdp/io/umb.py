@@ -33,25 +33,31 @@ import io
 import json
 import re
 import tarfile
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from exact_mdp.mdp.components import of_columns
 from exact_mdp.mdp.errors import ModelError, located, shown_text
+from exact_mdp.mdp.io.explicit import (
+    REWARD,
+    Explicit,
+    expected,
+    identifier,
+    model_of,
+    over,
+    table_of,
+)
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.npz import as_header, parts_of
 from exact_mdp.mdp.io.umb_read import (
     CARRIER,
     DOUBTS,
     GROUP,
-    REWARD,
-    Content,
     component_key,
     key_of,
     label_key,
@@ -60,12 +66,10 @@ from exact_mdp.mdp.io.umb_read import (
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
-    Integers,
     Numbers,
     OutcomeTable,
     exact,
-    ones,
-    over_groups,
+    multiply,
     shown,
 )
 from exact_mdp.mdp.validate import as_discount, as_start
@@ -78,7 +82,7 @@ umb_package = later("umbi.umb")
 version = later("umbi.version")
 
 TERMINAL = "terminal"
-Row = tuple[int, int, list[tuple[Any, int, Any]]]
+T = TypeVar("T")
 
 
 def save(model: MDP, path: str | Path) -> None:
@@ -107,60 +111,46 @@ def load(
 
     `discount` stands instead of the model's own. The format has none: where another program wrote
     the file, it is 1 unless it is given, and a warning says so. `reward` names a reward model,
-    whose rewards of states, choices and branches add up; it may be left out where there is one
-    alone, or one called "reward". `start`, a state or {state: probability}, is needed where the
-    file has several initial states, or none, and no distribution over them.
+    whose rewards of states, choices and branches add up. Unless it is named, the one called
+    "reward" counts, or the sum of all, which are its components; without any, rewards are 0.
+    `start` is a state or {state: probability}; unless it is given, the file's only initial state,
+    or its first, with a warning. Where there are several, they have the label `init`.
 
     Raises ModelError where the file cannot be read, is damaged, or holds a model of another kind:
     in continuous time, of several players, partially observable, with intervals for probabilities.
     """
     with located(str(path)):
-        content = read(path, reward)
+        content = read(path)
         if content.header is not None:
-            model = _own(content, content.header, discount, start)
-        else:
-            model = _others(content, Path(path), discount, start)
-        if content.ours and content.gain is not None:
-            _check_gains(content)
-    return model
-
-
-def _others(content: Content, path: Path, discount: object, start: object) -> MDP:
-    """Return a model of another program, of which the caller says what the format does not."""
-    if discount is None:
-        warnings.warn(
-            f"{shown_text(str(path))}: a UMB file of another program states no discount, and 1 "
-            "is used; give the discount",
-            stacklevel=3,
-        )
-    return MDP.from_outcomes(
-        list(_rows(content)),
-        1 if discount is None else discount,
-        start=_start(content) if start is None else start,
-        actions=content.action_names,
-        name=content.name or path.stem,
-    )
+            return _own(content, content.header, reward, discount, start)
+        named = replace(content, name=content.name or Path(path).stem)
+        where = shown_text(str(path))
+        return model_of(named, where, reward=reward, discount=discount, start=start)
 
 
 # ---- reading -------------------------------------------------------------------------------------
 
 
-def _own(content: Content, header: Mapping[str, Any], discount: object, start: object) -> MDP:
+def _own(
+    content: Explicit,
+    header: Mapping[str, Any],
+    reward: str | None,
+    discount: object,
+    start: object,
+) -> MDP:
     """Return a model that `save` wrote, with everything that the header says of it."""
-    choices = np.diff(content.state_to_choices)
-    keys = map(label_key, range(len(content.labels)))
-    labels = [content.labels[key] for key in keys if key in content.labels]
-    parts = parts_of(header, pairs=len(content.actions), labels=labels)
-    parts["goal"] = content.goal
-    initial = {state for state, yes in enumerate(content.initial) if yes}
+    chosen = identifier(content, REWARD if reward is None else reward)
+    own, choices, pairs = content.own, np.diff(content.state_to_choices), len(content.actions)
+    labels = _listed(content.labels, label_key, header.get("labels"))
+    parts = parts_of(header, pairs=pairs, labels=labels)
+    parts["goal"] = own.get("goal")
+    columns = _listed(content.rewards, component_key, header.get("component_names"))
+    initial = {state for state, p in parts["start"] if p > 0}
     for what, same in (
         ("a state without choices", bool(choices.all())),
         ("the names of the actions", content.listed_actions == parts["actions"]),
-        ("the initial states", initial == {state for state, p in parts["start"] if p > 0}),
-        (
-            "the components of the reward",
-            len(content.components) in (0, len(parts["component_names"])),
-        ),
+        ("the initial states", set(np.flatnonzero(content.initial).tolist()) == initial),
+        ("the components of the reward", len(columns) in (0, len(parts["component_names"]))),
     ):
         if not same:
             raise ModelError(
@@ -168,72 +158,57 @@ def _own(content: Content, header: Mapping[str, Any], discount: object, start: o
                 where=f"annotations/{GROUP}",
                 fix=f"drop the annotations of group {GROUP}, which no longer describe the model",
             )
-    if not content.ours:
-        parts["component_names"] = ("reward",)
-    elif content.components:
-        each = np.arange(len(content.actions) + 1)
-        columns = [_stored(values, each) for values in content.components]
-        parts["component_table"] = of_columns(columns)
+    ours = chosen == REWARD
+    if not ours:
+        parts["component_names"] = (content.titles["rewards"][chosen],)
+    elif columns:
+        parts["component_table"] = of_columns([expected(content, each) for each in columns])
     if discount is not None:
         parts["discount_exact"] = as_discount(discount)
     if start is not None:
         parts["start"] = as_start(start, parts["space"])
-    states = np.repeat(np.arange(len(choices)), choices)
-    return MDP(_table(content), states, np.array(content.actions, dtype=np.int64), **parts)
+    table = table_of(content, content.rewards[chosen])
+    coarse, finer = table, ours and "gain" in own
+    if ours:
+        changes = {name: own[key_of(name)].top for name in DOUBTS if key_of(name) in own}
+        if "event" in own:
+            changes["event"] = own["event"].top.astype(np.uint8)
+        if finer:
+            gain, below = over(own["gain"], table.offsets)
+            changes |= {"gain": gain, "gain_denominator": below}
+        table = replace(table, **changes)
+    model = MDP(table, np.repeat(np.arange(len(choices)), choices), content.actions, **parts)
+    if finer:
+        _check_gains(table, coarse)
+    return model
 
 
-def _table(content: Content) -> OutcomeTable:
-    """Return the table of outcomes, every number as it was written."""
-    offsets = np.array(content.choice_to_branches, dtype=np.int64)
-    weight, denominator = _stored(content.probability, offsets)
-    fixed = _fixed(content)
-    gains, ends = content.gain, offsets
-    if gains is None and any(content.branch_reward):
-        each = np.repeat(np.array(fixed, dtype=object), np.diff(offsets)).tolist()
-        gains = [a + b for a, b in zip(each, content.branch_reward, strict=True)]
-    elif gains is None:
-        gains, ends = fixed, np.arange(len(fixed) + 1)
-    gain, gain_denominator = _stored(gains, ends)
-    return OutcomeTable(
-        offsets=offsets,
-        next=np.array(content.target, dtype=np.int64),
-        weight=weight,
-        denominator=denominator,
-        gain=gain,
-        gain_denominator=gain_denominator,
-        event=None if content.event is None else np.array(content.event, dtype=np.uint8),
-        **{name: np.array(values, dtype=np.float64) for name, values in content.doubts.items()},
-    )
+def _listed(found: Mapping[str, T], key: Callable[[int], str], names: object) -> list[T]:
+    """Return the annotations that `save` wrote for names in the header, those that are there."""
+    keys = map(key, range(len(names) if isinstance(names, list) else 0))
+    return [found[each] for each in keys if each in found]
 
 
-def _fixed(content: Content) -> list[Any]:
-    """Return the rewards of choices, those of their states among them."""
-    return [
-        content.state_reward[state] + content.choice_reward[choice]
-        for state, (first, last) in enumerate(pairwise(content.state_to_choices))
-        for choice in range(first, last)
-    ]
-
-
-def _stored(values: Sequence[Any], offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return numbers as an array with one denominator for each group of them."""
-    if values and all(isinstance(value, float) for value in values):
-        return np.array(values, dtype=np.float64), ones(len(offsets) - 1)
-    return over_groups([exact(value) for value in values], offsets)
-
-
-def _check_gains(content: Content) -> None:
+def _check_gains(finer: OutcomeTable, table: OutcomeTable) -> None:
     """Raise ModelError unless the rewards of branches average to those of the choices.
 
     Exact numbers agree exactly. Floats agree within the rounding of a sum of n products, which is
     at most (n + 3) 2^-52 Σ |p r|, and (n + 1) 2^-1074 below the range of normal floats.
     """
-    spans = list(pairwise(content.choice_to_branches))
-    for choice, (fixed, (first, last)) in enumerate(zip(_fixed(content), spans, strict=True)):
-        chances, gains = content.probability[first:last], (content.gain or [])[first:last]
-        terms = [exact(p) * exact(r) for p, r in zip(chances, gains, strict=True)]
-        total, wanted, slack = sum(terms, Fraction(0)), exact(fixed), Fraction(0)
-        if any(isinstance(number, float) for number in (*chances, *gains, fixed)):
+    floats = np.float64 in (finer.weight.dtype, finer.gain.dtype, table.gain.dtype)
+    if not floats:
+        (top, below), (a, b) = finer.expected_gain_exact(), table.expected_gain_exact()
+        suspect = np.flatnonzero(np.asarray(multiply(top, b) != multiply(a, below), dtype=bool))
+    else:
+        suspect = np.arange(table.pairs)
+    for choice in suspect.tolist():
+        terms = [p * r for p, _, r in finer.row(choice)]
+        wanted, slack = (
+            exact(table.gain[choice]) / exact(table.gain_denominator[choice]),
+            Fraction(0),
+        )
+        total = sum(terms, Fraction(0))
+        if floats:
             tiny = (len(terms) + 1) * Fraction(2) ** -1074
             slack = (len(terms) + 3) * Fraction(2) ** -52 * sum(map(abs, terms)) + tiny
         if abs(total - wanted) > slack:
@@ -242,41 +217,6 @@ def _check_gains(content: Content) -> None:
                 where=f"choice {choice}",
                 fix=f"change both, or drop the annotation {GROUP}/gain",
             )
-
-
-def _rows(content: Content) -> Iterator[Row]:
-    """Yield every pair; a state without choices is where the process ends, and stays put."""
-    fixed = _fixed(content)
-    for state, (first, last) in enumerate(pairwise(content.state_to_choices)):
-        if first == last:
-            if content.state_reward[state] != 0:
-                raise ModelError(
-                    f"a reward of {content.state_reward[state]} in a state without choices",
-                    where=f"state {state}",
-                    fix="add a choice that stays there, or drop the reward",
-                )
-            yield state, 0, [(1, state, 0)]
-        for choice in range(first, last):
-            here = slice(*content.choice_to_branches[choice : choice + 2])
-            if content.gain is None:
-                gains = [fixed[choice] + earned for earned in content.branch_reward[here]]
-            else:
-                gains = content.gain[here]
-            outcomes = zip(content.probability[here], content.target[here], gains, strict=True)
-            yield state, content.actions[choice], list(outcomes)
-
-
-def _start(content: Content) -> object:
-    if content.start is not None:
-        return {state: weight for state, weight in enumerate(content.start) if weight != 0}
-    initial = [state for state, yes in enumerate(content.initial) if yes]
-    if len(initial) == 1:
-        return initial[0]
-    raise ModelError(
-        f"{len(initial)} initial states and no distribution over them",
-        where="state-is-initial",
-        fix="pass start= to mdp.io.umb.load, or write the file with one initial state",
-    )
 
 
 # ---- writing -------------------------------------------------------------------------------------

@@ -1,6 +1,9 @@
-"""What a UMB file says, as plain lists, after every length and range has been checked.
+"""What a UMB file says, as arrays, after every length and range has been checked.
 
-A UMB file is a tar archive, plain or compressed with gzip, xz or bzip2. It is unpacked here, within
+The package umbi reads the index. Numbers are decoded here, all of a file at once: a rational is two
+integers of the same width, a signed numerator and an unsigned denominator, little-endian; truth
+values are bits, the lowest of each byte first; variables of a state are packed bit by bit. A UMB
+file is a tar archive, plain or compressed with gzip, xz or bzip2. It is unpacked here, within
 a limit that its size sets, and not by umbi: a compressed archive may expand a thousandfold, and the
 headers of a tar archive may state any size.
 """
@@ -14,26 +17,26 @@ import json
 import logging
 import lzma
 import tarfile
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from fractions import Fraction
-from itertools import pairwise
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.explicit import Explicit, Ratios
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import OutcomeTable
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, Numbers, OutcomeTable, ones
+from exact_mdp.mdp.validate import Flags
 
 binary = later("umbi.binary")
+datatypes = later("umbi.datatypes")
 umb_package = later("umbi.umb")
 encoding = later("umbi.umb.umb_to_tar")
 
-GROUP, REWARD = "exact-mdp", "reward"
+GROUP = "exact-mdp"
 CARRIER = "start"
 """The annotation whose description is the header: what the format has no place for, as JSON."""
 
@@ -46,6 +49,7 @@ FREE, RATIO = 2**26, 200
 """An archive may unpack to 64 MiB, or to 200 times its own size, whichever is more."""
 
 MOST_FILES = 10_000
+WORD = 8
 LZMA_MEMORY = 2**27
 LARGEST_INDEX = 2**26
 ANY_SIZE = 10**6
@@ -123,65 +127,66 @@ def _too_much(limit: int) -> ModelError:
     )
 
 
+# ---- numbers -------------------------------------------------------------------------------------
+
+
+def _integers(data: bytes, count: int, size: int, *, signed: bool) -> Numbers:
+    """Return `count` little-endian integers of `size` bytes each; 64 bits where they fit."""
+    if size == WORD:
+        values = np.frombuffer(data, "<i8" if signed else "<u8")
+        if not len(values) or (values.max() < EXACT_IN_INT64 and values.min() > -EXACT_IN_INT64):
+            return values.astype(np.int64)
+    found = np.empty(count, dtype=object)
+    order: Any = "little"
+    found[:] = [
+        int.from_bytes(data[size * k : size * (k + 1)], order, signed=signed) for k in range(count)
+    ]
+    return found if size >= WORD else found.astype(np.int64)
+
+
+def _numbers(data: bytes, count: int, kind: Any, where: str) -> Ratios:
+    """Return the numbers of a file, whose length is known to be right."""
+    types, size = datatypes.NumericPrimitiveType, kind.size_bits // 8
+    if kind.type == types.DOUBLE:
+        return Ratios(np.frombuffer(data, "<f8").astype(np.float64), ones(count))
+    if kind.type in (types.INT, types.UINT) and kind.size_bits % 8 == 0:
+        return Ratios(_integers(data, count, size, signed=kind.type == types.INT), ones(count))
+    if kind.type != types.RATIONAL or kind.size_bits % 16:
+        raise ModelError(
+            f"{getattr(kind.type, 'value', kind.type)} is not a single number",
+            where=where,
+            fix="give a model without intervals or parameters",
+        )
+    half = size // 2
+    halves = np.frombuffer(data, np.uint8).reshape(2 * count, half)
+    top = _integers(halves[::2].tobytes(), count, half, signed=True)
+    bottom = _integers(halves[1::2].tobytes(), count, half, signed=False)
+    if np.asarray(bottom == 0).any():
+        raise _damaged("the file is damaged: a denominator is 0", where)
+    shared = np.gcd(top, bottom)
+    return Ratios(np.asarray(top // shared), np.asarray(bottom // shared))
+
+
+def _flags(data: bytes, count: int) -> Flags:
+    """Return truth values, one bit each."""
+    bits = np.frombuffer(data, np.uint8)
+    return np.asarray(np.unpackbits(bits, count=count, bitorder="little") == 1)
+
+
 # ---- its content ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Content:
-    """Lists over S states, C choices and N branches; numbers are int, float or Fraction."""
-
-    name: str
-    state_to_choices: list[int]  # (S+1,)
-    choice_to_branches: list[int]  # (C+1,)
-    target: list[int]  # (N,)
-    probability: list[Any]  # (N,)
-    actions: list[int]  # (C,)
-    action_names: tuple[str, ...]
-    listed_actions: tuple[str, ...]  # as the file lists them
-    initial: list[bool]  # (S,)
-    state_reward: list[Any]  # (S,)
-    choice_reward: list[Any]  # (C,)
-    branch_reward: list[Any]  # (N,)
-    gain: list[Any] | None  # (N,)
-    start: list[Any] | None  # (S,)
-    header: Mapping[str, Any] | None  # of files that exact-mdp wrote
-    event: list[int] | None  # (N,)
-    doubts: Mapping[str, list[float]]  # (N,) or (C,)
-    components: list[list[Any]]  # of (C,)
-    ours: bool  # the rewards are those that the other annotations belong to
-    labels: Mapping[str, NDArray[np.bool_]]  # (S,) by identifier
-    goal: NDArray[np.bool_] | None  # (S,)
-
-
-def read(path: str | Path, reward: str | None) -> Content:
-    """Return what a file says of the model and of one reward model; raises ModelError."""
+def read(path: str | Path) -> Explicit:
+    """Return what a file says of the model; raises ModelError."""
     try:
-        decoder, umb = encoding.UmbDecoder(), umb_package.ExplicitUmb()
-        decoder.update(files_of(path))
-        if len(decoder.get("index.json", b"")) > LARGEST_INDEX:
+        files, umb = encoding.UmbDecoder(), umb_package.ExplicitUmb()
+        files.update(files_of(path))
+        if len(files.get("index.json", b"")) > LARGEST_INDEX:
             raise ModelError("the index is too large", where="index.json", fix="check the file")
-        decoder.read_index_file(umb)
-        _check_kind(umb.index.transition_system, decoder)
-        _check_files(umb.index.transition_system, decoder)
-        decoder.read_state_files(umb)
-        decoder.read_transition_files(umb)
-        listed = umb.index.annotations or {}
-        rewards, own = listed.get("rewards") or {}, listed.get(GROUP) or {}
-        chosen, header = _chosen(rewards, reward), _header(own)
-        ours = chosen == REWARD
-        umb.annotations = {"rewards": {}, "aps": {}, GROUP: {}}
-        names = (header or {}).get("component_names")
-        keys = map(component_key, range(len(names) if isinstance(names, list) else 0))
-        parts = [key for key in keys if ours and key in rewards]
-        for name in (chosen, *parts):
-            _read_annotation(decoder, umb, "rewards", name, rewards[name])
-        for name, about in (listed.get("aps") or {}).items():
-            if about.applies_to == ["states"]:
-                _read_annotation(decoder, umb, "aps", name, about)
-        for name in (CARRIER, "event", "goal", *(("gain", *map(key_of, DOUBTS)) if ours else ())):
-            if name in own:
-                _read_annotation(decoder, umb, GROUP, name, own[name])
-        return _content(umb, chosen, header, parts)
+        files.read_index_file(umb)
+        _check_kind(umb.index.transition_system, files)
+        _check_files(umb.index.transition_system, files)
+        return _content(umb.index, files)
     except ModelError:
         raise
     except OSError as error:
@@ -193,6 +198,104 @@ def read(path: str | Path, reward: str | None) -> Content:
             f"the file is damaged, or of a kind that umbi cannot read: {str(error)[:200]}",
             fix="write the file again",
         ) from error
+
+
+def _content(index: Any, files: Any) -> Explicit:
+    system, listed, data = index.transition_system, index.annotations or {}, index.model_data
+    states, choices, branches = _sizes(system).values()
+    state_to_choices = _offsets(files, "state-to-choices", states, choices)
+    ends = files.get("branch-to-target.bin", bytes(WORD * branches))
+    target = _integers(ends, branches, WORD, signed=False)
+    if branches and target.max() >= states:
+        raise _damaged(f"a branch leads to state {target.max()} of {states}", "branch-to-target")
+    chances = Ratios(np.ones(branches, np.int64), ones(branches))
+    if system.branch_probability_type is not None:
+        where = "branch-to-probability"
+        chances = _numbers(files[f"{where}.bin"], branches, system.branch_probability_type, where)
+    actions, names, words = _actions(system, files, state_to_choices)
+    initial = np.zeros(states, dtype=bool)
+    if system.num_initial_states:
+        initial = _flags(files["state-is-initial.bin"], states)
+
+    def annotations(group: str) -> dict[str, dict[str, Any]]:
+        found = {
+            str(key): _annotation(files, system, group, key, about)
+            for key, about in (listed.get(group) or {}).items()
+        }
+        return {key: values for key, values in found.items() if values}
+
+    own = annotations(GROUP)
+    return Explicit(
+        name=(data.name or "") if data is not None else "",
+        state_to_choices=state_to_choices,
+        choice_to_branches=_offsets(files, "choice-to-branches", choices, branches),
+        target=target.astype(np.int64),
+        probability=chances,
+        actions=actions,
+        action_names=names,
+        listed_actions=words,
+        initial=initial,
+        words=_valuations(index, files, states),
+        rewards=annotations("rewards"),
+        labels={k: v["states"] for k, v in annotations("aps").items() if "states" in v},
+        titles={
+            group: {str(key): str(about.alias or key) for key, about in named.items()}
+            for group in ("rewards", "aps")
+            for named in [listed.get(group) or {}]
+        },
+        own={key: next(iter(values.values())) for key, values in own.items()},
+        header=_header(listed.get(GROUP) or {}),
+    )
+
+
+def _annotation(files: Any, system: Any, group: str, key: str, about: Any) -> dict[str, Any]:
+    """Return the values of an annotation by what it applies to; nothing where it holds texts."""
+    found: dict[str, Any] = {}
+    for over in about.applies_to or ():
+        path = f"annotations/{group}/{key}/{over}/values.bin"
+        count = _sizes(system)[over]
+        if about.type is None or about.type.type == datatypes.PrimitiveType.STRING:
+            continue
+        _check_size(files, path, count, about.type)
+        truth = about.type == binary.BOOL1
+        data = files[path]
+        found[over] = _flags(data, count) if truth else _numbers(data, count, about.type, path)
+    return found
+
+
+def _valuations(index: Any, files: Any, states: int) -> tuple[str, ...]:
+    """Return each state's variables as words, where they are whole numbers that tell states apart.
+
+    Other files of valuations are passed over: states have their numbers.
+    """
+    about = (index.valuations or {}).get("states")
+    data = files.get("valuations/states/valuations.bin")
+    if about is None or data is None or len(about.classes) != 1:
+        return ()
+    struct, types = about.classes[0], datatypes.NumericPrimitiveType
+    if not struct.size_bytes or len(data) != states * struct.size_bytes:
+        return ()
+    bits = np.unpackbits(
+        np.frombuffer(data, np.uint8).reshape(states, -1), axis=1, bitorder="little"
+    )
+    columns, place = [], 0
+    for field in struct.fields:
+        here = bits[:, place : place + field.size_bits]
+        place += field.size_bits
+        if not hasattr(field, "name"):  # padding
+            continue
+        kind = field.sized_type.type
+        truth = kind == datatypes.PrimitiveType.BOOL
+        whole = kind in (types.INT, types.UINT) and field.size_bits <= 63
+        if field.is_optional or not (truth or whole):
+            return ()
+        value = here @ (1 << np.arange(field.size_bits, dtype=np.int64))
+        if kind == types.INT:
+            value -= here[:, -1].astype(np.int64) << field.size_bits
+        shown = np.where(value == 1, "true", "false") if truth else value.astype(str)
+        columns.append([f"{field.name}={each}" for each in shown.tolist()])
+    words = tuple(map(", ".join, zip(*columns, strict=True)))
+    return words if len(set(words)) == states else ()
 
 
 def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -208,14 +311,6 @@ def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
     if not isinstance(header, dict):
         raise ModelError("its description is not a JSON object", where=place, fix="save it again")
     return header
-
-
-def _read_annotation(decoder: Any, umb: Any, group: str, name: str, about: Any) -> None:
-    """Read one annotation, after the sizes of its files have been compared with the model's."""
-    for over in about.applies_to or ():
-        path = f"annotations/{group}/{name}/{over}/values.bin"
-        _check_size(decoder, path, _sizes(umb.index.transition_system)[over], about.type)
-    decoder.read_annotation(umb, group, name, about)
 
 
 def _sizes(system: Any) -> dict[str, int]:
@@ -280,129 +375,44 @@ def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
         raise _damaged(f"the index claims {most:,} entries in {core:,} bytes", "index.json")
 
 
-def _chosen(rewards: Any, wanted: str | None) -> str:
-    """Return the identifier of the reward model called `wanted`, or of the only one."""
-    names = {str(entry.alias or key): str(key) for key, entry in rewards.items()}
-    if wanted is None:
-        if REWARD in rewards or len(rewards) == 1:
-            return REWARD if REWARD in rewards else next(iter(rewards))
-        raise ModelError(
-            f"{len(rewards)} reward models, none of them called {REWARD!r}",
-            where="rewards",
-            fix=f"name one: {', '.join(names)}" if names else "add a reward model to the file",
-        )
-    if wanted not in names and wanted not in rewards:
-        raise ModelError(
-            f"no reward model {wanted!r}", where="rewards", fix=suggest(wanted, names) or "add one"
-        )
-    return names.get(wanted, wanted)
-
-
-def _content(
-    umb: Any, chosen: str, header: Mapping[str, Any] | None, parts: Iterable[str]
-) -> Content:
-    reward, own = umb.annotations["rewards"][chosen], umb.annotations[GROUP]
-    sizes = _sizes(umb.index.transition_system)
-    states, choices, branches = sizes.values()
-    state_to_choices = _mapping(umb.state_to_choices, states, choices, "state-to-choices")
-    actions, names = _actions(umb, state_to_choices, choices)
-    earned = {
-        key: _numbers(reward.get(key, [0] * size), size, f"rewards of {key}")
-        for key, size in sizes.items()
-    }
-    gain, start = own.get("gain", {}).get("branches"), own.get(CARRIER, {}).get("states")
-    chances = umb.branch_to_probability
-    data = umb.index.model_data
-    return Content(
-        name=(data.name or "") if data is not None else "",
-        state_to_choices=state_to_choices,
-        choice_to_branches=_mapping(
-            umb.choice_to_branches, choices, branches, "choice-to-branches"
-        ),
-        target=_targets(umb.branch_to_target, states, branches),
-        probability=_numbers(
-            [1] * branches if chances is None else chances, branches, "branch-to-probability"
-        ),
-        actions=actions,
-        action_names=names,
-        listed_actions=tuple(umb.choice_action_to_string or ()),
-        initial=_of_length(umb.state_is_initial, states, "state-is-initial"),
-        state_reward=earned["states"],
-        choice_reward=earned["choices"],
-        branch_reward=earned["branches"],
-        gain=None if gain is None else _numbers(gain, branches, f"{GROUP}/gain"),
-        start=None if start is None else _numbers(start, states, f"{GROUP}/{CARRIER}"),
-        header=header,
-        event=own.get("event", {}).get("branches"),
-        doubts={n: next(iter(own[key_of(n)].values())) for n in DOUBTS if key_of(n) in own},
-        components=[umb.annotations["rewards"][key]["choices"] for key in parts],
-        ours=chosen == REWARD,
-        labels={
-            key: _flags(values["states"], states, f"aps/{key}")
-            for key, values in umb.annotations["aps"].items()
-        },
-        goal=_flags(own["goal"]["states"], states, "goal") if "goal" in own else None,
-    )
-
-
-def _flags(values: Sequence[Any], size: int, where: str) -> NDArray[np.bool_]:
-    return np.array(_of_length(values, size, where), dtype=bool)
-
-
 def _actions(
-    umb: Any, state_to_choices: list[int], choices: int
-) -> tuple[list[int], tuple[str, ...]]:
-    """Return each choice's action and all names.
+    system: Any, files: Any, state_to_choices: Integers
+) -> tuple[Integers, tuple[str, ...], tuple[str, ...]]:
+    """Return each choice's action, the names of actions, and these as the file lists them.
 
     Where two choices of a state have the same action, or none has one, actions are the places of
     the choices in their state.
     """
-    count = umb.index.transition_system.num_choice_actions
-    given = umb.choice_to_choice_action
-    spans = [range(first, last) for first, last in pairwise(state_to_choices)]
-    if count and given is not None:
-        given = _of_length(given, choices, "actions of choices")
-        names = umb.choice_action_to_string or [f"a{number}" for number in range(count)]
-        names = [name or "unnamed" for name in names]
-        if any(not 0 <= action < count for action in given) or len(names) != count:
+    count, counts = system.num_choice_actions, np.diff(state_to_choices)
+    places = np.arange(state_to_choices[-1]) - np.repeat(state_to_choices[:-1], counts)
+    listed: tuple[str, ...] = ()
+    if count and "actions/choices/string-mapping.bin" in files:
+        folder = "actions/choices"
+        listed = tuple(
+            files.read_strings(f"{folder}/strings.bin", filename_csr=f"{folder}/string-mapping.bin")
+        )
+    if count and "actions/choices/values.bin" in files:
+        given = np.frombuffer(files["actions/choices/values.bin"], "<u4").astype(np.int64)
+        names = tuple(name or "unnamed" for name in listed) or tuple(f"a{k}" for k in range(count))
+        if given.max(initial=0) >= count or len(names) != count:
             raise _damaged(
                 f"{len(names)} names for {count} actions, or an action beyond them", "actions"
             )
-        distinct = all(len({given[choice] for choice in span}) == len(span) for span in spans)
+        state = np.repeat(np.arange(len(counts)), counts)
+        distinct = len(np.unique(state * count + given)) == len(given)
         if distinct and len(set(names)) == len(names):
-            return given, tuple(names)
-    places = [choice - span.start for span in spans for choice in span]
-    return places, tuple(str(number) for number in range(max(places, default=0) + 1))
+            return given, names, listed
+    return places, tuple(map(str, range(int(places.max(initial=0)) + 1))), listed
 
 
-def _mapping(given: Sequence[int] | None, size: int, end: int, where: str) -> list[int]:
+def _offsets(files: Mapping[str, bytes], where: str, size: int, end: int) -> Integers:
     """Return size+1 offsets from 0 to `end`; one each where none are given."""
-    offsets = list(range(size + 1)) if given is None else list(given)
-    rising = all(a <= b for a, b in pairwise(offsets))
-    if len(offsets) != size + 1 or offsets[0] != 0 or offsets[-1] != end or not rising:
-        raise _damaged(f"{len(offsets)} offsets that do not run from 0 to {end}", where)
-    return offsets
-
-
-def _targets(given: Sequence[int] | None, states: int, branches: int) -> list[int]:
-    targets = _of_length([0] * branches if given is None else given, branches, "branch-to-target")
-    if max(targets, default=-1) >= states:
-        raise _damaged(f"a branch leads to state {max(targets)} of {states}", "branch-to-target")
-    return targets
-
-
-def _numbers(values: Sequence[Any], size: int, where: str) -> list[Any]:
-    for value in values:
-        if not isinstance(value, int | float | Fraction):
-            raise ModelError(
-                f"{value} is not a single number",
-                where=where,
-                fix="give a model without intervals or parameters",
-            )
-    return _of_length(values, size, where)
-
-
-def _of_length(values: Sequence[Any] | None, size: int, where: str) -> list[Any]:
-    if values is None or len(values) != size:
-        raise _damaged(f"{0 if values is None else len(values)} values, not {size}", where)
-    return list(values)
+    data = files.get(f"{where}.bin")
+    if data is None:
+        found = np.arange(size + 1, dtype=np.int64)
+    else:
+        given = np.frombuffer(data, "<u8")
+        found = np.where(given > end, -1, given.astype(np.int64))
+    if len(found) != size + 1 or found[0] != 0 or found[-1] != end or (np.diff(found) < 0).any():
+        raise _damaged(f"{len(found)} offsets that do not run from 0 to {end}", where)
+    return found

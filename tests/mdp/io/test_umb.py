@@ -22,11 +22,13 @@ from archives import read_by_umbi, tarred, untarred
 from laws import laws
 from saved_models import MODELS
 
+from exact_mdp import certify
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.io import umb, umb_read
 from exact_mdp.mdp.io.load import load
 from exact_mdp.mdp.lazy import later
 
+F = Fraction
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=1).compile()
 FLOATS = MODELS["floats"]
 
@@ -149,12 +151,26 @@ def test_a_reward_model_is_chosen_by_name(tmp_path: Path) -> None:
     for name, value in (("time", 1), ("cost", 7), ("a long name", 7)):
         assert umb.load(path, discount=1, reward=name).reward[0] == value
         assert load(f"{path}#{name}", discount=1).mdp.reward[0] == value
-    with pytest.raises(ModelError, match=r"2 reward models(.|\n)*time, a long name"):
-        umb.load(path)
     with pytest.raises(ModelError, match=r"no reward model 'tim'(.|\n)*did you mean time"):
-        load(f"{path}#tim")
-    with pytest.raises(ModelError, match=r"0 reward models(.|\n)*add a reward model"):
-        umb.load(written(chain(), tmp_path), discount=1)
+        load(f"{path}#tim", discount=1)
+
+
+def test_several_reward_models_and_none(tmp_path: Path) -> None:
+    """Unless one is named, all are components of the reward, which is their sum; or it is 0."""
+    path = written_with_two_rewards(tmp_path)
+    with pytest.warns(UserWarning, match="rewards time, a long name are added up"):
+        mdp = umb.load(path, discount=1)
+    assert mdp.component_names == ("time", "a long name")
+    assert mdp.components.tolist() == [[1, 7], [0, 0]]
+    assert mdp.reward.tolist() == [8, 0]
+    bare = umb.load(written(chain(), tmp_path), discount=1)
+    assert bare.reward.tolist() == [0, 0]
+    exact = chain(reward=[Fraction(1, 2), 0], cost=[Fraction(1, 3), 0])
+    both = umb.load(written(exact, tmp_path), discount=1)  # the one called reward is the reward
+    assert both.component_names == ("cost", "rest")
+    assert certify(both.with_(labels={"end": [False, True]}).until("end", "rest")).value[0] == F(
+        1, 6
+    ) / F(3, 4)
 
 
 def written_with_two_rewards(folder: Path) -> Path:
@@ -168,12 +184,12 @@ def test_initial_states(tmp_path: Path) -> None:
     ats = chain(steps=[1, 0])
     ats.set_initial_states([0, 1])
     path = written(ats, tmp_path)
-    with pytest.raises(ModelError, match="2 initial states"):
-        umb.load(path, discount=1)
+    with pytest.warns(UserWarning, match="first of 2 initial states, state 0; --start"):
+        assert umb.load(path, discount=1).labels["init"].tolist() == [True, True]
     assert umb.load(path, discount=1, start=1).start == ((1, Fraction(1)),)
     assert len(umb.load(path, discount=1, start={0: "1/3", 1: "2/3"}).start) == 2
     ats.set_initial_states([])
-    with pytest.raises(ModelError, match="0 initial states"):
+    with pytest.raises(ModelError, match="no initial state"):
         umb.load(written(ats, tmp_path), discount=1)
 
 
@@ -356,3 +372,41 @@ def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
     ends = np.frombuffer(members[mapping], "<u8").copy()
     ends[1:-1] = ends[-1], 0, ends[-1]
     refused(tarred(members | {mapping: ends.tobytes()}), "ranges of the names fall", tmp_path)
+
+
+# ---- labels, names and variables -----------------------------------------------------------------
+
+
+def test_labels_names_and_variables_of_others(tmp_path: Path) -> None:
+    """Labels go by their names; variables of whole numbers and truth values name the states."""
+    ats = system(3)
+    for state in range(3):
+        ats.add_state_choice(state).add_branch(min(state + 1, 2), Fraction(1))
+    ats.add_ap_annotation("goal").set_state_values([False, False, True])
+    content = umbi.ats.ats_to_umb.explicit_ats_to_explicit_umb(ats)
+    content.index.annotations["aps"]["goal"].alias = "The goal"
+    struct = umbi.binary.StructType()
+    struct.add_attribute("x", umbi.binary.SizedType(umbi.datatypes.NumericPrimitiveType.INT, 3))
+    struct.add_attribute("on", umbi.binary.SizedType(umbi.datatypes.PrimitiveType.BOOL, 1))
+    struct.pad_to_byte()
+    content.index.valuations = {
+        "states": umbi.umb.index.ValuationDescription(unique=True, classes=[struct])
+    }
+    encoder = umbi.umb.umb_to_tar.UmbEncoder()
+    encoder.add_index_file(content)
+    encoder.add_state_files(content)
+    encoder.add_transition_files(content)
+    encoder.add_annotation_files(content)
+    files = dict(encoder.items())
+    # Four bits of a byte, the lowest first: x in two's complement, then on.
+    files["valuations/states/valuations.bin"] = bytes([0b0_111, 0b1_000, 0b1_011])
+    path = tmp_path / "theirs.umb"
+    path.write_bytes(tarred(files))
+    mdp = umb.load(path, discount=1)
+    assert list(mdp.labels) == ["The goal"]
+    assert mdp.labels["The goal"].tolist() == [False, False, True]
+    assert mdp.space.labels(range(3)) == [
+        "state x=-1, on=false", "state x=0, on=true", "state x=3, on=true",
+    ]  # fmt: skip
+    assert certify(mdp.reaching("The goal")).start_value == 1
+    assert umb.load(path, discount=1, start="x=3, on=true").start == ((2, 1),)
