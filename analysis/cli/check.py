@@ -80,12 +80,17 @@ def check(
 def _page(report: Report, audit: Audit, model: str, learned: str) -> str:
     """Return the page of a report, its tables at full length."""
     words = click.get_current_context().find_root().obj
+    told = {"verdict", *(each.name for each in audit.verdicts)}  # at the top of the page
     listed = [replace(each, first=ON_PAGE) for each in report.tables if len(each.rows)]
     return audit_page(
         audit,
         model=model,
         policy=learned,
-        facts={name: fact(value) for name, value in report.facts.items() if value is not None},
+        facts={
+            name: fact(value)
+            for name, value in report.facts.items()
+            if value is not None and name not in told
+        },
         tables=[
             {
                 "heading": each.heading(),

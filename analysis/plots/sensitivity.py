@@ -32,6 +32,7 @@ from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
+    from exact_mdp.analysis.sensitivity.curve import ValueFunction
     from exact_mdp.analysis.sensitivity.draws.global_ import Morris, Sobol
     from exact_mdp.analysis.sensitivity.gradient import Gradient
     from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Tornado
@@ -118,6 +119,32 @@ def plot_value_curves(found: Curve, *, ax: Axes | None = None) -> Axes:
     ax.axvline(float(found.parameter.value), color="0.6", linewidth=0.8, label="today")
     ax.set_xlabel(f"{found.parameter.name} ({unit_of(found.parameter)})")
     ax.set_ylabel("start value (reward)")
+    ax.legend()
+    return ax
+
+
+@plain_text
+def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = None) -> Axes:
+    """Draw the optimal start value along a parameter, piece by piece, from its exact functions.
+
+    A dotted line is a value at which another policy becomes optimal; each piece has `n` points.
+    """
+    ax = axes_or_new(ax)
+    for number, piece in enumerate(found.pieces):
+        low, high = piece.low[1], piece.high[0]
+        at = [low + (high - low) * Fraction(k, n - 1) for k in range(n)]
+        x = [float(value) for value in at]
+        if number:
+            ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1)
+        ax.plot(x, [float(piece.value.at(value)) for value in at], color=BLACK)
+        if piece.fixed is not None:
+            ax.plot(x, [float(piece.fixed.at(value)) for value in at], "--", color="0.4")
+    ax.plot([], [], color=BLACK, label=OUTPUT["optimal"].removeprefix("start value, "))
+    if found.pieces[0].fixed is not None:
+        ax.plot([], [], "--", color="0.4", label=OUTPUT["fixed"].removeprefix("start value, "))
+    ax.axvline(float(found.parameter.value), color="0.6", linewidth=0.8, label="today")
+    ax.set_xlabel(f"{found.parameter.name} ({unit_of(found.parameter)})")
+    ax.set_ylabel(f"start value (reward; {found.claim})")
     ax.legend()
     return ax
 

@@ -199,7 +199,8 @@ def plot_solution(found: Solution, *, ax: Axes | None = None, **place: Any) -> A
         )
     value = getattr(found, "value_float", None)
     value = found.value if value is None else value
-    return plot_states(found.mdp, value, policy=found.policy, ax=ax, **place)
+    label = "value (reward)" if getattr(found, "gain", None) is None else "gain (reward per step)"
+    return plot_states(found.mdp, value, policy=found.policy, label=label, ax=ax, **place)
 
 
 @plain_text

@@ -32,7 +32,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -109,7 +109,7 @@ class CurvePiece:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ValueFunction(Result):
+class ValueFunction(Pictured):
     """The optimal value at the start over a range of one parameter.
 
     Attributes
@@ -132,6 +132,8 @@ class ValueFunction(Result):
     mdp: MDP
     chain: PolicyChain | None = None
     checked: int | None = None
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_value_function"
 
     @property
     def claim(self) -> Claim:

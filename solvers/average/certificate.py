@@ -14,7 +14,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.average.checker import AverageClaims, Rationals, average_violations, surplus
 from exact_mdp.solvers.proof.file import average_fields, save
@@ -28,7 +28,7 @@ pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AverageCertificate(AverageClaims, Result):
+class AverageCertificate(AverageClaims, Pictured):
     """The greatest average reward per step, exactly, and a policy that earns it.
 
     Attributes
@@ -56,6 +56,7 @@ class AverageCertificate(AverageClaims, Result):
     mdp: MDP | None = None
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
+    picture = "exact_mdp.analysis.plots.states:plot_solution"
 
     def __repr__(self) -> str:
         return f"AverageCertificate({len(self.policy)} states, gain at the start {self.start})"

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from matplotlib.axes import Axes
 
 from exact_mdp import MDP, Scenario, certify, check, evaluate, solve
-from exact_mdp.analysis import compare, dot
+from exact_mdp.analysis import compare, dot, value_function
 from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.plots import plot_policy, plot_states, plot_transitions
@@ -153,6 +153,20 @@ def test_bounds_of_a_large_comparison_hold() -> None:
     for name, each in found.regrets.items():
         low, high = each.learned.interval
         assert low <= exact[name] <= high
+
+
+def test_a_value_function_is_drawn_by_its_exact_values() -> None:
+    mdp = forest("24/25")
+    found = value_function(mdp, "discount", ("1/2", "9/10"), policy=[0, 1, 1])
+    ax = found.plot(n=5)
+    for line in ax.lines:
+        fixed = line.get_linestyle() == "--"
+        for x, y in zip(*line.get_data(), strict=True) if len(line.get_xdata()) == 5 else ():
+            changed = mdp.with_(discount=x)
+            best = evaluate(changed, [0, 1, 1]).mean if fixed else solve(changed).start_value
+            assert y == pytest.approx(best)
+    assert [line.get_linestyle() for line in ax.lines].count(":") == len(found.pieces) - 1
+    assert "certified" in ax.get_ylabel()
 
 
 LINE = re.compile(r'^  (\w+) -> (\w+) \[label="((?:[^"\\]|\\.)*)"(.*)\]$')
