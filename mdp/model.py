@@ -729,15 +729,19 @@ class MDP(Parts):
         return cls.from_outcomes(rows, discount, **(parts | names))
 
     @classmethod
-    def load(cls, path: str | Path, *, discount: object | None = None) -> MDP:
+    def load(
+        cls, path: str | Path, *, discount: object | None = None, start: object | None = None
+    ) -> MDP:
         """Read a model from a file that `save` wrote, or another program.
 
         Parameters
         ----------
         path : str or path
-            `.npz` or `.umb`; a scenario's `.toml` is compiled.
+            `.npz`, `.umb` or another that `mdp.io.load` names; a scenario's `.toml` is compiled.
         discount : number or "p/q", optional
             Instead of the file's own.
+        start : state, {state: probability} or (S,) probabilities, optional
+            Likewise.
 
         Returns
         -------
@@ -756,7 +760,7 @@ class MDP(Parts):
         ...     MDP.load(f"{folder}/small.npz").table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        found: MDP = lazy.load(LOADER).load_model(path, discount=discount)
+        found: MDP = lazy.load(LOADER).load_model(path, discount=discount, start=start)
         return found
 
     def save(self, path: str | Path) -> None:

@@ -188,6 +188,12 @@ def counted(steps: object, where: str) -> int:
 
 def as_discount(discount: object) -> Fraction:
     """Return a discount as an exact number in [0, 1]."""
+    if discount is None:
+        raise ModelError(
+            "no discount is given, but None: not a number",
+            where="discount",
+            fix='give discount=0.95, or discount="19/20"; it is 1 where it is left out',
+        )
     with located("discount", instead=True):
         value = exact(discount)
     _check_discount(value)

@@ -93,10 +93,14 @@ def load(
 
 
 def load_model(
-    spec: str | Path, *, sets: Sequence[str] = (), discount: object | None = None
+    spec: str | Path,
+    *,
+    sets: Sequence[str] = (),
+    discount: object | None = None,
+    start: object | None = None,
 ) -> MDP:
     """Return the model that `spec` names, without its scenario; see `load`."""
-    return load(spec, sets=sets, discount=discount).mdp
+    return load(spec, sets=sets, discount=discount, start=start).mdp
 
 
 def load_scenario(

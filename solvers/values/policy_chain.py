@@ -238,7 +238,7 @@ class PolicyChain:
             where="it can stay for ever in "
             + ", ".join(named)
             + (f" and {more} more" if more else ""),
-            fix="choose a discount below 1, stop after N steps (--horizon "
+            fix="choose a discount below 1 (discount=0.95), stop after N steps (--horizon "
             f"{self.mdp.time_limit or 'N'}), or take a policy that leaves these states",
         )
 
