@@ -73,7 +73,7 @@ class Optimum:
         """(S,) bounds on the errors of the values; rounding alone where they are certified."""
         best = self.best
         if not isinstance(best, solvers.Solution):
-            return np.asarray(np.spacing(np.abs(self.value)))
+            return np.nan_to_num(np.spacing(np.abs(self.value)))
         return best.state_error
 
     @property
@@ -100,7 +100,7 @@ class Optimum:
         """A bound on the error of the start value, and of the value of every state."""
         best = self.best
         if not isinstance(best, solvers.Solution):
-            rounding = float(np.spacing(abs(self.start_value)))
+            rounding = float(np.nan_to_num(np.spacing(abs(self.start_value))))
             return max(float(self.state_error.max()), rounding)
         return max(best.error_bound, best.start.error)
 
@@ -168,7 +168,8 @@ def optimum(
         raise Contradiction(f"the certificate does not hold: {faults[0]}")
     found = Optimum(mdp=model, method=solver.name, solution=solution, certificate=certificate)
     if solution is not None:
-        apart = np.abs(solution.value - found.value)
+        same = solution.value == found.value  # infinite ones
+        apart = np.abs(np.where(same, 0.0, solution.value) - np.where(same, 0.0, found.value))
         if not (apart <= solution.state_error + found.state_error).all():
             raise Contradiction(
                 f"exact values differ from those of {solution.solver} by up to {apart.max():.3g}, "

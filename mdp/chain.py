@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -140,6 +141,8 @@ def topological_levels(mdp: MDP) -> Integers | None:
 def termination(mdp: MDP) -> Termination:
     """Return a proof that every policy ends, or a policy that never does from some states.
 
+    It is found once for each model.
+
     Examples
     --------
     >>> wait, leave = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
@@ -149,6 +152,15 @@ def termination(mdp: MDP) -> Termination:
     >>> found.proven, found.trapped.tolist(), found.policy.tolist()
     (False, [0], [1, 0])
     """
+    if mdp not in _ENDINGS:
+        _ENDINGS[mdp] = _termination(mdp)
+    return _ENDINGS[mdp]
+
+
+_ENDINGS: WeakKeyDictionary[MDP, Termination] = WeakKeyDictionary()
+
+
+def _termination(mdp: MDP) -> Termination:
     if numbered_in_order(mdp):
         rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
         return Termination(proven=True, rank=rank, policy=None, trapped=rank[:0])
@@ -190,8 +202,9 @@ def require_termination(mdp: MDP) -> None:
     raise ModelError(
         "discount 1 needs every policy to end, and one does not",
         where="it stays for ever in " + ", ".join(named) + (f" and {more} more" if more else ""),
-        fix="choose a discount below 1 (discount=0.95), stop after N steps (--horizon "
-        f"{mdp.time_limit or 'N'}), or add a way out: a terminal state stays put and earns 0",
+        fix="use solve(mdp) or certify(mdp), choose a discount below 1, stop after N steps "
+        f"(--horizon {mdp.time_limit or 'N'}), or add a way out: a terminal state stays put and "
+        "earns 0",
     )
 
 

@@ -91,7 +91,7 @@ class SolverError(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class Certified:
-    """An exact number that a certificate proves.
+    """An exact number that a certificate proves; a total reward at discount 1 may be infinite.
 
     Examples
     --------
@@ -99,13 +99,15 @@ class Certified:
     1/3 (certified)
     """
 
-    value: Fraction
+    value: Fraction | float
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
 
     @property
     def interval(self) -> tuple[float, float]:
         """The number itself, rounded outward by less than one part in 10^15."""
+        if isinstance(self.value, float):
+            return self.value, self.value
         rounded = float(self.value)
         return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
 
@@ -117,7 +119,9 @@ class Certified:
         return Certified(value=-self.value)
 
 
-def _decimal(value: Fraction) -> Decimal:
+def _decimal(value: Fraction | float) -> Decimal:
+    if isinstance(value, float):
+        return Decimal(value)
     return Decimal(value.numerator) / Decimal(value.denominator)  # beyond floats' range, too
 
 
@@ -298,8 +302,8 @@ class Solution(Pictured):
         weights = np.array([float(weight) for _, weight in self.mdp.start])
         terms = weights * self.value[states]
         rounding = (len(states) + 2) * 2.0**-52 * float(np.abs(terms).sum())
-        if len(states) == 1 and weights[0] == 1:
-            rounding = 0.0
+        if (len(states) == 1 and weights[0] == 1) or not np.isfinite(terms.sum()):
+            rounding = 0.0  # what is infinite is so exactly
         error = float(weights @ self.state_error[states]) * (1 + 1e-9) + rounding
         return Bounded(value=float(terms.sum()), error=error)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol, TypeVar, overload
 
 from exact_mdp.mdp.care.operator import CareOperator
@@ -27,6 +28,7 @@ from exact_mdp.solvers.dynamic.operator import solve_operator
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+from exact_mdp.solvers.endless.total import endless, solve_total
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, Status
 
 SOLVERS: dict[str, type[Solver]] = {
@@ -106,7 +108,8 @@ def solve(
 ) -> object:
     """Return optimal values and a policy, with bounds on their error.
 
-    Optimal is the greatest value; of a model whose sense is "min", the least.
+    Optimal is the greatest value; of a model whose sense is "min", the least. At discount 1 a value
+    is infinite where what a policy earns has no bound; a policy may go on for ever.
 
     Parameters
     ----------
@@ -124,7 +127,8 @@ def solve(
         `mdp.within(horizon)`, whose states are times and states.
     start : a solution, (S,) floats or PolicyLike, optional
         Values near the optimum, or a policy, to begin with: of a similar model, say. The answer and
-        its bounds hold as without; models without cycles are solved in one pass all the same.
+        its bounds hold as without. Models without cycles are solved in one pass all the same; those
+        with a policy that never ends do not use it.
 
     Returns
     -------
@@ -134,8 +138,8 @@ def solve(
     Raises
     ------
     ModelError
-        For an unknown name, or a `tol` that the solver does not take; at discount 1 where not every
-        policy ends.
+        For an unknown name, or a `tol` that the solver does not take; at discount 1 where the best
+        policy goes on for ever and its total swings (`solvers.endless.structure`).
     SolverError
         Where a solver reaches a limit: of iterations, or of double precision.
 
@@ -166,6 +170,8 @@ def solve(
         mdp = mdp.within(horizon)
     if mdp.sense == "min":
         return solve(mdp.maximised, solver, tol=tol, start=opposite(mdp, start)).negated(mdp)
+    if endless(mdp):
+        return solve_total(mdp, partial(solve, solver=solver, tol=tol))
     if solver == "auto":
         if numbered_in_order(mdp) or levels(mdp) is not None:
             return _within(BackwardInduction().solve(mdp), tol)

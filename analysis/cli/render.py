@@ -284,6 +284,8 @@ def error_of(number: Certified | Bounded) -> float:
     """Return how far the float of a number may be off, rounded up; 0 where it is exact."""
     if isinstance(number, Bounded):
         return number.error
+    if isinstance(number.value, float):
+        return 0.0  # infinite, and that is exact
     lost = abs(number.value - Fraction(float(number.value)))
     return math.nextafter(float(lost), math.inf) if lost else 0.0
 
@@ -363,14 +365,16 @@ def at_most(error: float) -> str:
     return f"{Context(prec=2, rounding=ROUND_UP).create_decimal(error):g}"
 
 
-def ratio(value: Fraction) -> str:
-    """Return "p/q", or "p" for an integer, however many digits there are.
+def ratio(value: Fraction | float) -> str:
+    """Return "p/q", or "p" for an integer, however many digits there are; "inf" or "-inf".
 
     Examples
     --------
     >>> ratio(Fraction(-6, 4)), len(ratio(Fraction(10**9999)))
     ('-3/2', 10000)
     """
+    if isinstance(value, float):
+        return f"{value:g}"
     top = digits_of(value.numerator)
     return top if value.denominator == 1 else f"{top}/{digits_of(value.denominator)}"
 

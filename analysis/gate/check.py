@@ -199,7 +199,7 @@ class Audit(Pictured):
             return False, "it is undefined, because the optimal value is, or may be, 0"
         text = f"it is {self.relative_regret:.6g} ({self.claim})"
         if isinstance(best, Certified):
-            return self.regret.decided(limit * abs(best.value)), text
+            return self.regret.decided(limit * abs(Fraction(best.value))), text
         low, high = sorted(abs(Fraction(end)) for end in best.interval)
         if self.regret.decided(limit * low):
             return True, text

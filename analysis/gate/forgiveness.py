@@ -125,7 +125,7 @@ class Forgiveness:
     high: Fraction | float
     make: Callable[[], Fraction] | None = None
 
-    def covers(self, regret: Fraction) -> bool:
+    def covers(self, regret: Fraction | float) -> bool:
         """Return whether an exact regret is at most this, exactly."""
         if self.low < regret <= self.high and self.make is not None:
             self.low = self.high = self.make()

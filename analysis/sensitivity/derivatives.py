@@ -113,7 +113,7 @@ class ExactPass:
         for pair, gain in everything.items():
             gains[pair] = sign * fraction(gain)
         tied = _rewarded(self.mdp, np.flatnonzero(self.certificate.optimal_pairs), gains)
-        return sign * proven(tied).start_value
+        return sign * Fraction(proven(tied).start_value)
 
     def _earnings(self, change: RowChange, wanted: Sequence[bool]) -> dict[int, fmpq]:
         """Return ∂r + γ ∂P V + ∂γ P V of the wanted pairs (L,), where it is not zero by rule."""

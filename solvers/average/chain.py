@@ -26,16 +26,17 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, spans
-from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.proof.rationals import fractions, primes_of
 from exact_mdp.solvers.solution import SolverError, Status
-from exact_mdp.solvers.values.policy_chain import Mask, rows_of
 
+Mask = NDArray[np.bool_]
 csgraph = later("scipy.sparse.csgraph")
 
 

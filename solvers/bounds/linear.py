@@ -32,6 +32,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
@@ -216,6 +217,14 @@ def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
         chain.data[np.repeat(mdp.terminal, np.diff(chain.indptr))] = 0.0
         chain.eliminate_zeros()
     return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
+
+
+def rows_of(matrix: sp.csr_array, kept: NDArray[np.bool_]) -> sp.csr_array:
+    """Return a matrix with the rows that are not `kept` emptied."""
+    entries = np.repeat(kept, np.diff(matrix.indptr))
+    lengths = np.where(kept, np.diff(matrix.indptr), 0)
+    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
+    return sp.csr_array((matrix.data[entries], matrix.indices[entries], offsets), matrix.shape)
 
 
 def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:

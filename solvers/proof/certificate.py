@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from math import lcm
+from math import inf, lcm
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -66,12 +66,14 @@ class Certificate(ExactClaims, Pictured):
     unique : bool
         Whether every state that optimal actions reach from the start has only one optimal action,
         terminal states aside, in which it does not matter what is done.
-    start_value : Fraction
+    start_value : Fraction, or an infinite float
         Optimal value of the start distribution.
     rank : (S,) int64, optional
         Proof that every policy ends, where the discount alone does not make values unique.
     weight : (S,) sequence of int, optional
         Another such proof, for floats on a cycle whose rows sum to more than 1.
+    endless : EndlessClaims, optional
+        What proves the values, and tells the infinite ones, where some policy never ends.
     mdp : MDP, optional
         The model, unless the certificate was read from a file.
 
@@ -102,8 +104,18 @@ class Certificate(ExactClaims, Pictured):
 
     @cached_property
     def value(self) -> Numbers:
-        """(S,) the optimal values as Fractions."""
-        return fractions(self.numerator, self._below, primes_of(self.denominator))
+        """(S,) the optimal values as Fractions; `math.inf` and `-math.inf` where infinite."""
+        found = fractions(self.numerator, self._below, primes_of(self.denominator))
+        return found if self.endless is None else self._infinite(found)
+
+    def _infinite(self, values: Numbers) -> Numbers:
+        """Return the values (S,) with infinities where the certificate claims these."""
+        assert self.endless is not None
+        found = values.copy()
+        for sign in (1, -1):
+            found[self.endless.sign == sign] = sign * inf
+        found.setflags(write=False)
+        return found
 
     @cached_property
     def gaps(self) -> Numbers:
@@ -119,7 +131,8 @@ class Certificate(ExactClaims, Pictured):
         Raises ModelError where one is beyond the floats.
         """
         top, bottom = np.array(self.numerator, object), np.array(self._below, object)
-        return divide(top, bottom)
+        found = divide(top, bottom)
+        return found if self.endless is None else self._infinite(found)
 
     @property
     def optimal(self) -> NDArray[np.bool_]:
@@ -303,7 +316,7 @@ def _model(given: MDP | None, own: MDP | None) -> MDP:
     return mdp
 
 
-def _rounded(value: Fraction) -> float:
+def _rounded(value: Fraction | float) -> float:
     """Return a float, infinite where the number is beyond the floats."""
     try:
         return float(value)

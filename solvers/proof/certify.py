@@ -27,6 +27,8 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.bounds.bounds import margin_weights
+from exact_mdp.solvers.endless.proven import certify_total
+from exact_mdp.solvers.endless.total import endless
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.proof.margins import UNIT, falling, gains
@@ -121,7 +123,10 @@ def certify(
             model=fingerprint(mdp),
             numerator=[-number for number in of_rewards.numerator],
             start_value=-of_rewards.start_value,
+            endless=None if of_rewards.endless is None else of_rewards.endless.negated(),
         )
+    if endless(mdp):
+        return certify_total(mdp)
     rank, weight = _proof(mdp)
     pairs, optimal = _contenders(mdp), np.zeros(mdp.n_pairs, dtype=bool)
     found = solve_exactly(bellman_rows(mdp, pairs))

@@ -6,6 +6,8 @@ all transitions, or γ Σ P_l ≤ 1 and it falls along one of each pair (Bertsek
 Mathematics of Operations Research 16, 1991); or where w > γ P w for some w > 0 (a contraction in
 the norm weighted by w).
 
+Where some policy never ends, `solvers.proof.endless` takes the place of such a proof.
+
 Checks a bounded certificate against the model alone, in floats, however it was found.
 
 If w > γ P w in all rows for some w > 0, then the Bellman equations have one solution V. If also
@@ -20,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from math import lcm
+from math import inf, lcm
 from operator import mul
 from typing import Any
 
@@ -28,9 +30,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.chain import reachable
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums, slack_signs
+from exact_mdp.mdp.exact import (
+    BellmanRows,
+    bellman_rows,
+    fingerprint,
+    per_step,
+    row_sums,
+    slack_signs,
+)
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.proof.endless import (
+    EndlessClaims,
+    endless_violations,
+    finite_part,
+    malformed,
+    optimal_infinite,
+)
 from exact_mdp.solvers.proof.margins import falling, gains, others, undecided
 
 
@@ -47,9 +63,10 @@ class ExactClaims:
     gap: Sequence[int | None]
     gap_scale: Sequence[int]
     unique: bool
-    start_value: Fraction
+    start_value: Fraction | float
     rank: Integers | None = None
     weight: Sequence[int] | None = None
+    endless: EndlessClaims | None = None
 
     def __post_init__(self) -> None:
         for array in (self.group, self.policy, self.optimal_pairs, self.rank):
@@ -77,6 +94,7 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     wrong = not_of(mdp, found.model, found.numerator, found.group, found.gap, found.gap_scale)
     weight = () if found.weight is None else found.weight
     halves: Any = [getattr(found.start_value, name, None) for name in ("numerator", "denominator")]
+    halves = [0, 1] if found.start_value in (inf, -inf) else halves
     wrong += [f"its {name} are not all of type int, which holds any integer" for name, values in (
         ("numerators", found.numerator), ("denominators", found.denominator),
         ("gaps", [gap for gap in found.gap if gap is not None]), ("gap scales", found.gap_scale),
@@ -94,32 +112,80 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
         return wrong or ["a denominator is not positive"]
     if mdp.sense == "min":  # the least costs are minus the greatest of rewards times -1
         value = [-number for number in found.numerator]
-        found, mdp = replace(found, numerator=value, start_value=-found.start_value), mdp.maximised
-    ends = mdp.terminal
-    if not _one_solution(mdp, found.rank, found.weight):
-        wrong.append("nothing proves that the Bellman equations have one solution")
+        without = None if found.endless is None else found.endless.negated()
+        found = replace(found, numerator=value, start_value=-found.start_value, endless=without)
+        mdp = mdp.maximised
+    ends, pairs = mdp.terminal, policy_pairs(mdp, found.policy)
+    if pairs is None or not found.optimal_pairs[pairs].all():
+        return ["the policy takes a pair that is not optimal"]
     wrong += [
         f"terminal state {s} is not worth 0"
         for s in np.flatnonzero(ends).tolist()
         if found.numerator[s]
     ]
-    kept = undecided(mdp, found)
-    wrong += _equations(
-        bellman_rows(mdp, kept), replace(found, optimal_pairs=found.optimal_pairs[kept])
-    )
-    pairs = policy_pairs(mdp, found.policy)
-    if pairs is None or not found.optimal_pairs[pairs].all():
-        wrong.append("the policy takes a pair that is not optimal")
+    if found.endless is not None:
+        wrong += _without_end(found, found.endless, mdp, pairs)
+    else:
+        missed = mdp.goal is not None and bool((ends & ~mdp.goal).any())
+        if missed or not _one_solution(mdp, found.rank, found.weight):
+            wrong.append("nothing proves that the Bellman equations have one solution")
+        kept = undecided(mdp, found)
+        wrong += _equations(
+            bellman_rows(mdp, kept), replace(found, optimal_pairs=found.optimal_pairs[kept])
+        )
     choices = np.add.reduceat(found.optimal_pairs.astype(np.int64), mdp.pair_offsets[:-1])
     reached = reachable(mdp, pairs=found.optimal_pairs) & ~ends
     if found.unique is not bool((choices[reached] == 1).all()):
         wrong.append(f"it says wrongly that the optimum is {'' if found.unique else 'not '}unique")
-    below = found.denominator
-    if found.start_value != sum(
-        weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start
-    ):
+    if found.start_value != _start_value(found, mdp):
         wrong.append("the start value is not that of the start states")
     return wrong
+
+
+def _start_value(found: ExactClaims, mdp: MDP) -> Fraction | float | None:
+    """Return the value of the start; None where it is +∞ of one state and -∞ of another."""
+    states = [state for state, weight in mdp.start if weight]
+    if found.endless is not None and found.endless.sign[states].any():
+        least, most = found.endless.sign[states].min(), found.endless.sign[states].max()
+        return None if least * most < 0 else inf * int(least + most)
+    below = found.denominator
+    return sum(
+        (weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start),
+        Fraction(0),
+    )
+
+
+def _without_end(found: ExactClaims, claims: EndlessClaims, mdp: MDP, pairs: Integers) -> list[str]:
+    """Check values that may be infinite; see `solvers.proof.endless`."""
+    wrong = malformed(claims, mdp.n_states)
+    if mdp.discount_exact != 1:
+        wrong.append("below discount 1 no value is infinite")
+    step = per_step(mdp)
+    rows = bellman_rows(step)
+    part = None if wrong else finite_part(claims, rows)
+    if part is None:
+        return wrong or ["a finite state has no pair that leads to finite states only"]
+    equations, kept = part
+    infinite = claims.sign != 0
+    optimal = found.optimal_pairs[kept].copy()
+    optimal[infinite[mdp.pair_state[kept]]] = True
+    marked = optimal_infinite(claims, rows)
+    if (
+        found.optimal_pairs
+        != np.where(infinite[mdp.pair_state], marked, found.optimal_pairs & kept)
+    ).any():
+        wrong.append("the optimal actions of some state are not those of the model")
+    wrong += [
+        f"state {s} has a value and is infinite"
+        for s in np.flatnonzero(infinite).tolist()
+        if found.numerator[s]
+    ]
+    wrong += _equations(equations, replace(found, optimal_pairs=optimal))
+
+    def value(state: int) -> Fraction:
+        return Fraction(found.numerator[state], found.denominator[found.group[state]])
+
+    return wrong + endless_violations(claims, step, rows, pairs, found.optimal_pairs, value)
 
 
 def not_of(mdp: MDP, model: str, *by_state: Sequence[object] | Numbers) -> list[str]:

@@ -22,10 +22,14 @@ An exact certificate has besides them
     optimal       a string of L digits, 1 for optimal pairs
     rank          [S integers], or null
     weight        [S integers], or null
+    endless       only where some policy never ends (`solvers.proof.endless`):
+                  {"sign": [S of -1, 0, 1: 1 where the value is infinite], "rank": [S integers],
+                  "order": [S integers], "potential": [S rationals], "drift": null, or two lists
+                  of S rationals}; a rational is [numerator, denominator]
 
-where every integer of unbounded size is a string in hexadecimal, such as "-1f4" for -500: Python
-refuses to read or write more than 4,300 decimal digits, and hexadecimal takes linear time. A
-bounded certificate has
+An infinite start_value is "inf" or "-inf". Every integer of unbounded size is a string in
+hexadecimal, such as "-1f4" for -500: Python refuses to read or write more than 4,300 decimal
+digits, and hexadecimal takes linear time. A bounded certificate has
 
     lower, upper, weight   [S floats], each a string in C99's hexadecimal form, such as "0x1.8p+1"
 
@@ -54,6 +58,7 @@ from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.average.checker import AverageClaims, Rationals
 from exact_mdp.solvers.proof.checker import BoundedClaims, ExactClaims
+from exact_mdp.solvers.proof.endless import EndlessClaims
 from exact_mdp.solvers.proof.rationals import fraction
 
 FORMAT, VERSION = "exact-mdp certificate", 1
@@ -91,11 +96,10 @@ def _body(found: ExactClaims | BoundedClaims | AverageClaims) -> tuple[str, dict
 
 
 def _exact(found: ExactClaims) -> dict[str, object]:
-    start = found.start_value
     return {
         "pairs": len(found.optimal_pairs),
         "unique": found.unique,
-        "start_value": _hex([start.numerator, start.denominator]),
+        "start_value": _rational(found.start_value),
         "denominators": _hex(found.denominator),
         "group": found.group.tolist(),
         "numerators": _hex(found.numerator),
@@ -104,7 +108,20 @@ def _exact(found: ExactClaims) -> dict[str, object]:
         "optimal": "".join(np.where(found.optimal_pairs, "1", "0")),
         "rank": None if found.rank is None else found.rank.tolist(),
         "weight": None if found.weight is None else _hex(found.weight),
+        **({} if found.endless is None else {"endless": _endless(found.endless)}),
     }
+
+
+def _endless(found: EndlessClaims) -> dict[str, object]:
+    listed = {name: getattr(found, name).tolist() for name in ("sign", "rank", "order")}
+    drift = None if found.drift is None else [list(map(_rational, each)) for each in found.drift]
+    return listed | {"potential": list(map(_rational, found.potential)), "drift": drift}
+
+
+def _rational(number: Fraction | float) -> object:
+    if isinstance(number, float):
+        return str(number)  # "inf" or "-inf"
+    return _hex([number.numerator, number.denominator])
 
 
 def _hex(numbers: Sequence[int | None]) -> list[str | None]:
@@ -128,10 +145,12 @@ def exact_fields(path: str | Path) -> dict[str, Any]:
         "gap": file.get("gaps", _list_of(_or_none(_positive), states)),
         "gap_scale": file.get("gap_scales", _list_of(_positive, states)),
         "unique": file.get("unique", _typed(bool)),
-        "start_value": file.get("start_value", _fraction),
+        "start_value": file.get("start_value", _value),
         "rank": file.get("rank", _or_none(_array_of(states))),
         "weight": file.get("weight", _or_none(_list_of(_integer, states))),
     }
+    if "endless" in file.data:
+        found["endless"] = file.get("endless", partial(_endless_of, states))
     marks = file.get("optimal", _typed(str))
     if found["group"].max(initial=0) >= len(found["denominator"]):
         raise file.error("group")
@@ -236,6 +255,24 @@ def _fraction(pair: list[str]) -> Fraction:
 def _rationals(length: int) -> Read:
     return lambda parts: Rationals(
         _list_of(_integer, length)(parts["top"]), _positive(parts["below"])
+    )
+
+
+def _value(content: Any) -> Fraction | float:
+    return float(content) if content in ("inf", "-inf") else _fraction(content)
+
+
+def _endless_of(states: int, content: dict[str, Any]) -> EndlessClaims:
+    """Return the claims; one that is missing is a KeyError, as a key of the file is."""
+    rationals, drift = _list_of(_fraction, states), content["drift"]
+    means, biases = ([], []) if drift is None else map(rationals, drift)
+    signs = np.array(_list_of(_typed(int), states)(content["sign"]), dtype=np.int64)
+    return EndlessClaims(
+        sign=_wanted(signs, bool((np.abs(signs) <= 1).all())),
+        rank=_array_of(states)(content["rank"]),
+        order=_array_of(states)(content["order"]),
+        potential=rationals(content["potential"]),
+        drift=None if drift is None else (means, biases),
     )
 
 

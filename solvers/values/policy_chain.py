@@ -35,7 +35,7 @@ from exact_mdp.mdp.table import (
     exact,
 )
 from exact_mdp.solvers.bounds.bounds import levels
-from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
 from exact_mdp.solvers.solver import solve
 
 csgraph = later("scipy.sparse.csgraph")
@@ -272,14 +272,6 @@ def transposed(system: LinearSystem) -> LinearSystem:
         order=None if system.order is None else -system.order,
         roundings=system.roundings,
     )
-
-
-def rows_of(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
-    """Return a matrix with the rows that are not `kept` emptied."""
-    entries = np.repeat(kept, np.diff(matrix.indptr))
-    lengths = np.where(kept, np.diff(matrix.indptr), 0)
-    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
-    return sp.csr_array((matrix.data[entries], matrix.indices[entries], offsets), matrix.shape)
 
 
 def closure(matrix: sp.csr_array, first: Mask) -> Mask:

@@ -279,8 +279,6 @@ REFUSED = {
     "tolerance of a word": "solve yuan2025 --tol small",
     "tolerance too large": "solve yuan2025 --tol 1e999",
     "cycles": "solve gymnasium:FrozenLake-v1 --discount 0.9 --method backward-induction",
-    "never ends": "solve gymnasium:FrozenLake-v1 --discount 1",
-    "never ends, certified": "solve gymnasium:FrozenLake-v1 --certify",
     "policy never ends": "evaluate gymnasium:CliffWalking-v1 always:0",
     "wrong ending": "solve yuan2025 --out values.csv",
     "policy of wrong ending": "solve yuan2025 --policy-out policy.npz",

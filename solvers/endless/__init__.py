@@ -1,0 +1,1 @@
+"""The total reward at discount 1, where some policy never ends."""

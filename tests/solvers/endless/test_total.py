@@ -1,0 +1,245 @@
+"""The total reward at discount 1 against the enumeration of all policies, and what proves it."""
+
+from dataclasses import replace
+from fractions import Fraction as F
+from math import inf
+
+import numpy as np
+import pytest
+from endless_oracle import best, reaching, total
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from strategies import Row, distributions, model_of
+
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.solvers import certify, solve
+from exact_mdp.solvers.proof.certificate import Certificate
+
+REWARDS = ([0, 0, 1], [0, 0, -1], [0, 1, -1], [0], [-2, -1, 0, 1, F(1, 2)], [1, -1])
+Pairs = tuple[int, tuple[Row, ...]]
+
+
+@st.composite
+def any_models(draw: st.DrawFn, most: int = 6) -> Pairs:
+    """Draw a model of any kind: end components, rewards of either sign, absorbing states."""
+    size = draw(st.integers(1, most))
+    rewards = draw(st.sampled_from(REWARDS))
+    pairs: list[Row] = []
+    for s in range(size):
+        for a in range(draw(st.integers(1, 2 if size > 4 else 3))):
+            reward = F(draw(st.sampled_from(rewards)))
+            one = draw(st.booleans())
+            row = (
+                {draw(st.integers(0, size - 1)): F(1)} if one else draw(distributions(range(size)))
+            )
+            pairs.append((s, a, reward, row))
+    return size, tuple(pairs)
+
+
+def chain_of(size: int, pairs: tuple[Row, ...], policy: np.ndarray) -> tuple:
+    chosen = [row for row in pairs if policy[row[0]] == row[1]]
+    return [[row[3].get(t, F(0)) for t in range(size)] for row in chosen], [
+        row[2] for row in chosen
+    ]
+
+
+def close(mdp: MDP, value: list, found) -> None:
+    for exact, number, error in zip(value, found.value, found.state_error, strict=True):
+        assert number == exact or abs(F(float(number)) - exact) <= F(float(error))
+    assert found.error_bound < 1e-6
+
+
+@given(model=any_models())
+def test_values_are_the_best_of_all_policies(model: Pairs) -> None:
+    size, pairs = model
+    mdp = model_of(size, pairs, F(1))
+    value, swings = best(pairs, size)
+    try:
+        found = certify(mdp)
+    except ModelError:
+        assert swings
+        with pytest.raises(ModelError, match="has no limit"):
+            solve(mdp)
+        return
+    assert found.value.tolist() == value
+    assert found.violations() == []
+    assert found.start_value == value[0]
+    assert total(*chain_of(size, pairs, found.policy)) == value
+    floats = solve(mdp)
+    close(mdp, value, floats)
+    assert total(*chain_of(size, pairs, np.asarray(floats.policy))) == value
+
+
+@given(
+    model=any_models(5), worth=st.sampled_from([inf, -inf]), sense=st.sampled_from(["max", "min"])
+)
+def test_a_goal_that_is_missed(model: Pairs, worth: float, sense: str) -> None:
+    size, pairs = model
+    pairs = ((0, 0, F(0), {0: F(1)}), *(row for row in pairs if row[0]))
+    mdp = model_of(size, pairs, F(1))
+    goal = np.arange(size) == 0
+    mdp = replace(mdp, goal=goal, unreached=worth, sense=sense)
+    sign = 1 if sense == "max" else -1
+    value = reaching(pairs, size, worth, sign)
+    try:
+        found = certify(mdp)
+    except ModelError:  # costs that fall without end before the goal
+        assert {row[2] < 0 for row in pairs if row[2]} == {True, False}
+        assume(False)
+    assert found.value.tolist() == value
+    assert found.violations() == []
+    close(mdp, value, solve(mdp))
+
+
+@pytest.mark.parametrize("way", ["refused", "drift"])
+def test_totals_without_a_limit_are_refused_by_name(way: str) -> None:
+    rows = {
+        "refused": [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1)])],
+        "drift": [
+            (0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]),
+            (1, 0, [(1, 1, 1)]),
+            (2, 0, [(1, 2, -1)]),
+        ],
+    }[way]
+    with pytest.raises(ModelError, match="has no limit"):
+        certify(MDP.from_outcomes(rows))
+
+
+def test_a_total_that_settles_without_an_end() -> None:
+    # From state 0 to either state alike, and back: half a step ahead on average, for ever.
+    half = [("1/2", 0, 1), ("1/2", 1, 1)]
+    mdp = MDP.from_outcomes([(0, 0, half), (1, 0, [("1/2", 0, -1), ("1/2", 1, -1)])])
+    found = certify(mdp)
+    assert found.value.tolist() == [1, -1]
+    assert found.violations() == []
+    assert solve(mdp).value.tolist() == [1, -1]
+
+
+def test_gains_and_losses_together_go_by_the_mean() -> None:
+    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 1)])]
+    for loss, value in ((-3, -inf), (F(-1, 2), inf)):
+        found = certify(MDP.from_outcomes([*rows, (2, 0, [(1, 2, loss)])]))
+        assert found.value.tolist() == [value, inf, -inf]
+        assert found.violations() == []
+
+
+def test_the_policy_does_not_rest_where_resting_is_worth_less(tmp_path) -> None:
+    # Waiting in state 0 keeps its value, -1 or 5, which only leaving it earns.
+    for reward in (-1, 5):
+        rest = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 2, reward)])]
+        # A loss for ever, so that resting is not free.
+        rows = [*rest, (2, 0, [(1, 2, 0)]), (3, 0, [(1, 3, -1)])]
+        mdp = MDP.from_outcomes(rows, start={1: 1})
+        found, floats = certify(mdp), solve(mdp)
+        leaves = reward > 0
+        assert found.value.tolist() == [max(0, reward)] * 2 + [0, -inf]
+        assert (found.policy[1] == 1) == leaves == (floats.policy[1] == 1)
+        found.save(tmp_path / "proof.json")
+        again = Certificate.load(tmp_path / "proof.json")
+        assert again.violations(mdp) == []
+        assert again.value.tolist() == found.value.tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("FrozenLake-v1", 14 / 17), ("CliffWalking-v1", -13), ("Taxi-v4", 7.93)]
+)
+def test_mazes_of_gymnasium(name: str, value: float) -> None:
+    pytest.importorskip("gymnasium")
+    mdp = MDP.from_gymnasium(name)
+    found, proof = solve(mdp), certify(mdp)
+    assert found.start_value == pytest.approx(value, abs=1e-9)
+    assert float(proof.start_value) == pytest.approx(value, abs=1e-12)
+    assert proof.violations() == []
+
+
+# ---- planted faults ------------------------------------------------------------------------------
+
+
+def mixed() -> MDP:
+    """States of all kinds: a rest left for 5, one of -1 left for a loss, +∞, -∞, and the end."""
+    return MDP.from_outcomes(
+        [
+            (0, 0, [(1, 1, 0)]),
+            (0, 1, [(1, 5, 2)]),
+            (1, 0, [(1, 0, 0)]),
+            (1, 1, [(1, 5, 5)]),
+            (2, 0, [(1, 3, -1)]),
+            (2, 1, [(1, 2, -1)]),
+            (3, 0, [("1/2", 4, 0), ("1/2", 5, -2)]),
+            (4, 0, [(1, 4, 0)]),
+            (5, 0, [(1, 5, 0)]),
+            (6, 0, [(1, 7, -1)]),
+            (6, 1, [(1, 5, -1)]),
+            (7, 0, [(1, 7, 3)]),
+            (7, 1, [(1, 6, -1)]),
+            (8, 0, [("1/2", 8, -1), ("1/2", 9, 1)]),
+            (9, 0, [(1, 8, -2)]),
+            (9, 1, [(1, 9, -1)]),
+        ]
+    )
+
+
+def changed(array: np.ndarray, place: int, value: int) -> np.ndarray:
+    array = array.copy()
+    array[place] = value
+    return array
+
+
+def test_faults_are_caught() -> None:
+    mdp = mixed()
+    found = certify(mdp)
+    assert found.violations() == []
+    assert found.value.tolist() == [5, 5, -2, -1, 0, 0, inf, inf, -inf, -inf]
+    claims = found.endless
+    assert claims is not None
+    finite, rest = range(6), [0] * 10
+    faults = [
+        replace(claims, sign=changed(claims.sign, 7, 0)),
+        replace(claims, sign=changed(claims.sign, 8, 0)),
+        replace(claims, sign=changed(claims.sign, 9, 1)),
+        replace(claims, sign=changed(claims.sign, 0, 1)),
+        replace(claims, sign=-claims.sign),
+        replace(claims, rank=changed(claims.rank, 1, 0)),
+        replace(claims, rank=changed(claims.rank, 0, 0)),
+        replace(claims, rank=changed(claims.rank, 7, 1)),
+        replace(claims, rank=changed(claims.rank, 2, -1)),
+        replace(claims, order=changed(claims.order, 0, int(claims.order[0]) + 1)),
+        replace(claims, order=changed(claims.order, 2, int(claims.order[3]))),
+        replace(claims, order=changed(claims.order, 9, int(claims.order[9]) + 1)),
+        replace(claims, potential=[F(0)] * 10),
+        replace(claims, potential=[-x for x in claims.potential]),
+        replace(claims, potential=rest),
+        replace(claims, drift=([F(0)] * 10, [F(0)] * 10)),
+    ]
+    for number, fault in enumerate(faults):
+        assert replace(found, endless=fault).violations(), number
+    for state in finite:
+        value = list(found.numerator)
+        value[state] += 1
+        assert replace(found, numerator=value).violations()
+    # State 1 may come back to state 0, at no loss; staying for ever is worth nothing.
+    assert replace(found, policy=changed(found.policy, 1, 0)).violations()
+    assert replace(found, policy=changed(found.policy, 7, 1)).violations()
+    assert replace(found, policy=changed(found.policy, 2, 1)).violations()
+    marks = changed(found.optimal_pairs, mdp.pair(6, 1), True)
+    assert replace(found, optimal_pairs=marks).violations()
+    assert replace(found, start_value=inf).violations()
+    assert replace(found, endless=None).violations()
+
+
+def test_faults_in_a_drift_are_caught() -> None:
+    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, -3)])]
+    found = certify(MDP.from_outcomes([*rows, (0, 1, [(1, 1, -9)])]))
+    assert found.value.tolist() == [inf, inf, -inf]
+    mixed_only = certify(MDP.from_outcomes(rows))
+    claims = mixed_only.endless
+    assert claims is not None
+    assert claims.drift is not None
+    mean, bias = claims.drift
+    for place, way in ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
+        other = list(mean)
+        other[place] += way
+        fault = replace(claims, drift=(other, bias))
+        assert replace(mixed_only, endless=fault).violations()
+    other = [x + F(i) for i, x in enumerate(bias)]
+    assert replace(mixed_only, endless=replace(claims, drift=(mean, other))).violations()
