@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.gate.comparison import PolicyComparison, compare
     from exact_mdp.analysis.graph import dot
     from exact_mdp.analysis.sensitivity.curve import value_function
+    from exact_mdp.analysis.tradeoffs.front import tradeoff
 
 __all__ = [
     "Audit",
@@ -28,6 +29,7 @@ __all__ = [
     "check",
     "compare",
     "dot",
+    "tradeoff",
     "value_function",
     "value_of_memory",
 ]
@@ -43,6 +45,7 @@ __getattr__, __dir__ = names_later(
             "value_of_memory",
         ],
         "exact_mdp.analysis.sensitivity.curve": ["value_function"],
+        "exact_mdp.analysis.tradeoffs.front": ["tradeoff"],
         "exact_mdp.analysis.gate.comparison": ["PolicyComparison", "compare"],
         "exact_mdp.analysis.graph": ["dot"],
     },

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis import assert_policy_optimal, check
+    from exact_mdp.analysis import assert_policy_optimal, check, tradeoff
     from exact_mdp.mdp import (
         MDP,
         Family,
@@ -78,10 +78,11 @@ __all__ = [
     "simulate",
     "solve",
     "solve_robust",
+    "tradeoff",
 ]
 
 _MDP = ("MDP", "Family", "ModelError", "Parameter", "Policy", "PolicyLike", "Scenario", "moving")
-_ANALYSIS = ("assert_policy_optimal", "check")
+_ANALYSIS = ("assert_policy_optimal", "check", "tradeoff")
 __getattr__, __dir__ = names_later(
     __name__,
     {

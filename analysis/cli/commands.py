@@ -582,6 +582,28 @@ def perception() -> None:
     """
 
 
+@command(
+    "tradeoff:tradeoff", "The exact front of two or three expected totals.", epilog=POLICY_HELP
+)
+@model
+@click.argument("names", nargs=-1, required=True, metavar="A B [C]")
+@click.option(
+    "--policy",
+    "policies",
+    multiple=True,
+    metavar="POLICY",
+    help="A policy to place beside the front, with its distance. May be repeated.",
+)
+@horizon
+@of_model
+def tradeoff() -> None:
+    """Compute the exact Pareto front of the expected totals A, B and C from MODEL's start.
+
+    Each is a component of the reward, steps, an event, a label that is not left again, or a sum:
+    name=2*a-b. The front maximises all of them; in a model of costs it minimises them.
+    """
+
+
 COMMANDS = (
     new,
     lint,
@@ -598,4 +620,5 @@ COMMANDS = (
     sensitivity,
     explore,
     perception,
+    tradeoff,
 )

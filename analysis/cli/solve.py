@@ -19,6 +19,7 @@ from exact_mdp.mdp.io.load import Loaded, load_scenario
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.solution import Bounded, Certified
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
@@ -64,7 +65,7 @@ def solve(
         "status": str(solution.status) if solution else None,
         "solver": solution.solver if solution else None,
         "written": written,
-        **_policy(mdp, found),
+        **policy_words(mdp, found.policy),
     }
     facts: dict[str, Any] = {"method": found.method}
     if solution:
@@ -109,9 +110,9 @@ def _as_operator(
     return Given(endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=())
 
 
-def _policy(mdp: MDP, found: Optimum) -> dict[str, dict[str, str] | None]:
+def policy_words(mdp: MDP, policy: Integers) -> dict[str, dict[str, str] | None]:
     """Return the policy by status at subtask 0, trial 0, or by state where there are few."""
-    names = [mdp.actions[action] for action in found.policy]
+    names = [mdp.actions[action] for action in policy]
     if {"subtask", "trial", "status"} <= set(mdp.space.names):
         column = mdp.space.column("status")
         first = {column.label(value): mdp.space.index(status=value) for value in range(column.size)}

@@ -127,7 +127,7 @@ def certify(
         )
     if endless(mdp):
         return certify_total(mdp)
-    rank, weight = _proof(mdp)
+    rank, weight = uniqueness(mdp)
     pairs, optimal = _contenders(mdp), np.zeros(mdp.n_pairs, dtype=bool)
     found = solve_exactly(bellman_rows(mdp, pairs))
     optimal[pairs], first = found.optimal, mdp.pair_offsets[:-1]
@@ -184,7 +184,7 @@ def _worth(mdp: MDP, value: Floats, sign: int) -> Floats:
     return np.asarray(own + gain + sign * (error + 4 * UNIT * (np.abs(own) + np.abs(gain) + error)))
 
 
-def _proof(mdp: MDP) -> tuple[Integers | None, list[int] | None]:
+def uniqueness(mdp: MDP) -> tuple[Integers | None, list[int] | None]:
     """Return what proves that values are unique: nothing, a rank, or weights."""
     slack = slack_signs(mdp)[~mdp.terminal[mdp.pair_state]]
     if (slack > 0).all():

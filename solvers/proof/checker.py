@@ -127,7 +127,7 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
         wrong += _without_end(found, found.endless, mdp, pairs)
     else:
         missed = mdp.goal is not None and bool((ends & ~mdp.goal).any())
-        if missed or not _one_solution(mdp, found.rank, found.weight):
+        if missed or not one_solution(mdp, found.rank, found.weight):
             wrong.append("nothing proves that the Bellman equations have one solution")
         kept = undecided(mdp, found)
         wrong += _equations(
@@ -206,7 +206,8 @@ def policy_pairs(mdp: MDP, policy: Integers) -> Integers | None:
     return pairs if (offered[pairs] == wanted).all() else None
 
 
-def _one_solution(mdp: MDP, rank: Integers | None, weight: Sequence[int] | None) -> bool:
+def one_solution(mdp: MDP, rank: Integers | None, weight: Sequence[int] | None) -> bool:
+    """Return whether a discount, a rank or weights prove that equations have one solution."""
     live, state = ~mdp.terminal, mdp.pair_state
     open_pairs = live[state]
     slack = slack_signs(mdp)[open_pairs]  # of 1 - γ Σ P

@@ -1,0 +1,94 @@
+"""What `tradeoff` does: the exact front of two or three totals, and policies beside it."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+from exact_mdp.analysis.cli.options import given, policy_from
+from exact_mdp.analysis.cli.render import Report, Table
+from exact_mdp.analysis.cli.solve import policy_words
+from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
+from exact_mdp.mdp.model import MDP
+
+
+def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any) -> Report:
+    """Compute a front."""
+    asked = given(**shared)
+    mdp = asked.mdp
+    front = front_of(mdp, names)
+    vertices = front.vertices
+    beside, placed = [], []
+    for form in policies:
+        policy = policy_from(mdp, form)
+        totals, far = front.totals(policy), front.distance(policy)
+        beside.append({"policy": form, "values": _named(front.names, totals), "distance": far})
+        placed.append({"policy": form, **_floats(front.names, totals), "distance": float(far)})
+    edges = [
+        {
+            "from": edge.start,
+            "to": edge.end,
+            "rate": edge.rate
+            if isinstance(edge.rate, Fraction)
+            else _named(front.names, edge.rate),
+        }
+        for edge in front.edges
+    ]
+    result = {
+        "names": list(front.names),
+        "claim": front.claim,
+        "vertices": [
+            {"values": _named(front.names, vertex), **_policy(mdp, policy)}
+            for vertex, policy in zip(vertices, front.policies, strict=True)
+        ],
+        "edges": edges,
+        "facets": [
+            {"weights": _named(front.names, weights), "vertices": list(tight)}
+            for weights, tight in front.facets
+        ],
+        "policies": beside,
+    }
+    two = len(front.names) == 2
+    costs = [None, *(float(edge.change[1] / -edge.change[0]) for edge in front.edges if two)]
+    rows = [
+        _floats(front.names, vertex) | ({"rate": costs[number]} if two else {})
+        for number, vertex in enumerate(vertices)
+    ]
+    facts = {
+        "vertices": len(vertices),
+        "claim": "certified: exact, and no policy is beyond",
+        "more is": "worse: totals are costs" if mdp.sense == "min" else None,
+    }
+    each = {name: f"{name}:.10g" for name in front.names}
+    tables = [
+        Table(
+            title="vertices of the front",
+            rows=rows,
+            columns={**each, "rate": "rate:.6g"} if two else each,
+            note=f"rate: how much {front.names[1]} one point of {front.names[0]} costs on the way "
+            "from the row above"
+            if two
+            else "",
+        ),
+        Table(
+            title="policies beside the front",
+            rows=placed,
+            columns={"policy": "policy", **each, "distance": "distance:.6g"},
+            note="distance: by how much every total could be better at once",
+        ),
+    ]
+    return asked.report(result, facts, tables)
+
+
+def _named(names: tuple[str, ...], values: Any) -> dict[str, Fraction]:
+    return dict(zip(names, values, strict=True))
+
+
+def _floats(names: tuple[str, ...], values: Any) -> dict[str, Any]:
+    return {name: float(value) for name, value in _named(names, values).items()}
+
+
+def _policy(mdp: MDP, policy: Any) -> dict[str, Any]:
+    """Return a policy by status where there are such, else by state."""
+    words = policy_words(mdp, policy)
+    return {"policy": words["policy"] or words["policy_by_state"]}

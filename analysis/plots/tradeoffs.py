@@ -1,0 +1,42 @@
+"""The front of two totals: its vertices and edges, and policies beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+
+from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, axes_or_new, plain_text
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.policies.policy import PolicyLike
+
+if TYPE_CHECKING:
+    from exact_mdp.analysis.tradeoffs.front import Front
+
+
+@plain_text
+def draw_front(
+    found: Front, *, policies: Mapping[str, PolicyLike] | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw a front of two totals, and policies by name with their distance from it."""
+    if len(found.names) != 2:
+        raise ModelError(
+            "a front of three totals has no flat picture", where="plot", fix="name two totals"
+        )
+    ax = axes_or_new(ax)
+    across, up = ([float(value) for value in own] for own in zip(*found.vertices, strict=True))
+    ax.plot(across, up, color=BLUE, marker="o", markersize=4, label="front", zorder=2)
+    for number, (name, policy) in enumerate((policies or {}).items()):
+        x, y = map(float, found.totals(policy))
+        far = float(found.distance(policy))
+        label = f"{name} (on the front)" if far == 0 else f"{name} (distance {far:.3g})"
+        mark, ink = MARKS[1 + number % (len(MARKS) - 1)], INK[number % len(INK)]
+        ax.plot([x], [y], linestyle="", marker=mark, color=ink, label=label, zorder=3)
+        if far:
+            sign = found.objectives.sign * far
+            ax.plot([x, x + sign], [y, y + sign], color=BLACK, linewidth=0.8, linestyle=":")
+    ax.set_xlabel(f"expected total of {found.names[0]}")
+    ax.set_ylabel(f"expected total of {found.names[1]}")
+    ax.legend()
+    return ax

@@ -1,0 +1,318 @@
+"""The exact front of two or three expected totals: what policies attain, and at what exchange rate.
+
+The totals that policies, mixed ones too, attain at the start are a polytope. Its Pareto front has
+finitely many vertices v, each the totals of a deterministic policy, and
+
+    H(w) = max over policies of w · totals = max over vertices of w · v,   w ≥ 0, Σ w = 1.
+
+The vertices known so far give h ≤ H, linear on cells of weights. At each corner of a cell the model
+is solved with these weights: either H = h there, which a dual vector of values proves, or a new
+vertex is found. When H = h at all corners, H = h (H is convex), and each corner between vertices is
+the normal of an edge or facet. With two totals this is the dichotomic scheme of Aneja and Nair,
+Management Science 25, 1979; with three that of Przybylski, Gandibleux and Ehrgott, INFORMS Journal
+on Computing 22, 2010.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import combinations
+from math import gcd
+from operator import mul
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from exact_mdp.analysis.gate.exact_policy import exact_policy
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import Integers, common
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.checker import (
+    Attained,
+    Point,
+    Proof,
+    Values,
+    front_violations,
+)
+from exact_mdp.solvers.objectives.optima import extreme, optimum, proof
+from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+Weights = tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edge:
+    """Two neighbouring vertices, by number, and what one total costs of another between them.
+
+    Attributes
+    ----------
+    start, end : int
+    change : tuple of Fraction
+        Totals of the end less those of the start.
+    rate : Fraction or tuple of Fraction
+        With two totals, how much of the second one point of the first costs; with three, the
+        change for each point by which the first that differs rises.
+    weights : tuple of Fraction, optional
+        With two totals, the weights for which both vertices, and all mixtures, are optimal.
+    """
+
+    start: int
+    end: int
+    change: Point
+    rate: Fraction | Point
+    weights: Point | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Front(Pictured):
+    """The exact Pareto front of expected totals from the start, and its proof.
+
+    Attributes
+    ----------
+    names : tuple of str
+    attained : tuple of Attained
+        A deterministic policy for each vertex, in rising order of the first total.
+    duals : {weights: Values}
+        For the corners of the weights, values of states that no policy exceeds.
+    proof : Proof
+    objectives : Objectives
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (0, 2, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    >>> parts = {"help": [0, 2, 3, 0], "calm": [5, 4, 0, 0]}
+    >>> front = tradeoff(MDP.from_outcomes(rows, components=parts), ["help", "calm"])
+    >>> front.vertices
+    [(Fraction(0, 1), Fraction(5, 1)), (Fraction(2, 1), Fraction(4, 1)), (Fraction(3, 1), Fraction(0, 1))]
+    >>> [str(edge.rate) for edge in front.edges], front.violations()
+    (['1/2', '4'], [])
+    """  # noqa: E501
+
+    names: tuple[str, ...]
+    attained: tuple[Attained, ...]
+    duals: Mapping[Point, Values]
+    proof: Proof
+    objectives: Objectives
+
+    claim: ClassVar[Claim] = Claim.CERTIFIED
+    picture: ClassVar[str] = "exact_mdp.analysis.plots.tradeoffs:draw_front"
+
+    def __repr__(self) -> str:
+        return f"Front({' and '.join(self.names)}: {len(self.attained)} vertices, certified)"
+
+    @property
+    def vertices(self) -> list[Point]:
+        """The totals of each vertex, by name in the order of `names`."""
+        sign = self.objectives.sign
+        return [tuple(sign * value for value in a.total) for a in self.attained]
+
+    @property
+    def policies(self) -> list[Integers]:
+        """Action numbers (S,) of the policy of each vertex."""
+        return [self.objectives.mdp.pair_action[a.pairs] for a in self.attained]
+
+    @property
+    def edges(self) -> list[Edge]:
+        """The edges between neighbouring vertices."""
+        vertices, found = self.vertices, []
+        size = len(self.names)
+        for i, j in combinations(range(len(vertices)), 2):
+            shared = [w for w, tight in self._tight().items() if {i, j} <= set(tight)]
+            if len(shared) < size - 1:
+                continue
+            change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
+            first = next(step for step in change if step)
+            each = tuple(step / abs(first) for step in change)
+            two = size == 2
+            found.append(
+                Edge(
+                    start=i,
+                    end=j,
+                    change=change,
+                    rate=abs(each[1]) if two else each,
+                    weights=shared[0] if two else None,
+                )
+            )
+        return found
+
+    @property
+    def facets(self) -> list[tuple[Point, tuple[int, ...]]]:
+        """Weights, all positive, with the vertices that are optimal for them: one for each name."""
+        size = len(self.names)
+        return [(w, tight) for w, tight in self._tight().items() if len(tight) >= size and all(w)]
+
+    def _tight(self) -> dict[Point, tuple[int, ...]]:
+        """Return which vertices are optimal at each corner."""
+        found = {}
+        for weights in self.duals:
+            worth = [_worth(weights, a.total) for a in self.attained]
+            best = max(worth)
+            found[weights] = tuple(i for i, own in enumerate(worth) if own == best)
+        return found
+
+    def totals(self, policy: PolicyLike) -> Point:
+        """Return the exact totals of a policy, mixed ones too, from the start."""
+        of = self.objectives
+        return tuple(of.sign * value for value in _totals(of, policy))
+
+    def distance(self, policy: PolicyLike) -> Fraction:
+        """Return by how much all totals of a policy could be better at once: 0 on the front.
+
+        It is the least (H(w) - w · totals) over the corners w, whose weights sum to 1.
+        """
+        own, of = _totals(self.objectives, policy), self.objectives
+        return min(of.at_start(*v) - _worth(w, own) for w, v in self.duals.items())
+
+    def frame(self) -> DataFrame:
+        """Return the vertices, one in each row, and what the step from the one before costs."""
+        frame = pandas.DataFrame(self.vertices, columns=list(self.names))
+        if len(self.names) == 2:
+            frame["rate"] = [None, *(edge.rate for edge in self.edges)]
+        return frame
+
+    def violations(self) -> list[str]:
+        """Return what does not hold of the front, in words: nothing where it is sound."""
+        of = Objectives.of(self.objectives.mdp, self.objectives.texts)
+        return front_violations(of, self.proof, self.attained, self.duals)
+
+
+def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
+    """Return the exact Pareto front of two or three expected totals from the start.
+
+    Every total is maximised; in a model of costs, minimised.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+        With a discount below 1, or at discount 1 where every policy ends.
+    names : sequence of str
+        Two or three of: a component of the reward, `steps`, an event, a label that is not left
+        again (its probability), or a sum such as `name=2*a-b`.
+
+    Returns
+    -------
+    Front
+
+    Raises
+    ------
+    ModelError
+        For an unknown name, or a total that is infinite under some policy.
+
+    Examples
+    --------
+    >>> scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    >>> front = tradeoff(scenario, ["anger", "subtask-complete"])
+    >>> len(front.vertices) == len(front.edges) + 1, front.violations()
+    (True, [])
+    """
+    if isinstance(names, str) or len(names) not in (2, 3):
+        raise ModelError(
+            f"a front of {names if isinstance(names, str) else len(names)} totals",
+            where="tradeoff",
+            fix="name two or three",
+        )
+    of = Objectives.of(mdp_of(model), names)
+    search = _Search(of)
+    while missing := search.corners() - search.duals.keys():
+        search.look(min(missing))
+    vertices = sorted(search.vertices, key=lambda a: tuple(of.sign * v for v in a.total))
+    return Front(
+        names=of.names,
+        attained=tuple(vertices),
+        duals={
+            tuple(Fraction(w, sum(corner)) for w in corner): _over(
+                search.duals[corner], sum(corner)
+            )
+            for corner in sorted(search.corners())
+        },
+        proof=proof(of),
+        objectives=of,
+    )
+
+
+def _over(values: Values, times: int) -> Values:
+    return Values(values.top, values.below * times)
+
+
+class _Search:
+    """The vertices found, and the cell of weights for which each is the best.
+
+    Weights are whole numbers without a common divisor. `duals` has the values that bound the total
+    of all policies, for each of the weights that were looked at.
+    """
+
+    def __init__(self, of: Objectives):
+        size = len(of.names)
+        self.of = of
+        self.simplex = [tuple(int(i == k) for i in range(size)) for k in range(size)]
+        self.vertices: list[Attained] = []
+        self.cells: list[list[Weights]] = []
+        self.duals: dict[Weights, Values] = {}
+
+    def corners(self) -> set[Weights]:
+        """Return the corners of all cells, to begin with those of all weights."""
+        return {w for cell in self.cells for w in cell} or set(self.simplex)
+
+    def look(self, weights: Weights) -> None:
+        """Solve for weights: keep what bounds all policies, and a vertex where one is new."""
+        found = optimum(self.of, weights)
+        self.duals[weights] = found.values
+        if all(_worth(weights, a.total) < found.total for a in self.vertices):
+            self._add(extreme(self.of, weights, found))
+
+    def _add(self, new: Attained) -> None:
+        cell = self.simplex
+        for number, other in enumerate(self.vertices):
+            lead = [a - b for a, b in zip(new.total, other.total, strict=True)]
+            ahead, _ = common(lead)
+            left = _clipped(self.cells[number], [-x for x in ahead])
+            if left != self.cells[number]:
+                self.cells[number] = left
+                cell = _clipped(cell, ahead)
+        self.vertices.append(new)
+        self.cells.append(cell)
+
+
+def _clipped(polygon: list[Weights], normal: Sequence[int]) -> list[Weights]:
+    """Return the part of a convex polygon where normal · w ≥ 0 (Sutherland and Hodgman, 1974)."""
+    side = [sum(map(mul, point, normal)) for point in polygon]
+    if min(side, default=0) >= 0:
+        return polygon
+    found: list[Weights] = []
+    for i, (point, here) in enumerate(zip(polygon, side, strict=True)):
+        before, there = polygon[i - 1], side[i - 1]
+        if (here > 0) != (there > 0) and here and there:
+            between = [abs(here) * a + abs(there) * b for a, b in zip(before, point, strict=True)]
+            shared = gcd(*between)
+            found.append(tuple(w // shared for w in between))
+        if here >= 0:
+            found.append(point)
+    return list(dict.fromkeys(found))
+
+
+def _worth(weights: Sequence[Any], values: Sequence[Fraction]) -> Fraction:
+    return sum((w * v for w, v in zip(weights, values, strict=True)), Fraction(0))
+
+
+def _totals(of: Objectives, policy: PolicyLike) -> Point:
+    """Return the exact totals of a policy from the start, more being better."""
+    chain = PolicyChain.of(of.ending, policy_of(of.mdp, policy))
+    scale, found = of.rows.scale.tolist(), []
+    for amount in of.amounts:
+        earned = [
+            sum((w * int(amount[l]) for l, w in chain.exact_weights(s).items()), Fraction(0)) / unit
+            for s, unit in enumerate(scale)
+        ]
+        found.append(exact_policy(chain, earned).start_value)
+    return tuple(found)

@@ -1,0 +1,245 @@
+"""What is counted: exact amounts of every pair, by name, and the Bellman rows that they share.
+
+An objective is a linear combination of named amounts, `2*help-anger`, or `name=2*help-anger`:
+
+    a component of the reward     its expected amount
+    steps                         1 in every state that is not terminal
+    an event                      how often it happens, on average
+    a label whose states are not left again, at discount 1     1 on the step into them, so that the
+                                  total is the probability of reaching it
+
+The total of an objective under a policy π solves, with integers over the scale of each state,
+
+    scale(s) · V(s) = amount(l) + Σ_i weight(i) · V(next(i)),   l the pair that π takes in s.
+
+A total at discount 1 is finite under every policy if every policy ends (`mdp.chain`), where a state
+ends that stays put and in which no objective earns.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+
+from exact_mdp.mdp.chain import SHOWN, termination
+from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers, Numbers, exact, integers, multiply, ones, spans
+
+STEPS = "steps"
+Column = tuple[Numbers, Numbers]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Objectives:
+    """Objectives of a model with S states and L pairs.
+
+    Attributes
+    ----------
+    mdp : MDP
+    texts, names : tuple of str
+        How the objectives were written, and what they are called.
+    rows : BellmanRows
+        The equations that all objectives share, without constants.
+    amounts : tuple of (L,) integers
+        Expected amount of each pair, times its state's scale; negated in a model of costs, so that
+        more is better in all.
+    ending : MDP
+        A model that earns where an objective does: it says which states are terminal here.
+    """
+
+    mdp: MDP
+    texts: tuple[str, ...]
+    names: tuple[str, ...]
+    rows: BellmanRows
+    amounts: tuple[Numbers, ...]
+    ending: MDP
+
+    @classmethod
+    def of(cls, mdp: MDP, texts: Sequence[str]) -> Objectives:
+        """Return objectives by their texts; raises ModelError for what cannot be counted."""
+        named = [_parsed(mdp, text) for text in texts]
+        names = tuple(name for name, _ in named)
+        if len(set(names)) < len(names):
+            raise ModelError(
+                f"{max(names, key=names.count)!r} is named twice",
+                where="objectives",
+                fix="name each once: name=2*a-b",
+            )
+        columns = [_combined(mdp, terms) for _, terms in named]
+        sign = 1 if mdp.sense == "max" else -1
+        earning = np.any([top != 0 for top, _ in columns], axis=0)
+        table = replace(
+            mdp.table, gain=earning.astype(np.int64), gain_denominator=ones(mdp.n_pairs),
+            gain_doubt=None,
+        )  # fmt: skip
+        ending = mdp.with_(table=table, goal=None, sense="max")
+        rows, first = bellman_rows(ending), mdp.pair_offsets[:-1]
+        old = rows.scale.astype(object)
+        scale = old
+        for _, bottom in columns:
+            scale = np.lcm(scale, np.lcm.reduceat(bottom.astype(object), first))
+        factor = np.repeat((scale // old)[mdp.pair_state], np.diff(rows.offsets))
+        own = scale[mdp.pair_state]
+        found = cls(
+            mdp=mdp,
+            texts=tuple(texts),
+            names=names,
+            rows=replace(
+                rows,
+                scale=integers(scale.tolist()),
+                weight=integers((rows.weight * factor).tolist()),
+                constant=np.zeros(mdp.n_pairs, dtype=np.int64),
+            ),
+            amounts=tuple(
+                integers((sign * top.astype(object) * (own // bottom)).tolist())
+                for top, bottom in columns
+            ),
+            ending=ending,
+        )
+        found._require_finite()
+        return found
+
+    @cached_property
+    def sign(self) -> int:
+        """1, or -1 where rewards are costs."""
+        return 1 if self.mdp.sense == "max" else -1
+
+    def weighted(self, weights: Sequence[int]) -> Numbers:
+        """Return (L,) the amounts added up, with weights."""
+        total = sum(w * own.astype(object) for w, own in zip(weights, self.amounts, strict=True))
+        return integers(np.asarray(total).tolist())
+
+    def restricted(self, chosen: Integers, constant: Numbers) -> BellmanRows:
+        """Return the equations of some pairs (K,), in rising order, at least one of each state."""
+        rows, first = self.rows, self.rows.offsets[chosen]
+        last = rows.offsets[chosen + 1]
+        entries = spans(first, last)
+        counts = np.bincount(rows.pair_state[chosen], minlength=len(rows.scale))
+        return replace(
+            rows,
+            pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+            offsets=np.concatenate([[0], np.cumsum(last - first)]),
+            constant=constant[chosen],
+            next=rows.next[entries],
+            weight=rows.weight[entries],
+        )
+
+    def at_start(self, values: Sequence[int], below: int) -> Fraction:
+        """Return the mean over the start distribution of values (S,) over one denominator."""
+        total = sum((weight * values[state] for state, weight in self.mdp.start), Fraction(0))
+        return total / below
+
+    def _require_finite(self) -> None:
+        """Raise ModelError, naming an objective, where a policy need not end at discount 1."""
+        if self.mdp.discount_exact < 1:
+            return
+        found, mdp = termination(self.ending), self.mdp
+        if found.proven:
+            return
+        inside = np.zeros(mdp.n_states, dtype=bool)
+        inside[found.trapped] = True
+        stays = np.minimum.reduceat(inside[self.rows.next], self.rows.offsets[:-1])
+        stays &= inside[mdp.pair_state]
+        endless = [
+            name
+            for name, amount in zip(self.names, self.amounts, strict=True)
+            if (amount[stays] != 0).any()
+        ]
+        shown = ", ".join(f"({mdp.space.label(s)})" for s in found.trapped[:SHOWN].tolist())
+        raise ModelError(
+            f"{endless[0]!r} has no finite total: a policy need not end, and counts it for ever"
+            if endless
+            else "discount 1 needs every policy to end, and one does not",
+            where=f"states {shown}" + (" and more" if len(found.trapped) > SHOWN else ""),
+            fix="choose a discount below 1, stop after N steps (--horizon N), or count what is 0 "
+            "in these states",
+        )
+
+
+Terms = list[tuple[Fraction, str]]
+
+
+def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
+    """Return the name of an objective, and its terms."""
+    known = [*mdp.component_names, STEPS, *mdp.events, *mdp.labels]
+    name, equals, body = text.partition("=")
+    if text in known or not equals:
+        name, body = text, text
+    name, body = name.strip(), body.strip()
+    if body in known:
+        return name, [(Fraction(1), body)]
+    terms, at = Terms(), 0
+    sign = re.compile(r"\s*([+-])?\s*(?:([0-9./]+)\s*\*\s*)?")
+    names = sorted(known, key=len, reverse=True)
+    while at < len(body):
+        start = sign.match(body, at)
+        assert start is not None
+        place = start.end()
+        found = next(
+            (n for n in names if body.startswith(n, place) and _ends(body, place + len(n))), None
+        )
+        if found is None or (terms and start[1] is None):
+            part = re.split(r"[-+*]", body[place:])[0].strip() or body
+            raise ModelError(
+                f"nothing to count is called {part!r}",
+                where=f"objective {text!r}",
+                fix=f"{suggest(part, known)}; a sum is written name=2*a-b",
+            )
+        factor = exact(start[2] or "1")
+        terms.append((-factor if start[1] == "-" else factor, found))
+        at = place + len(found)
+        at += len(body[at:]) - len(body[at:].lstrip())
+    if not terms:
+        raise ModelError("nothing is named", where=f"objective {text!r}", fix=suggest("", known))
+    return name, terms
+
+
+def _ends(body: str, place: int) -> bool:
+    return body[place:].lstrip()[:1] in ("", "+", "-")
+
+
+def _combined(mdp: MDP, terms: Terms) -> Column:
+    """Return the amounts (L,) of a linear combination, over denominators (L,)."""
+    columns = [(factor, *_column(mdp, name)) for factor, name in terms]
+    below = np.lcm.reduce([f.denominator * b.astype(object) for f, _, b in columns])
+    top = sum(
+        t.astype(object) * (f.numerator * (below // (b * f.denominator))) for f, t, b in columns
+    )
+    return np.asarray(top), below
+
+
+def _column(mdp: MDP, name: str) -> Column:
+    """Return the exact amounts (L,) of one name, over denominators (L,)."""
+    if name in mdp.component_names:
+        return mdp.component(name)
+    if name == STEPS:
+        return (~mdp.terminal[mdp.pair_state]).astype(np.int64), ones(mdp.n_pairs)
+    weight, below = mdp.table.integer_weights()
+    if name in mdp.events:
+        assert mdp.table.event is not None
+        happens = (mdp.table.event >> mdp.events.index(name)) & 1 == 1
+    else:
+        happens = _arrivals(mdp, name)
+    counted = multiply(weight, happens.astype(np.int64), terms=len(weight))
+    return np.asarray(np.add.reduceat(counted, mdp.table.offsets[:-1])), below
+
+
+def _arrivals(mdp: MDP, label: str) -> Numbers:
+    """Return (N,) which outcomes step into a label whose states are not left again."""
+    inside = mdp.labels[label]
+    here, there = inside[mdp.pair_state[mdp.table.pair]], inside[mdp.table.next]
+    begins = any(inside[state] for state, weight in mdp.start if weight)
+    if begins or mdp.discount_exact < 1 or (here & ~there).any():
+        raise ModelError(
+            f"the probability of label {label!r} is no expected total here",
+            where="objectives",
+            fix="count a label at discount 1 whose states are not left again, and not started in",
+        )
+    return np.asarray(there & ~here)

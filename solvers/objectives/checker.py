@@ -1,0 +1,141 @@
+"""Checks totals, weighted optima and optima under limits against the model alone, in integers.
+
+Nothing here imports a solver. V ≥ c_w + γ P V for all pairs bounds the weighted total of every
+policy at the start by μ V, because the equations of every policy have one solution (see
+`solvers.proof.checker`, which checks that); V = c + γ P V for the pairs of a policy is its total.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from exact_mdp.mdp.exact import row_sums
+from exact_mdp.mdp.table import Integers, Numbers, common
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.proof.checker import one_solution
+
+Point = tuple[Fraction, ...]
+
+
+class Values(NamedTuple):
+    """Values of the states, as integers over one positive denominator."""
+
+    top: list[int]
+    below: int
+
+
+class Proof(NamedTuple):
+    """What proves that the equations of every policy have one solution; see `Certificate`."""
+
+    rank: Integers | None
+    weight: list[int] | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attained:
+    """A deterministic policy, the values of each objective under it, and its totals at the start.
+
+    More is better in all of them: those of a model of costs are negated.
+    """
+
+    pairs: Integers
+    values: tuple[Values, ...]
+    total: Point
+
+
+def sound(of: Objectives, proof: Proof) -> list[str]:
+    """Return why the equations may have several solutions; nothing where they have one."""
+    if one_solution(of.ending, *proof):
+        return []
+    return ["nothing proves that the equations of every policy have one solution"]
+
+
+def slack(of: Objectives, amount: Numbers, values: Values) -> Numbers:
+    """Return (L,) what V is above amount + γ P V, times positive integers."""
+    rows, state = of.rows, of.mdp.pair_state
+    own = np.array(values.top, dtype=object)
+    after = row_sums(rows.weight * own[rows.next], rows.offsets)
+    found = rows.scale[state] * own[state] - amount.astype(object) * values.below - after
+    return np.where(rows.terminal[state], own[state], found)
+
+
+def wrong_totals(of: Objectives, policy: Attained, name: str) -> list[str]:
+    """Return what does not hold of a policy's totals."""
+    if not np.array_equal(of.mdp.pair_state[policy.pairs], np.arange(of.mdp.n_states)):
+        return [f"{name} does not take one pair of each state"]
+    for amount, values, total in zip(of.amounts, policy.values, policy.total, strict=True):
+        if values.below <= 0 or slack(of, amount, values)[policy.pairs].any():
+            return [f"the values of {name} do not solve its equations"]
+        if of.at_start(*values) != total:
+            return [f"{name} has other totals at the start"]
+    return []
+
+
+def wrong_bound(
+    of: Objectives, weights: Sequence[Fraction], values: Values, bound: Fraction
+) -> bool:
+    """Return whether values do not prove that no policy has a weighted total above the bound."""
+    whole, below = common(list(weights))
+    if min(weights) < 0 or values.below <= 0 or of.at_start(*values) > bound:
+        return True
+    scaled = Values([number * below for number in values.top], values.below)
+    return bool((slack(of, of.weighted(whole), scaled) < 0).any())
+
+
+def front_violations(
+    of: Objectives, proof: Proof, vertices: Sequence[Attained], duals: Mapping[Point, Values]
+) -> list[str]:
+    """Return what does not hold of an exact front of two or three objectives.
+
+    The greatest weighted total H(w) is convex in the weights, that of the vertices h(w) too. Where
+    both agree at points whose hulls, taken over the points of each vertex, fill all weights that
+    sum to 1, h is linear between such points, H ≤ h, and no policy is beyond the vertices.
+    """
+    wrong = sound(of, proof)
+    for number, vertex in enumerate(vertices):
+        wrong += wrong_totals(of, vertex, f"vertex {number}")
+    cells: list[list[Point]] = [[] for _ in vertices]
+    for weights, values in duals.items():
+        worth = [sum(w * v for w, v in zip(weights, a.total, strict=True)) for a in vertices]
+        if sum(weights) != 1 or wrong_bound(of, weights, values, Fraction(max(worth))):
+            shown = ", ".join(map(str, weights))
+            wrong.append(f"the bound for weights ({shown}) does not hold")
+        for cell, own in zip(cells, worth, strict=True):
+            if own == max(worth):
+                cell.append(weights)
+    if sum(map(_size, cells)) != 1:
+        wrong.append("the bounds do not cover all weights")
+    if any(not _size(cell) for cell in cells):
+        wrong.append("a vertex is not one: others are as good for all weights")
+    return wrong
+
+
+def _size(points: Sequence[Point]) -> Fraction:
+    """Return the length or area of a convex hull of weights, of which all make 1."""
+    if len(points) < 2:
+        return Fraction(0)
+    if len(points[0]) == 2:
+        first = [point[0] for point in points]
+        return max(first) - min(first)
+    flat = sorted({point[:2] for point in points})
+    return sum((_half(part) for part in (flat, flat[::-1])), Fraction(0))
+
+
+def _half(points: Sequence[Point]) -> Fraction:
+    """Return what one chain of a convex hull adds to twice its area (Andrew, 1979)."""
+    chain: list[Point] = []
+    for point in points:
+        while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0:
+            chain.pop()
+        chain.append(point)
+    return sum((a[0] * b[1] - a[1] * b[0] for a, b in pairwise(chain)), Fraction(0))
+
+
+def _turn(a: Point, b: Point, c: Point) -> Fraction:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -1,0 +1,110 @@
+"""Weighted optima of several totals in rational arithmetic, ties settled one weight after another.
+
+    V_w(s) = max over pairs l of s of  w · c(l) + γ Σ_s' P(l, s') V_w(s')
+
+Among the policies that take optimal pairs alone, all of them optimal for w, the next weights choose
+again. Where the weights span all directions, one vector of totals is left: an extreme point of what
+policies attain (lexicographic optima: Isermann, OR Spektrum 4, 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from math import lcm
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.table import Integers, common
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.checker import Attained, Proof, Values
+from exact_mdp.solvers.proof.certify import uniqueness
+from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
+
+if TYPE_CHECKING:
+    from flint import fmpq
+
+flint = later("flint")
+
+Weights = Sequence[int] | Sequence[Fraction]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Optimum:
+    """The optimum of weighted objectives: its value at the start, and the pairs that attain it."""
+
+    total: Fraction
+    values: Values
+    optimal: Integers  # (K,) pairs
+
+
+def optimum(of: Objectives, weights: Weights, pairs: Integers | None = None) -> Optimum:
+    """Return the optimum for weights of at least 0 over some pairs, by default all."""
+    whole, below = common([Fraction(w) for w in weights])
+    chosen = np.arange(of.mdp.n_pairs) if pairs is None else pairs
+    found = solve_exactly(of.restricted(chosen, of.weighted(whole)))
+    values = _values(found, below)
+    return Optimum(
+        total=of.at_start(*values), values=values, optimal=chosen[np.flatnonzero(found.optimal)]
+    )
+
+
+def extreme(of: Objectives, weights: Sequence[int], first: Optimum) -> Attained:
+    """Return a policy whose totals no others dominate or mix to, of those optimal for weights.
+
+    `first` is their optimum. Its values and those of the weights that settle ties are values of the
+    policy, and as many as there are objectives, so that they give the value of each.
+    """
+    size = len(weights)
+    ties = [tuple(int(i == k) for i in range(size)) for k in range(size)]
+    if not all(weights):
+        ties.insert(0, (1,) * size)
+    chosen, found, pairs = [tuple(weights)], [first.values], first.optimal
+    for tie in ties:
+        if len(chosen) == size:
+            break
+        if flint.fmpq_mat([*chosen, tie]).rank() > len(chosen):
+            next_ = optimum(of, tie, pairs)
+            chosen, pairs = [*chosen, tie], next_.optimal
+            found.append(next_.values)
+    state = of.mdp.pair_state[pairs]
+    values = tuple(_mixed(found, row) for row in flint.fmpq_mat(chosen).inv().tolist())
+    return Attained(
+        pairs=pairs[np.flatnonzero(np.diff(state, prepend=-1))],
+        values=values,
+        total=tuple(of.at_start(*own) for own in values),
+    )
+
+
+def _mixed(values: Sequence[Values], factors: Sequence[fmpq]) -> Values:
+    """Return a linear combination of values."""
+    below = lcm(*(own.below * int(f.q) for own, f in zip(values, factors, strict=True)))
+    parts = [
+        [number * (int(f.p) * (below // (own.below * int(f.q)))) for number in own.top]
+        for own, f in zip(values, factors, strict=True)
+        if f
+    ]
+    return Values([sum(numbers) for numbers in zip(*parts, strict=True)], below)
+
+
+def attained(of: Objectives, pairs: Integers) -> Attained:
+    """Return the totals of the policy that takes one pair (S,) of each state."""
+    values = tuple(_values(solve_exactly(of.restricted(pairs, amount)), 1) for amount in of.amounts)
+    return Attained(pairs=pairs, values=values, total=tuple(of.at_start(*v) for v in values))
+
+
+def proof(of: Objectives) -> Proof:
+    """Return what proves that the equations of every policy have one solution."""
+    return Proof(*uniqueness(of.ending))
+
+
+def _values(found: ExactValues, times: int) -> Values:
+    """Return values over one denominator, which is `times` as large."""
+    below = lcm(*found.denominator)
+    each = [below // own for own in found.denominator]
+    group = found.group.tolist()
+    top = [number * each[g] for number, g in zip(found.numerator, group, strict=True)]
+    return Values(top, below * times)

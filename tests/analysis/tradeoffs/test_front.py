@@ -1,0 +1,169 @@
+"""Exact fronts against all deterministic policies of small models, and what no front is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from objective_models import totals, with_components
+
+from exact_mdp import Scenario, certify, evaluate, tradeoff
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.solvers.objectives.checker import Values
+
+F = Fraction
+Point = tuple[Fraction, ...]
+
+
+def hull(points: list[Point]) -> list[Point]:
+    """The vertices of the front of points in the plane: the chain that falls and bends down."""
+    chain: list[Point] = []
+    for p in sorted(set(points)):
+        while chain and chain[-1][1] <= p[1]:
+            chain.pop()
+        while len(chain) > 1 and not bends(chain[-2], chain[-1], p):
+            chain.pop()
+        chain.append(p)
+    return chain
+
+
+def bends(a: Point, b: Point, c: Point) -> bool:
+    return (b[0] - a[0]) * (c[1] - b[1]) < (b[1] - a[1]) * (c[0] - b[0])
+
+
+@settings(max_examples=60)
+@given(mdp=with_components(2))
+def test_two_totals_are_the_hull_of_all_policies(mdp: MDP) -> None:
+    sign = 1 if mdp.sense == "max" else -1
+    every = totals(mdp, ["c0", "c1"])
+    front = tradeoff(mdp, ["c0", "c1"])
+    wanted = hull([tuple(sign * v for v in point) for point in every])
+    assert front.vertices == sorted(tuple(sign * v for v in point) for point in wanted)
+    assert front.violations() == []
+    assert len(front.edges) == len(front.vertices) - 1
+    for edge in front.edges:
+        a, b = front.vertices[edge.start], front.vertices[edge.end]
+        assert edge.rate == (a[1] - b[1]) / (b[0] - a[0]) > 0
+    for vertex, policy in zip(front.vertices, front.policies, strict=True):
+        assert front.totals(policy) == vertex
+        assert front.distance(policy) == 0
+        found = evaluate(mdp, policy).components
+        assert (found["c0"], found["c1"]) == pytest.approx(tuple(map(float, vertex)), abs=1e-6)
+
+
+@settings(max_examples=40)
+@given(mdp=with_components(3), data=st.data())
+def test_three_totals_bound_all_policies_and_are_attained(mdp: MDP, data: Any) -> None:
+    sign = 1 if mdp.sense == "max" else -1
+    names = ["c0", "c1", "c2"]
+    every = [tuple(sign * v for v in point) for point in totals(mdp, names)]
+    front = tradeoff(mdp, names)
+    vertices = [tuple(sign * v for v in point) for point in front.vertices]
+    assert front.violations() == []
+    assert set(vertices) <= set(every)
+    for weights in product(range(1, 5), repeat=3):
+        assert best(weights, vertices) == best(weights, every)
+    for vertex in vertices:  # none is dominated
+        assert not any(
+            p != vertex and all(a >= b for a, b in zip(p, vertex, strict=True)) for p in every
+        )
+    assert {i for _, tight in front.facets for i in tight} <= set(range(len(vertices)))
+    point = data.draw(st.sampled_from(every))
+    number = every.index(point)
+    policy = list(product(*(mdp.pairs_of(s) for s in range(mdp.n_states))))[number]
+    far = front.distance(mdp.pair_action[list(policy)])
+    assert far == min((best(w, vertices) - best(w, [point])) / sum(w) for w in front.duals)
+
+
+def best(weights: Any, points: list[Point]) -> Fraction:
+    return max(sum((w * v for w, v in zip(weights, p, strict=True)), F(0)) for p in points)
+
+
+def test_the_front_of_the_care_model() -> None:
+    """Its best sum is the optimum; both ends are the optima of one total alone."""
+    mdp = Scenario.load("yuan2025").with_(tasks=[1, 1]).compile()
+    front = tradeoff(mdp, ["anger", "rest=forget+confuse+disengaged+trial+subtask-complete+"
+        "subtask-skip+timestep+task-complete+assist.none+assist.supportive+assist.non-directive"
+        "+assist.directive"])  # fmt: skip
+    assert max(a + b for a, b in front.vertices) == certify(mdp).start_value
+    assert front.violations() == []
+    assert front.distance("optimal") == 0
+    assert front.distance("random") > 0
+    steps = tradeoff(mdp, ["steps", "skip"])
+    found = evaluate(mdp, "random")
+    assert float(steps.totals("random")[0]) == pytest.approx(found.steps)
+    assert all(0 <= v[1] <= 2 for v in steps.vertices)
+
+
+def test_events_and_labels_are_counted() -> None:
+    """The probability of a label that is not left, and the steps until the end, by hand."""
+    rows = [
+        (0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]),
+        (0, 1, [("1/3", 0, 0), ("2/3", 1, 0)]),
+        (1, 0, [(1, 1, 0)]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    home, away = (
+        [
+            False,
+            True,
+            False,
+        ],
+        [False, False, True],
+    )
+    mdp = MDP.from_outcomes(rows, labels={"home": home, "away": away})
+    front = tradeoff(mdp, ["home", "quick=-1*steps"])
+    assert front.vertices == [(F(1, 2), F(-1)), (F(1), F(-3, 2))]
+    assert front.edges[0].rate == 1
+    both = tradeoff(mdp, ["home", "away"])
+    assert both.vertices == [(F(1, 2), F(1, 2)), (F(1), F(0))]
+
+
+def test_what_is_counted_for_ever_is_refused_by_name() -> None:
+    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, components={"a": [1, 2, 0], "b": [0, 1, 0]})
+    with pytest.raises(ModelError, match="'a' has no finite total"):
+        tradeoff(mdp, ["b", "a"])
+    assert tradeoff(mdp.with_(discount="1/2"), ["a", "b"]).vertices == [(F(2), F(1))]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["angre", "trial"], "called 'angre'"),
+        (["anger", "x=2*angry-trial"], "called 'angry'"),
+        (["anger", "anger"], "'anger' is named twice"),
+        (["anger"], "front of 1 totals"),
+        ("anger", "front of anger totals"),
+        (["anger", "x="], "nothing is named"),
+        (["anger", "x=1/0*trial"], "not a finite rational"),
+        (["anger", "x=2 trial"], "nothing to count"),
+        (["anger", "forgetfulness"], "is no expected total"),
+    ],
+)
+def test_what_is_no_front(names: Any, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        tradeoff(Scenario.load("yuan2025"), names)
+
+
+def test_the_checker_notices() -> None:
+    """A lost vertex, a lost bound, another total and values too low are all found."""
+    front = tradeoff(Scenario.load("yuan2025").with_(tasks=[1]), ["anger", "subtask-complete"])
+    assert len(front.vertices) > 3
+    one = front.attained[1]
+    low = {w: Values([v - 1 for v in d.top], d.below) for w, d in front.duals.items()}
+    for broken in (
+        replace(front, attained=front.attained[1:]),
+        replace(front, attained=(*front.attained[:1], *front.attained[2:])),
+        replace(front, duals=dict(list(front.duals.items())[1:])),
+        replace(front, duals=low),
+        replace(front, attained=(replace(one, total=(F(0), F(0))), *front.attained)),
+        replace(front, attained=(replace(one, pairs=one.pairs[:-1]), *front.attained[1:])),
+        replace(front, attained=(*front.attained, one)),
+    ):
+        assert broken.violations()

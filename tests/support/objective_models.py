@@ -1,0 +1,59 @@
+"""Small random models with reward components, and what every deterministic policy makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import enumerated
+import numpy as np
+from hypothesis import strategies as st
+from strategies import models
+
+from exact_mdp.mdp import MDP
+
+F = Fraction
+AMOUNTS = st.sampled_from([F(-2), F(-1), F(0), F(0), F(1, 3), F(1), F(3)])
+
+
+@st.composite
+def with_components(draw: st.DrawFn, count: int) -> MDP:
+    """Draw a model of few policies with components c0, c1, …, with ties and a start by chance."""
+    rows = draw(models(discounts=(F(1, 2), F(9, 10), F(1))).filter(few))
+    mdp = rows.model()
+    ends = mdp.terminal[mdp.pair_state]
+    parts = {
+        f"c{k}": [F(0) if end else draw(AMOUNTS) for end in ends.tolist()] for k in range(count)
+    }
+    start = draw(st.sampled_from([{0: 1}, {mdp.n_states - 1: 1}, None]))
+    if start is None:
+        start = {s: F(1, mdp.n_states) for s in range(mdp.n_states)}
+    return mdp.with_(
+        components=parts, start=start, sense=draw(st.sampled_from(["max", "max", "min"]))
+    )
+
+
+def few(rows: object) -> bool:
+    mdp = rows.model()  # type: ignore[attr-defined]
+    return int(np.prod(np.diff(mdp.pair_offsets))) <= 48
+
+
+def totals(mdp: MDP, names: list[str]) -> list[tuple[Fraction, ...]]:
+    """Return the totals of every deterministic policy from the start."""
+    each = []
+    for name in names:
+        top, bottom = mdp.component(name)
+        table = replace(mdp.table, gain=top, gain_denominator=bottom, gain_doubt=None)
+        if name == "steps":
+            table = replace(table, gain=(~mdp.terminal[mdp.pair_state]).astype(int))
+        alone = mdp.with_(table=table)
+        each.append([value_at_start(alone, choice) for choice in enumerated.policies(alone)])
+    return list(zip(*each, strict=True))
+
+
+def value_at_start(mdp: MDP, choice: tuple[int, ...]) -> Fraction:
+    if mdp.discount_exact < 1:
+        value = enumerated.discounted(mdp, choice)
+    else:
+        value = enumerated.until(mdp, choice, mdp.terminal.tolist())
+    return sum((weight * value[state] for state, weight in mdp.start), F(0))
