@@ -160,6 +160,17 @@ def taken(model: MDP, chosen: Floats) -> list[list[int]]:
     ]
 
 
+def joined(signs: Sequence[str], many: str) -> str:
+    """Return up to two signs of actions side by side, else in words how many there are.
+
+    Examples
+    --------
+    >>> joined(["↓", "→"], "tied"), joined(["a0", "a1", "a2"], "tied")
+    ('↓/→', '3 tied')
+    """
+    return "/".join(signs) if len(signs) <= 2 else f"{len(signs)} {many}"
+
+
 def symbols(actions: Sequence[str]) -> list[str]:
     """Return a sign for each action: an arrow where its name is a direction, else a short name.
 

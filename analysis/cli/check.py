@@ -170,7 +170,7 @@ def _disagreement(mdp: MDP, each: Disagreement, lost: float) -> dict[str, Any]:
         "gap": each.gap,
         "expected_visits": each.expected_visits,
         "cost": each.cost,
-        "share": each.cost / lost if lost else 0.0,
+        "share": each.cost / lost if 0 < lost < inf else None,
         "gain_if_corrected": each.gain_if_corrected,
         "loss_if_alone": each.loss_if_alone,
     }

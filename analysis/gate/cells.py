@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from exact_mdp.analysis.gate.check import Audit
-from exact_mdp.analysis.layout import Layout, symbols, taken
+from exact_mdp.analysis.layout import Layout, joined, symbols, taken
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class Cell:
     title : str
         The state in full, with its numbers.
     shade : float
-        Its loss as a share of the costliest state's.
+        Its loss as a share of the costliest state's, which may be infinite.
     """
 
     state: int
@@ -45,12 +45,12 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
         names = [mdp.actions[action] for action in choices[state]]
-        text, best = "/".join(sign[name] for name in names), ""
+        text, best = joined([sign[name] for name in names], "mixed"), ""
         said = f"{' or '.join(names)}; {audit.visits[state]:.6g} expected visits"
         if mdp.terminal[state]:
             text, said = "∎", "an episode ends here"
         elif each is not None:
-            text, best = f"✗ {text}", "/".join(sign[name] for name in each.optimal)
+            text, best = f"✗ {text}", joined([sign[name] for name in each.optimal], "tied")
             said = (
                 f"yours {each.learned}, optimal {' or '.join(each.optimal)}; "
                 f"{each.expected_visits:.6g} expected visits, loses {each.cost:.6g}"
@@ -61,6 +61,6 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
             text=text,
             small=f"{best} {label.removeprefix('state ')}".strip() if layout.listed else best,
             title=f"{label}: {said}",
-            shade=each.cost / most if each is not None else 0.0,
+            shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,
         )
     return found

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.layout import ARROWS, Layout, arrange, symbols, taken
+from exact_mdp.analysis.layout import ARROWS, Layout, arrange, joined, symbols, taken
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
@@ -93,7 +93,7 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
         if model.terminal[state]:
             cell(ax, *where, drawn, text="∎", fill="0.92", ink="0.4", hatch="", font=_font(layout))
         elif len(numbers) > 1:
-            mixed = "/".join(styles[number].short for number in numbers)
+            mixed = joined([styles[number].short for number in numbers], "mixed")
             cell(ax, *where, drawn, text=mixed, fill="white", ink="black", hatch="", font=6)
         else:
             cell(ax, *where, drawn, font=_font(layout))
@@ -155,7 +155,7 @@ def plot_states(
     if policy is not None:
         signs = symbols(model.actions)
         choices = taken(model, policy_of(model, policy).weights(model))
-        texts = ["/".join(signs[number] for number in numbers) for numbers in choices]
+        texts = [joined([signs[number] for number in numbers], "mixed") for numbers in choices]
     if layout.listed:
         ax = _bars(axes_or_new(ax), model, given, texts, label)
         if policy is not None:
@@ -236,31 +236,22 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
 
 @plain_text
 def plot_comparison(found: PolicyComparison, *, ax: Axes | None = None) -> Axes:
-    """Draw the exact or bounded value of each policy at the start; the optimum is a line."""
-    ax = axes_or_new(ax)
-    values = [float(each.learned.value) for each in found.regrets.values()]
-    ax.barh(range(len(values)), values, color=BLUE, edgecolor=BLACK, height=0.6)
-    for row, (value, each) in enumerate(zip(values, found.regrets.values(), strict=True)):
-        ax.annotate(
-            f" {value:.6g} ({each.learned.claim}) ",
-            (value, row),
-            va="center",
-            ha="left" if value >= 0 else "right",
-            fontsize=8,
-        )
-    best = float(found.value.value)
-    ax.axvline(best, color=BLACK, linestyle=":")
-    at: Look = {
-        "xycoords": ("data", "axes fraction"),
-        "ha": "center",
-        "va": "bottom",
-        "fontsize": 8,
-    }
-    ax.annotate(f"optimum {best:.6g}", (best, 1.01), **at)
+    """Draw the value of each policy at the start, certified or bounded; the optimum is a line."""
+    ax, best = axes_or_new(ax), float(found.value.value)
+    for row, each in enumerate(found.regrets.values()):
+        value = float(each.learned.value)
+        end = value if np.isfinite(value) else 0.0  # an infinite value has no bar
+        ax.barh(row, end, color=BLUE, edgecolor=BLACK, height=0.6)
+        side = "left" if end >= 0 else "right"
+        text = f" {value:.6g} ({each.learned.claim}) "
+        ax.annotate(text, (end, row), va="center", ha=side, fontsize=8)
+    if np.isfinite(best):
+        ax.axvline(best, color=BLACK, linestyle=":")
     ax.axvline(0, color=BLACK, linewidth=0.8)
     name_rows(ax, list(found.regrets))
     ax.margins(x=0.3)
     ax.set_xlabel("value at the start (reward)")
+    titled(ax, f"optimum {best:.6g} ({found.claim}), dotted")
     return ax
 
 

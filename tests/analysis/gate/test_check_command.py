@@ -205,6 +205,7 @@ def test_what_xml_cannot_hold(tmp_path: Path) -> None:
 TESTS = """
 import numpy as np
 import pytest
+from analysis import assert_policy_optimal
 from mdp import ModelError, Scenario
 
 SMALL = ("tasks=[2]", "max_trial=2")
@@ -223,6 +224,10 @@ def test_model_object(policy_gate):
 
 def test_fails(policy_gate):
     policy_gate("yuan2025", "always:none", set=SMALL)
+
+
+def test_asserts():
+    assert_policy_optimal(Scenario.load("tea"), "random")
 
 
 def test_refuses(policy_gate):
@@ -255,7 +260,9 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
     )
     assert done.returncode == 1, done.stdout + done.stderr
     assert "3 passed" in done.stdout
-    assert "1 failed" in done.stdout
+    assert "2 failed" in done.stdout
+    assert "AssertionError: failed: the regret is zero" in done.stdout
+    assert "gate/check.py" not in done.stdout  # the test's own line is shown, none of ours
     assert "failed: the regret is zero; it is" in done.stdout
     assert "subtask 0, trial 0, status 0000: yours none, optimal non-directive" in done.stdout
     assert "Traceback" not in done.stdout
