@@ -42,8 +42,9 @@ pandas = later("pandas")
 MOST_CELLS = 4000  # of the map; a larger model shows the states that change
 GRID = 11  # values of the second parameter
 MOST_GRID = 101
+GROW = "this.style.height=this.contentDocument.documentElement.scrollHeight+20+'px'"
 STEPS = 1000  # of the slider
-HIGH = 860  # pixels of a notebook's frame
+HIGH = 860  # pixels of a notebook's frame, which grows to the page's own height where it may
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +104,7 @@ class Explorer(Result):
     def _repr_html_(self) -> str:
         return (
             f'<iframe title="{escape(repr(self))}" srcdoc="{escape(self.page())}" '
-            f'style="width:100%;height:{HIGH}px;border:0"></iframe>'
+            f'style="width:100%;height:{HIGH}px;border:0" onload="{GROW}"></iframe>'
         )
 
 

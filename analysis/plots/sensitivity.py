@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, to_rgb
@@ -158,8 +159,9 @@ def plot_thresholds(
     Ranges are drawn to the same length; numbers at their ends give the scale. With `reached`,
     changes in states that the optimum does not reach are left out.
     """
-    ax = axes_or_new(ax)
     every = [*found.values()] if isinstance(found, Mapping) else [found]
+    if ax is None:
+        ax = plt.subplots(figsize=(7, 0.9 + 0.7 * len(every)))[1]
     for place, each in enumerate(every):
         low, high = float(each.range.low), float(each.range.high)
         width = (high - low) or 1.0

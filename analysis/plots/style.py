@@ -6,7 +6,7 @@ Every text is shown as it is written: names may hold "$", which matplotlib takes
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -111,7 +111,7 @@ def plain_text(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]
         given = settings.get("ax")
         if isinstance(given, Axes):
             _as_written(given)
-        with mpl.rc_context({"text.parse_math": False, "legend.frameon": False}):
+        with _context({"text.parse_math": False, "legend.frameon": False}):
             ax = function(*arguments, **settings)
         _as_written(ax)
         return ax
@@ -126,6 +126,15 @@ def _as_written(drawn: Axes | Figure) -> None:
 
 
 @contextmanager
+def _context(settings: Mapping[str, Any]) -> Iterator[None]:
+    """Draw with settings; keep what a notebook turns on when it draws first, inside or not."""
+    with mpl.rc_context(dict(settings)):
+        yield
+        shows = mpl.is_interactive()
+    mpl.interactive(shows)
+
+
+@contextmanager
 def style() -> Iterator[None]:
     """Draw with the project's settings inside a `with` block.
 
@@ -135,7 +144,7 @@ def style() -> Iterator[None]:
     ...     mpl.rcParams["svg.fonttype"]
     'none'
     """
-    with mpl.rc_context(SETTINGS):
+    with _context(SETTINGS):
         yield
 
 

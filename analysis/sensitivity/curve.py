@@ -135,6 +135,13 @@ class ValueFunction(Pictured):
 
     picture = "exact_mdp.analysis.plots.sensitivity:plot_value_function"
 
+    def __repr__(self) -> str:
+        low, high = shown(self.range.low), shown(self.range.high)
+        return (
+            f"ValueFunction({self.parameter.name} from {low} to {high}: {len(self.pieces)} pieces, "
+            f"{self.claim})"
+        )
+
     @property
     def claim(self) -> Claim:
         """Certified, or estimated where the degree of the rows is checked and not proven."""

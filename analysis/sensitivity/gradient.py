@@ -110,6 +110,10 @@ class Gradient(Pictured):
 
     picture = "exact_mdp.analysis.plots.sensitivity:plot_gradient"
 
+    def __repr__(self) -> str:
+        how = "re-optimised" if self.reoptimised else "held fixed"
+        return f"Gradient({len(self.derivatives)} parameters, policy {how}, value {self.start})"
+
     def __getitem__(self, name: str) -> Derivative:
         return self.derivatives[name]
 

@@ -33,7 +33,9 @@ def unit_of(parameter: Parameter) -> str:
     """
     if parameter.name == DISCOUNT:
         return "per step"
-    return "probability" if parameter.low == 0 and parameter.high == 1 else "reward"
+    if parameter.low == 0 and parameter.high == 1:
+        return "probability"
+    return "reward" if parameter.low is None and parameter.high is None else "number"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,6 +32,7 @@ from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
 from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import shown
 from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
@@ -110,6 +111,13 @@ class Thresholds(Pictured):
     range: Range
     found: tuple[Threshold, ...]
     checked: int | None = None
+
+    def __repr__(self) -> str:
+        low, high = shown(self.range.low), shown(self.range.high)
+        return (
+            f"Thresholds({self.parameter.name} from {low} to {high}: {len(self.found)}, "
+            f"{self.claim})"
+        )
 
     @property
     def claim(self) -> Claim:
