@@ -6,7 +6,7 @@ Every text is shown as it is written: names may hold "$", which matplotlib takes
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -126,9 +126,9 @@ def _as_written(drawn: Axes | Figure) -> None:
 
 
 @contextmanager
-def _context(settings: Mapping[str, Any]) -> Iterator[None]:
+def _context(settings: Any) -> Iterator[None]:
     """Draw with settings; keep what a notebook turns on when it draws first, inside or not."""
-    with mpl.rc_context(dict(settings)):
+    with mpl.rc_context(settings):
         yield
         shows = mpl.is_interactive()
     mpl.interactive(shows)
