@@ -25,8 +25,10 @@ from exact_mdp.mdp.chain import is_acyclic, reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.solver import Criterion, is_average
 
 if TYPE_CHECKING:
+    from exact_mdp.solvers.average.certificate import AverageCertificate
     from exact_mdp.solvers.proof.certificate import Certificate
 
 Mask = NDArray[np.bool_]
@@ -53,10 +55,10 @@ class Optimum:
     mdp: MDP
     method: str
     solution: solvers.Solution | None
-    certificate: Certificate | None
+    certificate: Certificate | AverageCertificate | None
 
     @property
-    def best(self) -> solvers.Solution | Certificate:
+    def best(self) -> solvers.Solution | Certificate | AverageCertificate:
         """What vouches for the values."""
         found = self.solution if self.certificate is None else self.certificate
         assert found is not None
@@ -136,7 +138,12 @@ def _serves_each_status(mdp: MDP, optimal: Mask) -> bool:
 
 
 def optimum(
-    model: MDP, method: str = "auto", tol: float | None = None, *, certify: bool = False
+    model: MDP,
+    method: str = "auto",
+    tol: float | None = None,
+    *,
+    certify: bool = False,
+    criterion: Criterion = "total",
 ) -> Optimum:
     """Solve a model in floating point and, where asked for, exactly.
 
@@ -151,10 +158,10 @@ def optimum(
     >>> round(found.start_value, 9), found.claim.value, found.optimal.tolist()
     (1.5, 'bounded', [True, True])
     """
-    solver = _solver(model, method, tol)
+    solver = _solver(model, method, tol, average=is_average(criterion))
     solution = None
     try:
-        solution = solvers.solve(model, solver)
+        solution = solvers.solve(model, solver, criterion=criterion)
         if tol is not None and solution.error_bound > tol:
             _warn(f"the error bound is {solution.error_bound:.2g}, above the tolerance {tol:g}")
         if not certify:
@@ -163,7 +170,7 @@ def optimum(
         if not certify:
             raise
         _warn(f"{error} (the exact values stand)")
-    certificate = solvers.certify(model)
+    certificate = solvers.certify(model, criterion=criterion)
     if faults := certificate.violations():
         raise Contradiction(f"the certificate does not hold: {faults[0]}")
     found = Optimum(mdp=model, method=solver.name, solution=solution, certificate=certificate)
@@ -178,9 +185,11 @@ def optimum(
     return found
 
 
-def _solver(mdp: MDP, method: str, tol: float | None) -> solvers.Solver:
+def _solver(mdp: MDP, method: str, tol: float | None, *, average: bool) -> solvers.Solver:
     """Return a named solver, with the tolerance where it has one to set."""
-    if method == "auto":
+    if method == "auto" and average:
+        method = "policy-iteration"
+    elif method == "auto":
         method = "backward-induction" if is_acyclic(mdp) else "modified-policy-iteration"
     if method not in solvers.SOLVERS:
         known = [*solvers.SOLVERS, "auto"]

@@ -160,16 +160,23 @@ def per_step(model: MDP) -> MDP:
     >>> mdp.table.sums_to_one, per_step(mdp).table.sums_to_one, per_step(mdp).discount
     (False, True, 1.0)
     """
-    table = model.table
+    table, parts = model.table, model.component_table
     if not table.sums_to_one:
         weight, below = table.integer_weights()
         whole = replace(
             table, weight=weight, denominator=below, weight_doubt=table.weight_rounding()
         )
-        table = replace(whole, denominator=whole.row_sums())
+        total = whole.row_sums()
+        table = replace(whole, denominator=total)
+        if parts is not None and len(table.gain) != table.pairs:
+            amount, bottom = parts.exact()
+            parts = replace(
+                parts, amount=multiply(amount, below[:, None]), denominator=multiply(bottom, total)
+            )
     if table is model.table and model.discount_exact == 1:
         return model
-    return model.with_(discount=1, table=table)
+    names = model.component_names
+    return model.with_(discount=1, table=table, component_table=parts, component_names=names)
 
 
 def slack_signs(model: MDP) -> Numbers:

@@ -40,6 +40,9 @@ from exact_mdp.solvers.solution import (
 from exact_mdp.solvers.solver import SOLVERS, solve
 
 if TYPE_CHECKING:
+    from exact_mdp.solvers.average.certificate import AverageCertificate
+    from exact_mdp.solvers.average.evaluate import AverageEvaluation
+    from exact_mdp.solvers.average.solve import AverageSolution
     from exact_mdp.solvers.dynamic.operator import operator_mean
     from exact_mdp.solvers.pomdp.pomdp import BeliefProblem
     from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
@@ -51,6 +54,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SOLVERS",
+    "AverageCertificate",
+    "AverageEvaluation",
+    "AverageSolution",
     "BackwardInduction",
     "BeliefProblem",
     "Bounded",
@@ -85,6 +91,9 @@ __all__ = [
 __getattr__, __dir__ = names_later(
     __name__,
     {
+        "exact_mdp.solvers.average.certificate": ["AverageCertificate"],
+        "exact_mdp.solvers.average.evaluate": ["AverageEvaluation"],
+        "exact_mdp.solvers.average.solve": ["AverageSolution"],
         "exact_mdp.solvers.dynamic.operator": ["operator_mean"],
         "exact_mdp.solvers.pomdp.pomdp": ["BeliefProblem"],
         "exact_mdp.solvers.proof.certificate": ["BoundedCertificate", "Certificate"],

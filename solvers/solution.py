@@ -347,7 +347,7 @@ class Solution(Pictured):
 
     def __repr__(self) -> str:
         return (
-            f"Solution({self.method}: start value {self.start}, "
+            f"{type(self).__name__}({self.method}: start value {self.start}, "
             f"regret at most {self.regret_bound:.1g}, {self.iterations} iterations, "
             f"{self.seconds:.3g} s; {self.status})"
         )

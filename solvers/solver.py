@@ -11,13 +11,14 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol, TypeVar, overload
+from typing import Any, Literal, Protocol, TypeVar, overload
 
 from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import numbered_in_order
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.average.solve import AverageSolution, solve_average
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
 from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
@@ -40,6 +41,7 @@ SOLVERS: dict[str, type[Solver]] = {
     "linear-program": LinearProgram,
 }
 CRITERIA = ("total", "average")
+Criterion = Literal["total", "average"]
 Found = TypeVar("Found", covariant=True)
 
 
@@ -89,7 +91,16 @@ def solve(
     tol: float | None = ...,
     horizon: int | None = ...,
     start: Any = ...,
+    criterion: Literal["total"] = ...,
 ) -> Solution: ...
+@overload
+def solve(
+    model: MDP | Scenario,
+    solver: Solver | str | None = ...,
+    *,
+    tol: float | None = ...,
+    criterion: Literal["average"],
+) -> AverageSolution: ...
 @overload
 def solve(
     model: SolvesItself[Found],
@@ -105,6 +116,7 @@ def solve(
     tol: float | None = None,
     horizon: int | None = None,
     start: Any = None,
+    criterion: str = "total",
 ) -> object:
     """Return optimal values and a policy, with bounds on their error.
 
@@ -129,11 +141,16 @@ def solve(
         Values near the optimum, or a policy, to begin with: of a similar model, say. The answer and
         its bounds hold as without. Models without cycles are solved in one pass all the same; those
         with a policy that never ends do not use it.
+    criterion : "total" or "average"
+        What is best: the total reward, discounted as the model says, or the average reward per
+        step in the long run, whatever the discount. The average is found by policy iteration, by
+        value iteration on relative values, or by a linear program.
 
     Returns
     -------
     Solution
-        Or what `solve_with` of another kind of model gives.
+        An AverageSolution of an average reward, which has gain and bias; or what `solve_with` of
+        another kind of model gives.
 
     Raises
     ------
@@ -152,8 +169,16 @@ def solve(
     (1.875, ['0', '0', '1'])
     >>> solve(mdp, "value-iteration", tol=1e-3).error_bound < 1e-3
     True
+    >>> turns = MDP.from_arrays([[[0, 1], [1, 0]]], [1, 4])
+    >>> solve(turns, criterion="average").gain.tolist()
+    [2.5, 2.5]
     """
     solver = "auto" if solver is None else solver
+    if is_average(criterion):
+        require_no_horizon(horizon)
+        check_tolerance("solve", tol)
+        named = PolicyIteration() if solver == "auto" else _with_settings(_named(solver), tol=tol)
+        return solve_average(mdp_of(model), _with_settings(named, start=start), tol)
     own = getattr(model, "solve_with", None)
     if horizon is not None and not isinstance(model, MDP | Scenario):
         raise ModelError(
@@ -185,6 +210,16 @@ def is_average(criterion: str) -> bool:
         fix = suggest(str(criterion), CRITERIA)
         raise ModelError(f"unknown criterion {criterion!r}", where="criterion", fix=fix)
     return criterion == "average"
+
+
+def require_no_horizon(horizon: object) -> None:
+    """Raise ModelError for a horizon beside an average reward."""
+    if horizon is not None:
+        raise ModelError(
+            "an average reward per step has no horizon",
+            where="horizon",
+            fix="leave horizon out, or divide the total of N steps by N",
+        )
 
 
 def _named(solver: Any) -> Solver:

@@ -55,6 +55,7 @@ def check(
         max_regret=max_regret,
         max_relative_regret=max_relative_regret,
         exact_values=True if certify else None,
+        criterion="average" if asked.average else "total",
     )
     why = None if no_explain else audit.representation
     if junit is not None:

@@ -91,6 +91,13 @@ of_model = together(
 horizon = click.option(
     "--horizon", metavar="N", help="Stop every episode after N steps, without a further reward."
 )
+criterion = click.option(
+    "--criterion",
+    default="total",
+    metavar="total|average",
+    help="What counts: the total reward (the default), or the average reward per step in the long "
+    "run, whatever the discount.",
+)
 of_policy = together(
     click.option(
         "--kind",
@@ -190,6 +197,7 @@ def convert() -> None:
 @of_model
 @horizon
 @question
+@criterion
 @click.option(
     "--method",
     default="auto",
@@ -249,6 +257,7 @@ def verify() -> None:
     default=True,
     help="Whether to compute the quantiles, which can take long in large models.",
 )
+@criterion
 @of_policy
 @question
 @of_model
@@ -304,6 +313,7 @@ def simulate() -> None:
 @click.option(
     "--no-explain", is_flag=True, help="Do not say what the policy's columns cannot express."
 )
+@criterion
 @of_policy
 @question
 @of_model

@@ -5,18 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 from exact_mdp import solvers
-from exact_mdp.analysis.cli.options import given, whole_of
+from exact_mdp.analysis.cli.options import Given, given, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, at_most, between, decimal, number
 from exact_mdp.solvers.values.returns import return_distribution
 from exact_mdp.solvers.values.simulate import simulate as sample
 
 MOST_EPISODES = 10**9
 LISTED_RETURNS = 1000  # longer distributions are left to --json
+LISTED_STATES = 1000  # models with more states are left to Python for the numbers of each
 
 
 def evaluate(*, quantiles: bool, **shared: Any) -> Report:
     """Evaluate a policy."""
     asked = given(**shared)
+    if asked.average:
+        return _average(asked)
     found = solvers.evaluate(asked.mdp, asked.policy)
     shares = found.quantiles if quantiles else None
     missing = "left out" if not quantiles else found.quantiles_missing
@@ -57,6 +60,32 @@ def evaluate(*, quantiles: bool, **shared: Any) -> Report:
             rows=returned,
             columns={"share": "share:.0%", "return": "value"},
         ),
+    ]
+    return asked.report(result, facts, tables)
+
+
+def _average(asked: Given) -> Report:
+    """Evaluate the average reward per step of a policy."""
+    found = solvers.evaluate(asked.mdp, asked.policy, criterion="average")
+    frame, few = found.frame(), asked.mdp.n_states <= LISTED_STATES
+    result = {
+        "claim": found.claim,
+        "mean": found.start.value,
+        "error_bound": found.start.error,
+        "recurrent_classes": len(found.classes.base),
+        "components": {name: number.value for name, number in found.components.items()},
+        "by_state": frame.set_index("state").to_dict("index") if few else None,
+    }
+    facts = {"reward per step": found.start, "recurrent classes": len(found.classes.base)}
+    parts = [{"name": name, "share": number} for name, number in found.components.items()]
+    columns = {name: name for name in ("state", "gain", "bias", "share")}
+    tables = [
+        Table(
+            title="reward per step of each component",
+            rows=parts,
+            columns={"component": "name", "per step": "share"},
+        ),
+        Table(title="gain, bias and share of time", rows=frame, columns=columns),
     ]
     return asked.report(result, facts, tables)
 

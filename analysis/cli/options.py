@@ -14,6 +14,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import exact
+from exact_mdp.solvers.solver import is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 seeing = later("exact_mdp.mdp.care.perception")
@@ -87,6 +88,8 @@ class Given:
         Says where an answer leaves the environment's time limit out.
     taken : Policy, optional
         The policy.
+    average : bool
+        Whether the average reward per step counts (--criterion average).
     """
 
     endless: Loaded
@@ -97,6 +100,7 @@ class Given:
     facts: dict[str, Any]
     notes: tuple[str, ...]
     taken: Policy | None = None
+    average: bool = False
 
     @property
     def mdp(self) -> MDP:
@@ -137,6 +141,7 @@ def given(
     kind: str = "auto",
     perception: str | None = None,
     horizon: str | bool | None = False,
+    criterion: str | None = None,
     **asking: Any,
 ) -> Given:
     """Return the model that a command names, and the policy where it takes one.
@@ -145,6 +150,8 @@ def given(
     ----------
     horizon : "N" or None, optional
         The option --horizon of a command that has it.
+    criterion : str, optional
+        The option --criterion of a command that has it.
     **asking
         The options of a `Question`.
     """
@@ -154,11 +161,20 @@ def given(
     loaded, steps = endless, None
     if question is not None:
         loaded = replace(endless, mdp=question(endless.mdp), scenario=None)
+    average = criterion is not None and is_average(criterion)
+    if average:
+        require_no_horizon(horizon or None)
+        if asked.reach is not None or asked.until is not None:
+            raise ModelError(
+                "an average reward per step has no target",
+                where="--criterion",
+                fix="leave out --reach and --until, or --criterion",
+            )
     if isinstance(horizon, str):
         steps = whole_of(horizon, "--horizon", 1, MOST_STEPS)
         loaded = replace(loaded, mdp=loaded.mdp.within(steps))
     mdp, limit = loaded.mdp, loaded.mdp.time_limit
-    also = f": --horizon {limit}" if horizon is not False else ""
+    also = f": --horizon {limit}" if horizon is not False and not average else ""
     head: dict[str, Any] = {"model": loaded.name, "discount": mdp.discount}
     facts: dict[str, Any] = {"model": loaded.name}
     if horizon is not False:
@@ -167,13 +183,16 @@ def given(
         words = question.words() if question else None
         head |= {"sense": mdp.sense, "question": words, "start": asking["start"]}
         facts |= {"question": words, "start": asking["start"]}
+    if criterion is not None:
+        head["criterion"] = criterion
     found = None
     if policy is not None:
-        found = policy_from(mdp, policy, perception, kind=kind)
+        found = policy_from(mdp, policy, perception, kind=kind, average=average)
         head |= {"policy": policy, "read_as": found.read_as, "perception": perception}
         facts = {"read as": found.source or None} | facts
         facts |= {"policy": policy, "perception": perception}
-    facts |= {"discount": mdp.discount, "horizon": None if steps is None else f"{steps:,} steps"}
+    facts |= {"discount": mdp.discount, "criterion": "reward per step" if average else None}
+    facts |= {"horizon": None if steps is None else f"{steps:,} steps"}
     return Given(
         endless=endless,
         loaded=loaded,
@@ -188,17 +207,23 @@ def given(
             f"limit{also}",
         ),
         taken=found,
+        average=average,
     )
 
 
 def policy_from(
-    mdp: MDP, form: str, perception: str | None = None, *, kind: str = "auto"
+    mdp: MDP,
+    form: str,
+    perception: str | None = None,
+    *,
+    kind: str = "auto",
+    average: bool = False,
 ) -> Policy:
     """Return the policy that a command names, acting on what is perceived where that is given.
 
     Under a perception the optimum is that of whoever sees the truth.
     """
-    found = policy_of(mdp, form, kind=kind)
+    found = policy_of(mdp, form, kind=kind, criterion="average" if average else "total")
     if perception is None:
         return found
     seen: Policy = seeing.perceived(mdp, found, seeing.read(perception, mdp))

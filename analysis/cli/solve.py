@@ -20,7 +20,11 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.average.certificate import AverageCertificate
+from exact_mdp.solvers.average.solve import AverageSolution
+from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.solver import is_average
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
@@ -41,14 +45,28 @@ def solve(
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     if operator:
         wanted: dict[str, object] = {"--certify": certify, "--certificate": certificate}
+        if is_average(shared.pop("criterion")):
+            wanted["--criterion average"] = True
         kept = ("model", "sets", "discount")
         wanted |= {f"--{name}": shared.pop(name) for name in [*shared] if name not in kept}
         asked = _as_operator(method, wanted, **shared)
         method = "backward-induction" if method == "auto" else method
     else:
         asked = given(**shared)
-    mdp = asked.mdp
-    found = optimum(mdp, method, None if tol is None else number_of(tol, "--tol"), certify=certify)
+    mdp, average = asked.mdp, asked.average
+    if average and certificate and not certify:
+        raise ModelError(
+            "there are no bounded certificates of an average reward",
+            where="--certificate",
+            fix="add --certify",
+        )
+    found = optimum(
+        mdp,
+        method,
+        None if tol is None else number_of(tol, "--tol"),
+        certify=certify,
+        criterion="average" if average else "total",
+    )
     written = _write(asked.loaded, found, policy_out=policy_out, out=out, certificate=certificate)
     proof, solution = found.certificate, found.solution
     result: dict[str, Any] = {
@@ -57,7 +75,7 @@ def solve(
         "start_value": found.start_value,
         "error_bound": found.error_bound,
         "exact_start_value": proof.start_value if proof else None,
-        "unique": proof.unique if proof else None,
+        "unique": proof.unique if isinstance(proof, Certificate) else None,
         "stationary": None,
         "regret_bound": solution.regret_bound if solution and not proof else 0.0,
         "iterations": solution.iterations if solution else None,
@@ -66,18 +84,20 @@ def solve(
         "solver": solution.solver if solution else None,
         "written": written,
         **policy_words(mdp, found.policy),
+        **(_averages(mdp, found) if average else {}),
     }
     facts: dict[str, Any] = {"method": found.method}
     if solution:
         facts["method"] += f", {solution.iterations:,} iterations, {solution.seconds:.2g} s"
-    facts["start value"] = Bounded(value=found.start_value, error=found.error_bound)
+    value = "reward per step" if average else "start value"
+    facts[value] = Bounded(value=found.start_value, error=found.error_bound)
     if proof:
         exact = ratio(proof.start_value)
         long = f"a rational of {len(exact):,} digits; --json prints it"
-        facts["start value"] = Certified(value=proof.start_value)
-        facts["exact start value"] = exact if len(exact) <= SHOWN_DIGITS else long
-        facts["unique optimum"] = proof.unique
-    if "status" in mdp.space.names and isinstance(mdp, MDP):
+        facts[value] = Certified(value=proof.start_value)
+        facts[f"exact {value}"] = exact if len(exact) <= SHOWN_DIGITS else long
+        facts["unique optimum"] = result["unique"]
+    if "status" in mdp.space.names and isinstance(mdp, MDP) and not average:
         result["stationary"] = found.stationary()
     facts["stationary"] = {
         None: None,
@@ -86,6 +106,18 @@ def solve(
     }[result["stationary"]]
     facts["written"] = written or None
     return asked.report(result, facts, [_table(result, asked.loaded)])
+
+
+def _averages(mdp: MDP, found: Optimum) -> dict[str, Any]:
+    """Return gain and bias of each state, exactly where they are certified."""
+    best = found.best
+    if mdp.n_states > LISTED_STATES or not isinstance(best, AverageCertificate | AverageSolution):
+        return {"gain": None, "bias": None}
+    labels = _labels(mdp.space)
+    return {
+        "gain": dict(zip(labels, best.gain, strict=True)),
+        "bias": dict(zip(labels, best.bias, strict=True)),
+    }
 
 
 def _as_operator(
@@ -178,21 +210,26 @@ def _write(
 
 
 def _save_arrays(mdp: MDP, found: Optimum, path: str) -> None:
-    """Write arrays; `q` is (S, A), NaN where an action is not available, and reads as a policy."""
-    q = np.full((mdp.n_states, mdp.n_actions), np.nan)
-    q[mdp.pair_state, mdp.pair_action] = mdp.backup(found.value)
-    optimal = np.zeros(q.shape, dtype=bool)
-    optimal[mdp.pair_state, mdp.pair_action] = found.optimal
+    """Write arrays; `q` is (S, A), NaN where an action is not available, and reads as a policy.
+
+    Of an average reward there is the bias instead of action values.
+    """
+    arrays: dict[str, Any] = {
+        "value": found.value,
+        "state_error": found.state_error,
+        "policy": found.policy,
+        "start_value": np.float64(found.start_value),
+        "error_bound": np.float64(found.error_bound),
+        "claim": np.array(str(found.claim)),
+    }
+    if isinstance(found.best, AverageCertificate | AverageSolution):
+        arrays["bias"] = found.best.bias.astype(np.float64)
+    else:
+        q = np.full((mdp.n_states, mdp.n_actions), np.nan)
+        q[mdp.pair_state, mdp.pair_action] = mdp.backup(found.value)
+        optimal = np.zeros(q.shape, dtype=bool)
+        optimal[mdp.pair_state, mdp.pair_action] = found.optimal
+        arrays |= {"q": q, "optimal": optimal}
     content = io.BytesIO()
-    np.savez(
-        content,
-        value=found.value,
-        state_error=found.state_error,
-        policy=found.policy,
-        q=q,
-        optimal=optimal,
-        start_value=np.float64(found.start_value),
-        error_bound=np.float64(found.error_bound),
-        claim=np.array(str(found.claim)),
-    )
+    np.savez(content, **arrays)
     write_atomically(path, content.getvalue())

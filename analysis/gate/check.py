@@ -21,11 +21,12 @@ from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from exact_mdp.analysis.gate.average import average_regret
 from exact_mdp.analysis.gate.disagreements import Disagreement, disagreements, own_visits
 from exact_mdp.analysis.gate.reasons import (
     QError,
@@ -43,7 +44,7 @@ from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import LARGEST, Floats, exact, shown
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
-from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ class Audit(Pictured):
         States with a choice where it does not act optimally, the costliest first.
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
+    criterion : "total" or "average"
+        Whether the values are total rewards, or rewards per step in the long run.
 
     Examples
     --------
@@ -100,6 +103,7 @@ class Audit(Pictured):
     disagreements: tuple[Disagreement, ...]
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
+    criterion: str = "total"
 
     picture = "exact_mdp.analysis.plots.states:plot_audit"
 
@@ -240,7 +244,7 @@ class Audit(Pictured):
     @cached_property
     def q_error(self) -> QError | None:
         """How wrong the Q-table is; None for a policy."""
-        if self.policy.values is None:
+        if self.policy.values is None or self.criterion == "average":
             return None
         said = pair_values(self.mdp, self.policy, self.policy.values)
         gap = self.regret.gap if self.mdp.sense == "max" else -self.regret.gap
@@ -269,7 +273,8 @@ class Audit(Pictured):
 
     @property
     def _reads_all(self) -> bool:
-        return set(self.policy.columns) == set(self.mdp.space.names)
+        reads = set(self.policy.columns) == set(self.mdp.space.names)
+        return reads or self.criterion == "average"
 
     def message(self, *, explain: bool = True) -> str:
         """Return in words what was found, the costly states by name.
@@ -343,6 +348,7 @@ def check(
     exact_values: bool | None = None,
     kind: str = "auto",
     horizon: int | None = None,
+    criterion: Criterion = "total",
 ) -> Audit:
     """Return how much a policy or Q-table loses against the optimum, where and why.
 
@@ -369,6 +375,9 @@ def check(
         Stop after this many steps, without a further reward: the audit is that of
         `mdp.within(horizon)`. What is learned over states is the same at every time there; tables
         (N, S, A) depend on time.
+    criterion : "total" or "average"
+        Whether the total reward counts, discounted as the model says, or the average reward per
+        step in the long run; see `analysis.gate.average`.
 
     Returns
     -------
@@ -391,13 +400,27 @@ def check(
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon)
-    limits = {
+    limits: dict[str, Any] = {
         "max_regret": _limit("max_regret", max_regret),
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
     }
-    held = policy_of(mdp, policy, kind=kind)
+    held = policy_of(mdp, policy, kind=kind, criterion=criterion)
     rewards = mdp.maximised
     chain = PolicyChain.of(rewards, held)
+    if is_average(criterion):
+        require_no_horizon(horizon)
+        exact_values = cheap(mdp, LAST_CYCLE) if exact_values is None else exact_values
+        lost, visits, wrong = average_regret(rewards, chain, exact=exact_values)
+        return Audit(
+            mdp=mdp,
+            policy=held,
+            chain=chain if rewards is mdp else PolicyChain.of(mdp, held),
+            regret=lost if rewards is mdp else lost.negated(),
+            visits=visits,
+            disagreements=wrong,
+            criterion=criterion,
+            **limits,
+        )
 
     def audit(exactly: bool | None) -> Audit:
         lost = regret(rewards, chain, exact=exactly)
@@ -432,6 +455,7 @@ def assert_policy_optimal(
     max_relative_regret: object | None = None,
     kind: str = "auto",
     horizon: int | None = None,
+    criterion: Criterion = "total",
 ) -> Audit:
     """Raise AssertionError, naming the costly states, unless the regret keeps its limits.
 
@@ -446,6 +470,8 @@ def assert_policy_optimal(
         What a two-dimensional array holds; see `check`.
     horizon : int, optional
         Stop after this many steps; see `check`.
+    criterion : "total" or "average"
+        What counts; see `check`.
 
     Returns
     -------
@@ -476,6 +502,7 @@ def assert_policy_optimal(
         max_relative_regret=max_relative_regret,
         kind=kind,
         horizon=horizon,
+        criterion=criterion,
     )
     if not audit.passed:
         raise AssertionError(audit.message())

@@ -126,7 +126,7 @@ def disagreements(
             Disagreement(
                 state=state,
                 label=mdp.space.label(state),
-                learned=_action(chain, state),
+                learned=action_of(chain, state),
                 optimal=tuple(
                     mdp.actions[mdp.pair_action[pair]]
                     for pair in pairs
@@ -166,7 +166,8 @@ def _changes(
     return change
 
 
-def _action(chain: PolicyChain, state: int) -> str:
+def action_of(chain: PolicyChain, state: int) -> str:
+    """Return the action that a policy takes in a state, or what it draws from."""
     mdp = chain.mdp
     taken = [pair for pair in mdp.pairs_of(state) if chain.weights[pair] > 0]
     names: list[str] = [mdp.actions[mdp.pair_action[pair]] for pair in taken]

@@ -73,7 +73,7 @@ def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
     return Range(low=least / SLACK, high=most * SLACK + TINY * (most > 0))
 
 
-def _exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
+def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
     """Return e(l) of one pair as a rational, for exact values of all states."""
     table = mdp.table
     begin, end = int(table.offsets[pair]), int(table.offsets[pair + 1])
@@ -175,7 +175,7 @@ def exact_ties(mdp: MDP, best: Certificate, tie: Range, pairs: Integers) -> Flag
             continue
         if later is None:
             later = _exactly_in_all(policy_taking(mdp, best.optimal_pairs), best.value.tolist())
-        limit = _exactly_per_use(mdp, best.value.tolist(), pair)
+        limit = exactly_per_use(mdp, best.value.tolist(), pair)
         row = mdp.table.row(pair)
         limit += mdp.discount_exact * sum((p * later[t] for p, t, _ in row), Fraction(0))
         found[pair] = gap <= limit + later[int(mdp.pair_state[pair])]
@@ -187,7 +187,7 @@ def _exactly_in_all(chain: PolicyChain, value: Sequence[Fraction]) -> Sequence[F
     mdp, earned = chain.mdp, [Fraction(0)] * chain.mdp.n_states
     for state in np.flatnonzero(~mdp.terminal).tolist():
         for pair, share in chain.exact_weights(state).items():
-            earned[state] += share * _exactly_per_use(mdp, value, pair)
+            earned[state] += share * exactly_per_use(mdp, value, pair)
     return exact_policy(chain, earned).value
 
 

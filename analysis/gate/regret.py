@@ -51,14 +51,13 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.bounds.bounds import Bounds, bounds
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.visits import at_start
 
 
 def proven(mdp: MDP) -> Certificate:
@@ -95,8 +94,8 @@ class Regret(Brief):
         Pairs among them that the bounds do not prove to be optimal; none where certified.
     gap : (L,)
         What a pair falls short of the optimum, 0 for optimal pairs.
-    optimum : Certificate or Bounds
-        What vouches for the optimal values.
+    optimum : Certificate or Bounds, optional
+        What vouches for the optimal values; None of an average reward.
     forgiveness : Forgiveness
         What the rounding of the given floats can move at the start; 0 in an exact model. Of a
         bounded optimum, the policy's own part alone.
@@ -111,7 +110,7 @@ class Regret(Brief):
     optimal_pairs: Flags
     unclear: Flags
     gap: Floats
-    optimum: Certificate | Bounds
+    optimum: Certificate | Bounds | None
     forgiveness: Forgiveness = field(
         default_factory=lambda: Forgiveness(low=Fraction(0), high=Fraction(0))
     )

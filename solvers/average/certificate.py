@@ -89,8 +89,10 @@ class AverageCertificate(AverageClaims, Pictured):
         """
         if self.mdp is None:
             raise _without_model("losses")
-        rows = bellman_rows(per_step(self.mdp))
-        gain, bias, _ = surplus(rows, self.g, self.h, self.w)
+        rows, claimed = bellman_rows(per_step(self.mdp.maximised)), (self.g, self.h, self.w)
+        if self.mdp.sense == "min":
+            claimed = (self.g.negated(), self.h.negated(), self.w.negated())
+        gain, bias, _ = surplus(rows, *claimed)
         own = rows.scale[rows.pair_state].astype(object)
         primes = self.g.below * self.h.below
         lost = fractions((-gain).tolist(), (own * self.g.below).tolist(), primes)

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
 from exact_mdp.solvers.proof.exact import solve_exactly
@@ -82,10 +83,24 @@ class Classes:
         return found
 
 
+def graph_of(mdp: MDP, pairs: Integers) -> sp.csr_array:
+    """Return where the pairs (K,) of a policy lead from each state, (S, S), however rarely."""
+    offsets = mdp.table.offsets
+    following = mdp.table.next[spans(offsets[pairs], offsets[pairs + 1])]
+    source = np.repeat(mdp.pair_state[pairs], offsets[pairs + 1] - offsets[pairs])
+    shape = (mdp.n_states, mdp.n_states)
+    return sp.csr_array((np.ones(len(source)), (source, following)), shape)
+
+
 class Averages(ABC):
     """Means and biases of rewards (S,) in a chain, as arrays of floats or of Fractions."""
 
     classes: Classes
+
+    @property
+    @abstractmethod
+    def ones(self) -> Numbers:
+        """(S,) a reward of 1 in every state."""
 
     @abstractmethod
     def total(self, constant: Numbers, stop: Mask) -> Numbers:
@@ -108,7 +123,12 @@ class Averages(ABC):
 
     def mean(self, earned: Numbers) -> Numbers:
         """Return (C,) the long-run average of rewards (S,) in each class."""
-        return np.asarray(self._cycle(earned) / self._cycle(earned * 0 + 1))
+        return np.asarray(self._cycle(earned) / self.period)
+
+    @cached_property
+    def period(self) -> Numbers:
+        """(C,) the mean number of steps between two visits of a base."""
+        return self._cycle(self.ones)
 
     def spread(self, means: Numbers) -> Numbers:
         """Return (S,) the expectation of a number (C,) of the class that the chain ends in."""
@@ -134,6 +154,11 @@ class FloatAverages(Averages):
         """Take P (S, S), whose rows may be empty where a state is absorbing."""
         self.transition, self.classes, self._roundings = transition, classes, roundings
         self._systems: dict[bytes, LinearSystem] = {}
+
+    @property
+    def ones(self) -> Floats:
+        """(S,) floats."""
+        return np.ones(len(self.classes.label))
 
     def system(self, stop: Mask) -> LinearSystem:
         """Return the equation y = c + P y, with empty rows where `stop`."""
@@ -163,6 +188,11 @@ class ExactAverages(Averages):
         states = len(rows.scale)
         graph = sp.csr_array((np.ones(len(rows.next)), rows.next, rows.offsets), (states, states))
         self.classes, self._rows = Classes.of(graph), rows
+
+    @property
+    def ones(self) -> Numbers:
+        """(S,) Fractions."""
+        return np.array([Fraction(1)] * len(self.classes.label), dtype=object)
 
     @property
     def reward(self) -> Numbers:

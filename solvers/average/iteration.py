@@ -17,7 +17,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.average.chain import Classes, FloatAverages
+from exact_mdp.solvers.average.chain import Classes, FloatAverages, graph_of
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -25,11 +25,12 @@ MOST = 1000  # policies
 
 
 class Improved(NamedTuple):
-    """The pairs (S,) of a policy, its relative values (S,), and how many were evaluated."""
+    """The pairs (S,) of a policy, relative values (S,), iterations, and how it ended."""
 
     pairs: Integers
     bias: Floats
     iterations: int
+    status: Status = Status.DIRECT
 
 
 def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Improved:
@@ -43,8 +44,8 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Impr
     seen: set[bytes] = set()
     for iteration in range(1, most + 1):
         seen.add(pairs.tobytes())
-        chain = step.transition[pairs]
-        found = FloatAverages(chain, Classes.of(chain)).expansion(step.reward[pairs])
+        averages = FloatAverages(step.transition[pairs], Classes.of(graph_of(step, pairs)))
+        found = averages.expansion(step.reward[pairs])
         pairs = _greatest(step, found, pairs)
         if pairs.tobytes() in seen:
             return Improved(pairs, found[1], iteration)

@@ -40,7 +40,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import Solve, TooLarge, matrix_of
 from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.solution import Bounded, SolverError, Status
 
 compiling = later("exact_mdp.solvers.kernels.compiling")
 loops = later("exact_mdp.solvers.kernels.linear")
@@ -210,13 +210,24 @@ class LinearSystem:
             return refusal
 
 
-def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
-    """Return the (S, S) transitions, terminal rows emptied, and (S,) rewards of `pairs` (S,)."""
-    chain = mdp.transition[pairs]
-    if mdp.terminal.any():
-        chain.data[np.repeat(mdp.terminal, np.diff(chain.indptr))] = 0.0
-        chain.eliminate_zeros()
-    return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
+def at_start(mdp: MDP, found: FixedPoint) -> Bounded:
+    """Return the expectation over the start distribution, with its error."""
+    states = np.flatnonzero(mdp.start_distribution)
+    weights = mdp.start_distribution[states]
+    value, error = found.value[states], found.error[states]
+    rounding = 0.0 if weights.tolist() == [1.0] else float(gamma(len(states) + 3))
+    bound = float(weights @ (error + rounding * np.abs(value))) * SLACK
+    return Bounded(value=float(weights @ value), error=bound)
+
+
+def transposed(system: LinearSystem) -> LinearSystem:
+    """Return the equation x = c + γ Pᵀ x, which visits satisfy."""
+    return LinearSystem(
+        system.transition.T.tocsr(),
+        system.discount,
+        order=None if system.order is None else -system.order,
+        roundings=system.roundings,
+    )
 
 
 def rows_of(matrix: sp.csr_array, kept: NDArray[np.bool_]) -> sp.csr_array:
@@ -225,6 +236,15 @@ def rows_of(matrix: sp.csr_array, kept: NDArray[np.bool_]) -> sp.csr_array:
     lengths = np.where(kept, np.diff(matrix.indptr), 0)
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
     return sp.csr_array((matrix.data[entries], matrix.indices[entries], offsets), matrix.shape)
+
+
+def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
+    """Return the (S, S) transitions, terminal rows emptied, and (S,) rewards of `pairs` (S,)."""
+    chain = mdp.transition[pairs]
+    if mdp.terminal.any():
+        chain.data[np.repeat(mdp.terminal, np.diff(chain.indptr))] = 0.0
+        chain.eliminate_zeros()
+    return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
 
 
 def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:

@@ -17,24 +17,26 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import inf, nan, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal, overload
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError
-from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution, times
-from exact_mdp.solvers.values.visits import at_start, ever, pair_visits, steps, visits
+from exact_mdp.solvers.values.visits import ever, pair_visits, steps, visits
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -364,9 +366,27 @@ def _rounded(number: Fraction) -> float:
         return inf if number > 0 else -inf
 
 
+@overload
 def evaluate(
-    model: MDP | Scenario, policy: PolicyLike, *, kind: str = "auto", horizon: int | None = None
-) -> Evaluation:
+    model: MDP | Scenario,
+    policy: PolicyLike,
+    *,
+    kind: str = ...,
+    horizon: int | None = ...,
+    criterion: Literal["total"] = ...,
+) -> Evaluation: ...
+@overload
+def evaluate(
+    model: MDP | Scenario, policy: PolicyLike, *, kind: str = ..., criterion: Literal["average"]
+) -> AverageEvaluation: ...
+def evaluate(
+    model: MDP | Scenario,
+    policy: PolicyLike,
+    *,
+    kind: str = "auto",
+    horizon: int | None = None,
+    criterion: str = "total",
+) -> Evaluation | AverageEvaluation:
     """Return the mean and all else that there is to know about a policy's return.
 
     Parameters
@@ -381,10 +401,13 @@ def evaluate(
         Stop after this many steps, without a further reward: what is found is that of
         `mdp.within(horizon)`. Policies over states are the same at every time there; those of
         `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
+    criterion : "total" or "average"
+        "average" gives the average reward per step in the long run, whatever the discount, the bias
+        of each state, and the share of time spent there. "optimal" is then best in that.
 
     Returns
     -------
-    Evaluation
+    Evaluation or AverageEvaluation
 
     Raises
     ------
@@ -402,6 +425,12 @@ def evaluate(
     (2.0, 2.0, {'reward': 2.0}, 1.0)
     """
     mdp = mdp_of(model)
+    if is_average(criterion):
+        require_no_horizon(horizon)
+        if isinstance(policy, str) and policy == "optimal":
+            policy = solve(mdp, criterion="average")
+        held = PolicyChain.of(mdp, policy, kind=kind)
+        return evaluated(per_step(mdp), held.weights, held.roundings, held.policy)
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)

@@ -36,7 +36,7 @@ from exact_mdp.mdp.table import (
 )
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.solver import Criterion, solve
 
 csgraph = later("scipy.sparse.csgraph")
 
@@ -44,7 +44,13 @@ Mask = NDArray[np.bool_]
 SHOWN = 4
 
 
-def policy_of(model: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
+def policy_of(
+    model: MDP,
+    policy: PolicyLike,
+    *,
+    kind: str = "auto",
+    criterion: Criterion = "total",
+) -> Policy:
     """Return the policy of any form that the toolkit takes; for "optimal" the model is solved.
 
     Parameters
@@ -54,6 +60,8 @@ def policy_of(model: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
         "optimal", a Solution, a Certificate, or whatever `Policy.of` takes.
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `mdp.policies.arrays`.
+    criterion : "total" or "average"
+        What "optimal" is best in; see `solve`.
 
     Returns
     -------
@@ -71,7 +79,7 @@ def policy_of(model: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
     [0.0, 1.0, 1.0, 0.0]
     """
     if isinstance(policy, str) and policy == "optimal":
-        policy = solve(model)
+        policy = solve(model, criterion=criterion)
     return Policy.of(model, policy, kind=kind)
 
 
@@ -262,16 +270,6 @@ class PolicyChain:
         if self.mdp.discount_exact == 1:
             return self.undiscounted
         return LinearSystem(self.transition, rate, order=self.order, roundings=self.roundings)
-
-
-def transposed(system: LinearSystem) -> LinearSystem:
-    """Return the equation x = c + γ Pᵀ x, which visits satisfy."""
-    return LinearSystem(
-        system.transition.T.tocsr(),
-        system.discount,
-        order=None if system.order is None else -system.order,
-        roundings=system.roundings,
-    )
 
 
 def closure(matrix: sp.csr_array, first: Mask) -> Mask:

@@ -17,10 +17,9 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
-from exact_mdp.solvers.solution import Bounded
-from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure, transposed
+from exact_mdp.solvers.bounds.gains import UNIT, gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, transposed
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure
 
 
 def visits(mdp: MDP, system: LinearSystem) -> FixedPoint:
@@ -60,13 +59,3 @@ def ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
     system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
     found = system.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
     return FixedPoint(value=np.clip(found.value, 0.0, 1.0), error=found.error)
-
-
-def at_start(mdp: MDP, found: FixedPoint) -> Bounded:
-    """Return the expectation over the start distribution, with its error."""
-    states = np.flatnonzero(mdp.start_distribution)
-    weights = mdp.start_distribution[states]
-    value, error = found.value[states], found.error[states]
-    rounding = 0.0 if weights.tolist() == [1.0] else float(gamma(len(states) + 3))
-    bound = float(weights @ (error + rounding * np.abs(value))) * SLACK
-    return Bounded(value=float(weights @ value), error=bound)

@@ -60,6 +60,14 @@ def test_discounted_values_approach_gain_and_bias(rows: Rows) -> None:
         assert abs(v * rate - g - h * rate) <= size * rate ** F(3, 2)
 
 
+@given(models(discounts=[F(1)]))
+@settings(max_examples=40)
+def test_where_every_policy_ends_the_bias_is_the_total_reward(rows: Rows) -> None:
+    found = proven(rows.model())
+    assert found.gain.tolist() == [0] * rows.n_states
+    assert found.bias.tolist() == certify(rows.model()).value.tolist()
+
+
 # model, gain of each state, and who published it
 WAIT = F(4) * F(9, 10) ** 9
 KNOWN = {

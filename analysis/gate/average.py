@@ -1,0 +1,198 @@
+"""The audit of a policy by its average reward per step: what it loses in the long run, and where.
+
+    regret = g* - g = Σ d(s) (g*(s) - E g*(s')) + Σ μ(s) (g*(s) - r + h*(s) - E h*(s'))
+
+with the expectations over what the policy does in s, d its expected visits to states that it leaves
+for good, and μ the share of time that it spends in the others. In the first, only what can still be
+earned per step counts; in the others it has lost none of that. So each state has a price, and these
+sum to the regret. (Summed over time, E of the first sum is g* less the mean of g* where the policy
+stays; that of the second is what it earns less there.)
+
+The verdict is exact where rational arithmetic is quick, or asked for: g* and h* come with a
+certificate that its checker has accepted, and g solves the policy's own equations. Otherwise it
+compares two floats with their bounds. With floats in the model, one use of a pair can move the gain
+by what was rounded in its own row (e in `analysis.gate.forgiveness`, with h* for the values), so
+that what is forgiven is the mean of that, and on the way to where the policy stays what the row can
+move of g*: of the policy, and of an optimal one.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from exact_mdp.analysis.gate.disagreements import Disagreement, action_of
+from exact_mdp.analysis.gate.exact_policy import mixed_rows
+from exact_mdp.analysis.gate.forgiveness import (
+    Flags,
+    Forgiveness,
+    exactly_per_use,
+    of_floats,
+    per_use,
+)
+from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.mdp.exact import bellman_rows, per_step
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Numbers, common
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.average.certificate import AverageCertificate
+from exact_mdp.solvers.average.chain import ExactAverages
+from exact_mdp.solvers.average.checker import Rationals, surplus
+from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.proof.certify import certify
+from exact_mdp.solvers.proof.checker import policy_pairs
+from exact_mdp.solvers.solution import Bounded, Certified, SolverError
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+
+def average_regret(
+    mdp: MDP, chain: PolicyChain, *, exact: bool
+) -> tuple[Regret, Floats, tuple[Disagreement, ...]]:
+    """Return what a policy loses per step, its visits (S,) as above, and where it loses.
+
+    Rewards are maximised; `chain` is of this model.
+    """
+    step = per_step(mdp)
+    held = PolicyChain(mdp=step, chosen=chain.chosen, policy=chain.policy)
+    own: AverageEvaluation | None = None
+    try:
+        own = evaluated(step, held.weights, held.roundings, chain.policy)
+        visits = own.visits
+    except SolverError:
+        if not exact:
+            raise
+        visits = np.full(mdp.n_states, np.nan)  # the verdict stands without them
+    if not exact:
+        assert own is not None
+        return _bounded(mdp, own), visits, ()
+    found = _certified(mdp, step, held)
+    return found, visits, _disagreements(mdp, held, found, visits)
+
+
+def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
+    best = certify(mdp, criterion="average")
+    if faults := best.violations():
+        raise RuntimeError(f"a certificate does not hold: {faults[0]}")
+    rows = bellman_rows(step)
+    alone = mixed_rows(rows, held)
+    own = ExactAverages(alone)
+    gain, bias, second = own.expansion(own.reward)
+    vectors = (Rationals(*common(each.tolist())) for each in (gain, bias, second))
+    if any(np.asarray(each != 0, dtype=bool).any() for each in surplus(alone, *vectors)):
+        raise RuntimeError("the exact gain of a policy does not solve its equations")
+    learned = sum((p * gain[state] for state, p in mdp.start), Fraction(0))
+    lost, short = best.losses
+    gap = np.where(own.classes.recurrent[mdp.pair_state], lost + short, lost)
+    optimal = np.asarray(gap == 0, dtype=bool)
+    forgiven = Fraction(0)
+    if of_floats(mdp):
+        optimal |= _ties(step, best, gap)
+        taken = policy_pairs(step, best.policy)
+        assert taken is not None
+        ideal = ExactAverages(rows.of_pairs(taken))
+        uses = [held.exact_weights(state) for state in range(mdp.n_states)]
+        forgiven += _movable(step, own, uses, (gain, bias))
+        forgiven += _movable(
+            step, ideal, [{l: Fraction(1)} for l in taken.tolist()], (best.gain, best.bias)
+        )
+    return Regret(
+        optimal=Certified(value=best.start_value),
+        learned=Certified(value=learned),
+        at_start=Certified(value=best.start_value - learned),
+        optimal_value=best.value_float,
+        learned_value=gain.astype(np.float64),
+        by_state=(best.gain - gain).astype(np.float64),
+        optimal_pairs=optimal,
+        unclear=np.zeros(mdp.n_pairs, dtype=bool),
+        gap=np.where(optimal, 0.0, gap.astype(np.float64)),
+        optimum=None,
+        forgiveness=Forgiveness(low=forgiven, high=forgiven),
+    )
+
+
+def _ties(step: MDP, best: AverageCertificate, gap: Numbers) -> Flags:
+    """Return (L,) where the rounding of a row, and of the best one, can cause the whole gap."""
+    bias = best.bias.astype(np.float64)
+    own = per_use(step, bias, UNIT * np.abs(bias)).low
+    taken = policy_pairs(step, best.policy)
+    return np.asarray(gap.astype(np.float64) * SLACK <= own + own[taken][step.pair_state])
+
+
+def _movable(
+    step: MDP,
+    chain: ExactAverages,
+    uses: list[dict[int, Fraction]],
+    values: tuple[Numbers, Numbers],
+) -> Fraction:
+    """Return what the rounding of floats can move of a policy's gain at the start.
+
+    `uses` are the probabilities of its pairs in each state, `values` its gain and bias.
+    """
+    nothing = np.array([Fraction(0)] * step.n_states, dtype=object)
+
+    def each(value: Numbers) -> Numbers:
+        known = value.tolist()
+        return np.array(
+            [
+                sum((p * exactly_per_use(step, known, l) for l, p in use.items()), Fraction(0))
+                for use in uses
+            ],
+            dtype=object,
+        )
+
+    inside = chain.classes.recurrent
+    moved = chain.spread(chain.mean(each(values[1])))
+    moved = moved + chain.total(np.where(inside, nothing, each(values[0]) - each(nothing)), inside)
+    return sum((p * moved[state] for state, p in step.start), Fraction(0))
+
+
+def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:
+    found = solve(mdp, criterion="average")
+    best, mine = found.start, own.start
+    low = max(0.0, best.interval[0] - mine.interval[1])
+    high = max(low, best.interval[1] - mine.interval[0])
+    middle = min(max(best.value - mine.value, low), high)
+    taken = np.zeros(mdp.n_pairs, dtype=bool)
+    taken[found.pairs] = True
+    return Regret(
+        optimal=Bounded(value=best.value, error=best.error),
+        learned=Bounded(value=mine.value, error=mine.error),
+        at_start=Bounded(value=middle, error=max(middle - low, high - middle) * SLACK),
+        optimal_value=found.value,
+        learned_value=own.gain,
+        by_state=np.maximum(found.value - own.gain, 0.0),
+        optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
+        unclear=~taken,
+        gap=np.zeros(mdp.n_pairs),
+        optimum=None,
+    )
+
+
+def _disagreements(
+    mdp: MDP, held: PolicyChain, found: Regret, visits: Floats
+) -> tuple[Disagreement, ...]:
+    """Return every state in which the policy does what loses, the costliest first."""
+    gap = np.add.reduceat(held.weights * found.gap, mdp.pair_offsets[:-1])
+    states = np.flatnonzero(gap > 0)
+    cost = visits * gap
+    order = np.lexsort((states, -gap[states], -cost[states]))
+    return tuple(
+        Disagreement(
+            state=state,
+            label=mdp.space.label(state),
+            learned=action_of(held, state),
+            optimal=tuple(
+                mdp.actions[mdp.pair_action[pair]]
+                for pair in mdp.pairs_of(state)
+                if found.optimal_pairs[pair]
+            ),
+            gap=float(gap[state]),
+            expected_visits=float(visits[state]),
+            cost=float(cost[state]),
+            gain_if_corrected=None,
+            loss_if_alone=None,
+        )
+        for state in states[order].tolist()
+    )

@@ -1,0 +1,220 @@
+"""The best average reward per step in floats, with bounds that hold: three methods, one bound.
+
+    policy iteration           gain first, then bias (`iteration`); for every model
+    relative value iteration   h ← h + (T h - h) / 2, with (T h)(s) = max over pairs of r + P h;
+                               where the gain is the same everywhere. Half a step at a time, so that
+                               periodic chains do no harm (Puterman 1994, sections 8.5.4 and 8.5.5)
+    linear program             minimise Σ g   subject to   g ≥ P g,   g + h ≥ r + P h   for each
+                               pair (section 9.3); the policy is improved as in policy iteration
+
+Whatever found it, the policy's own gain bounds the optimum from below (`evaluate`). From above: the
+pairs that are used for ever are those of an end component. In one of them no policy earns more per
+step than the greatest r + P h - h of its pairs, for any h. What can be earned from elsewhere is the
+greatest expectation of that bound over the component that a policy ends in: a model in which every
+policy ends, whose values `bounds` proves.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import per_step
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.average.evaluate import evaluated
+from exact_mdp.solvers.average.iteration import Improved, improved
+from exact_mdp.solvers.bounds.gains import SLACK, gains, greedy
+from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, OPTIMISERS, LinearProgram
+from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
+from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, Solver
+from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+from exact_mdp.solvers.endless.derived import derived
+from exact_mdp.solvers.endless.graph import Graph
+from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
+
+optimize = later("scipy.optimize")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AverageSolution(Solution):
+    """The best gain of a model, up to `state_error`, and a policy; `value` is the gain.
+
+    Attributes
+    ----------
+    bias, bias_error : (S,)
+        Bias of the policy given here, and how far it may be off; see `solvers.average.chain`.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import solve
+    >>> mdp = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 0], [3, "1/2"]])
+    >>> found = solve(mdp.with_(discount="1/2"), criterion="average")
+    >>> found.gain.tolist(), found.bias.tolist(), found.policy.tolist()
+    ([2.5, 2.5], [-0.25, 0.25], [0, 0])
+    """
+
+    bias: Floats
+    bias_error: Floats
+
+    @property
+    def gain(self) -> Floats:
+        """(S,) the greatest average reward per step from each state."""
+        return self.value
+
+    @property
+    def q(self) -> Floats:
+        """(L,) r - g + P h: what a step by the pair adds, beyond the gain of its state."""
+        step = per_step(self.mdp)
+        return np.asarray(step.backup(self.bias) - self.value[step.pair_state])
+
+    def negated(self, mdp: MDP) -> AverageSolution:
+        """Return the solution of `mdp`, of which this solution's model is the negation."""
+        return replace(self, mdp=mdp, value=0.0 - self.value, bias=0.0 - self.bias)
+
+    def frame(self) -> Any:
+        """Return gain, bias, their error bounds, and the action of each state."""
+        found = super().frame().rename(columns={"value": "gain"})
+        found.insert(3, "bias", self.bias)
+        found.insert(4, "bias error", self.bias_error)
+        return found
+
+
+def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> AverageSolution:
+    """Return the best average reward per step."""
+    if mdp.sense == "min":
+        return solve_average(mdp.maximised, solver, tol).negated(mdp)
+    started = perf_counter()
+    if solver.name not in METHODS:
+        raise ModelError(
+            f"{solver.name} does not apply to an average reward",
+            where="solve",
+            fix=f"choose {', '.join(METHODS)} or auto",
+        )
+    if getattr(solver, "start", None) is not None:
+        raise ModelError(
+            "no start applies to an average reward", where="solve", fix="leave start out"
+        )
+    step = per_step(mdp)
+    reached = METHODS[solver.name](step, solver)
+    taken = np.zeros(step.n_pairs)
+    taken[reached.pairs] = 1.0
+    own = evaluated(step, taken)
+    above = _upper(step, reached.bias) - own.gain
+    error = np.maximum(own.gain_error, above * SLACK)
+    met = tol is None or float(error.max()) <= tol
+    solution = AverageSolution(
+        mdp=mdp,
+        value=own.gain,
+        pairs=reached.pairs,
+        state_error=error,
+        regret_bound=max(0.0, float((above + own.gain_error).max()) * SLACK),
+        status=reached.status if met else Status.PRECISION,
+        method=solver.name,
+        solver=repr(solver),
+        iterations=reached.iterations,
+        seconds=perf_counter() - started,
+        bias=own.bias,
+        bias_error=own.bias_error,
+    )
+    if not met:
+        message = f"the error bound is {solution.error_bound:.2g}: {solution.status}"
+        warnings.warn(message, PrecisionWarning, stacklevel=3)
+    return solution
+
+
+def _upper(step: MDP, bias: Floats) -> Floats:
+    """Return (S,) what no policy earns more than per step, for any relative values (S,)."""
+    graph, added = Graph.of(step), gains(step, bias)
+    label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
+    own, most = label[step.pair_state], added.value + added.error * SLACK
+    count = int(label.max()) + 1
+    top = np.full(count, -np.inf)
+    np.maximum.at(top, own[inside], np.nextafter(most[inside], np.inf))
+    if count == 1:
+        return np.full(step.n_states, top[0])
+    passed = label < 0
+    label[passed] = count + np.arange(int(passed.sum()))
+    pairs = np.flatnonzero(~inside)
+    rests = [(number, Fraction(worth)) for number, worth in enumerate(top.tolist())]
+    model = derived(step, pairs, label, earned=[Fraction(0)] * len(pairs), rests=rests)
+    found = PolicyIteration().solve(model.mdp)
+    most = np.nextafter(found.value + found.state_error * SLACK, np.inf)
+    return np.asarray(most[model.label])
+
+
+# ---- three methods -------------------------------------------------------------------------------
+
+
+def _by_policies(step: MDP, solver: Any) -> Improved:
+    return improved(step, most=solver.max_iterations)
+
+
+def _by_values(step: MDP, solver: Any) -> Improved:
+    """Relative value iteration, until the span of T h - h is proven to be small."""
+    label, _ = Graph.of(step).end_components(np.ones(step.n_pairs, dtype=bool))
+    if (count := int(label.max()) + 1) > 1:
+        raise ModelError(
+            f"relative value iteration needs one gain for all states: there are {count} sets of "
+            "states that a policy need not leave",
+            where="solve",
+            fix="use policy-iteration, which takes every model",
+        )
+    first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
+    for iteration in range(1, solver.max_iterations + 1):
+        added = gains(step, bias)
+        low, high = (
+            np.maximum.reduceat(added.value + sign * added.error, first) for sign in (-1, 1)
+        )
+        width, middle = float(high.max() - low.min()), float(high.max() + low.min()) / 2
+        limit = solver.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
+        if width <= limit or width <= 4 * float(added.error.max()):
+            return Improved(greedy(step, added), bias, iteration, Status.CONVERGED)
+        bias += (np.maximum.reduceat(added.value, first) - middle) / 2
+        bias -= bias[0]
+    detail = f"{width:.2g} is the error bound after {solver.max_iterations} iterations"
+    raise SolverError(Status.ITERATION_LIMIT, detail)
+
+
+def _by_program(step: MDP, solver: Any) -> Improved:
+    """Take the pairs with the greatest duals, and improve them by policy iteration."""
+    scale, first, state = (
+        float(np.abs(step.reward).max()) or 1.0,
+        step.pair_offsets[:-1],
+        step.pair_state,
+    )
+    rows = (np.ones(step.n_pairs), state, np.arange(step.n_pairs + 1))
+    own = sp.csr_array(rows, step.transition.shape)
+    stays = own - step.transition
+    solved = optimize.linprog(
+        np.repeat([1.0, 0.0], step.n_states),
+        A_ub=-sp.block_array([[stays, None], [own, stays]], format="csc"),
+        b_ub=np.concatenate([np.zeros(step.n_pairs), -step.reward / scale]),
+        bounds=(None, None),
+        method=OPTIMISERS[solver.solver],
+    )
+    if solved.status != 0:
+        raise SolverError(Status.PROGRAM_FAILED, f"{solver.solver}: {solved.message}")
+    passed, used = np.split(np.maximum(-solved.ineqlin.marginals, 0.0), 2)
+    recurrent = np.maximum.reduceat(used, first) > AGREEMENT / step.n_states
+    weight = np.where(recurrent[state], used, passed)
+    best = weight == np.maximum.reduceat(weight, first)[state]
+    numbers = np.where(best, np.arange(step.n_pairs), step.n_pairs)
+    found = improved(step, np.minimum.reduceat(numbers, first))
+    return found._replace(iterations=int(solved.nit) + found.iterations)
+
+
+METHODS: dict[str, Callable[[MDP, Any], Improved]] = {
+    PolicyIteration.name: _by_policies,
+    ValueIteration.name: _by_values,
+    LinearProgram.name: _by_program,
+}

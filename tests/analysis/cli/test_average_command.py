@@ -1,0 +1,81 @@
+"""--criterion average on the command line: solve, verify, evaluate, check."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import run
+from forest import forest
+
+AVERAGE = ("--criterion", "average")
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    forest("9/10").save(tmp_path / "forest.npz")
+    return tmp_path / "forest.npz"
+
+
+def test_an_average_is_solved_proven_and_verified(model: Path, tmp_path: Path) -> None:
+    proof, arrays = tmp_path / "proof.json", tmp_path / "arrays.npz"
+    files = ("--certificate", proof, "--out", arrays, "--policy-out", tmp_path / "policy.csv")
+    found = run("solve", model, *AVERAGE, "--certify", *files, "--json").result
+    assert found["criterion"] == "average"
+    assert (found["exact_start_value"], found["claim"]) == ("81/25", "certified")
+    assert found["bias"] == {"0": "-162/25", "1": "-72/25", "2": "28/25"}
+    assert found["policy_by_state"] == {"0": "0", "1": "0", "2": "0"}
+    assert np.load(arrays)["bias"].tolist() == [-6.48, -2.88, 1.12]
+    verified = run("verify", proof, model, "--json").result
+    assert (verified["passed"], verified["exact_start_value"]) == (True, "81/25")
+    proof.write_text(proof.read_text().replace('"51"', '"52"', 1))
+    assert run("verify", proof, model).status == 1
+    assert run("check", model, tmp_path / "policy.csv", *AVERAGE).status == 0
+
+
+@pytest.mark.parametrize("method", ["policy-iteration", "value-iteration", "linear-program"])
+def test_methods_agree(model: Path, method: str) -> None:
+    found = run("solve", model, *AVERAGE, "--method", method, "--json").result
+    assert abs(found["start_value"] - 3.24) <= found["error_bound"] < 1e-8
+    assert (found["claim"], found["method"]) == ("bounded", method)
+
+
+def test_a_policy_is_evaluated_per_step(model: Path) -> None:
+    found = run("evaluate", model, "random", *AVERAGE, "--json").result
+    assert abs(found["mean"] - 117 / 160) <= found["error_bound"]
+    assert found["components"]["reward"] == pytest.approx(117 / 160)
+    assert found["by_state"]["state 0"]["share"] == pytest.approx(0.55)
+    assert "share" in run("evaluate", model, "optimal", *AVERAGE).out
+
+
+def test_the_gate_counts_per_step(model: Path) -> None:
+    assert run("check", model, "optimal", *AVERAGE).status == 0
+    found = run("check", model, "always:1", *AVERAGE, "--json").result
+    assert (found["passed"], found["exact_regret"], found["criterion"]) == (
+        False,
+        "81/25",
+        "average",
+    )
+    costs = [each["cost"] for each in found["disagreements"]]
+    assert sum(costs) == pytest.approx(3.24)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("solve", "--criterion", "mean"), "unknown criterion 'mean'"),
+        (("solve", *AVERAGE, "--horizon", "5"), "no horizon"),
+        (("solve", *AVERAGE, "--certificate", "proof.json"), "no bounded certificates"),
+        (("solve", *AVERAGE, "--method", "gauss-seidel"), "does not apply to an average"),
+        (("check", "random", *AVERAGE, "--horizon", "5"), "no horizon"),
+    ],
+)
+def test_what_does_not_apply_is_refused(model: Path, words: tuple[str, ...], said: str) -> None:
+    done = run(words[0], model, *words[1:])
+    assert (done.status, done.out) == (2, "")
+    assert said in done.err
+
+
+def test_an_operator_has_no_average() -> None:
+    done = run("solve", "yuan2025", "--operator", *AVERAGE)
+    assert done.status == 2
+    assert "--criterion average needs the explicit model" in done.err

@@ -1,0 +1,81 @@
+"""The gate on rewards per step: the exact regret, its price by state, and what is forgiven."""
+
+from fractions import Fraction as F
+from math import prod
+
+import numpy as np
+import pytest
+from average_oracle import best, gain_and_bias
+from forest import forest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from strategies import Rows, models
+
+from exact_mdp import MDP, ModelError, assert_policy_optimal, check
+from exact_mdp.solvers.solution import Certified
+
+
+@given(models(discounts=[F(1, 2)]), st.randoms(use_true_random=False))
+@settings(max_examples=25)
+def test_the_regret_is_exact_and_has_its_price_in_each_state(rows: Rows, rng: object) -> None:
+    counts = np.bincount([s for s, *_ in rows.pairs])
+    assume(prod(counts.tolist()) <= 40)
+    chosen = [
+        rng.choice([r for r in rows.pairs if r[0] == s])  # type: ignore[attr-defined]
+        for s in range(rows.n_states)
+    ]
+    policy = np.array([a for _, a, *_ in chosen])
+    wanted = best(rows.n_states, rows.pairs)[0][0] - gain_and_bias(chosen)[0][0]
+    audit = check(rows.model(), policy, criterion="average")
+    assert audit.value == Certified(value=wanted)
+    assert audit.passed is (wanted == 0)
+    priced = sum(each.cost for each in audit.disagreements)
+    assert priced == pytest.approx(float(wanted), rel=1e-9, abs=1e-9 * float(1 + abs(wanted)))
+    costs = MDP.from_outcomes(
+        [(s, a, [(p, t, -r) for t, p in following.items()]) for s, a, r, following in rows.pairs],
+        sense="min",
+    )
+    other = check(costs, policy, criterion="average")
+    assert (other.value, other.passed) == (audit.value, audit.passed)
+    assert other.regret.optimal.value == -audit.regret.optimal.value
+    loose = check(rows.model(), policy, criterion="average", exact_values=False, max_regret=10**12)
+    assert loose.value.interval[0] <= wanted <= loose.value.interval[1]
+    assert loose.passed
+
+
+def test_cutting_the_oldest_forest_costs_what_it_earns_less() -> None:
+    audit = check(forest("9/10"), [0, 0, 1], criterion="average")
+    assert audit.value == Certified(value=F(81, 25) - F(162, 271))
+    (wrong,) = audit.disagreements
+    assert (wrong.label, wrong.learned, wrong.optimal) == ("state 2", "1", ("0",))
+    assert wrong.expected_visits == pytest.approx(81 / 271)
+    assert audit.agreement_by_visits == pytest.approx(190 / 271)
+    assert "failed: the regret is zero; it is 2.642" in audit.message()
+    with pytest.raises(AssertionError, match=r"loses 8\.84 x 0\.298893 visits"):
+        assert_policy_optimal(forest("9/10"), [0, 0, 1], criterion="average")
+    assert_policy_optimal(forest("9/10"), "optimal", 0, criterion="average")
+
+
+def test_what_the_rounding_of_floats_can_cause_is_forgiven() -> None:
+    """0.1 + 0.2 every step, or 0.3; and every second step, after a detour."""
+    table = [
+        (0, 0, [(0.5, 0, 0.1), (0.5, 0, 0.1)]),
+        (0, 1, [(0.1, 1, 0.3), (0.2, 1, 0.3), (0.7, 0, 0.3)]),
+        (0, 2, [(0.3, 1, 0.3), (0.7, 0, 0.3)]),
+        (1, 0, [(1.0, 0, 0.1 + 0.2)]),
+    ]
+    mdp = MDP.from_outcomes(table)
+    lost = [check(mdp, [a, 0], criterion="average") for a in range(3)]
+    assert [audit.passed for audit in lost] == [False, True, True]
+    assert len({audit.regret.learned.value for audit in lost}) == 3
+    assert all(0 < audit.forgiven < 1e-15 for audit in lost)
+    assert not any(audit.disagreements for audit in lost[1:])
+    strict = [check(mdp, [a, 0], max_regret=0, criterion="average").passed for a in (1, 2)]
+    assert sorted(strict) == [False, True]
+
+
+def test_no_horizon_and_no_unknown_word() -> None:
+    with pytest.raises(ModelError, match="no horizon"):
+        check(forest("9/10"), "random", horizon=3, criterion="average")
+    with pytest.raises(ModelError, match="unknown criterion 'mean'"):
+        check(forest("9/10"), "random", criterion="mean")  # type: ignore[arg-type]

@@ -1,0 +1,164 @@
+"""Average rewards in floats: bounds that hold, three methods, evaluations of any policy."""
+
+from fractions import Fraction as F
+
+import numpy as np
+import pytest
+from average_oracle import gain_and_bias
+from forest import forest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from strategies import Row, Rows, models
+
+from exact_mdp import MDP, ModelError, certify, evaluate, solve
+from exact_mdp.solvers import GaussSeidel, LinearProgram, PrecisionWarning, SolverError
+from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+
+SMALL = models(discounts=[F(1, 2)])
+
+
+def off(found: np.ndarray, exact: object) -> np.ndarray:
+    """How far floats are from exact numbers, rounded up."""
+    return np.array([float(abs(F(x) - y)) for x, y in zip(found.tolist(), exact, strict=True)])  # type: ignore[call-overload]
+
+
+def mixed(rows: Rows, chances: dict[tuple[int, int], F]) -> list[Row]:
+    """The chain of a policy that takes the pairs with these probabilities."""
+    chain = []
+    for s in range(rows.n_states):
+        earned, onward = F(0), dict[int, F]()
+        for _, a, r, following in (row for row in rows.pairs if row[0] == s):
+            share = chances.get((s, a), F(0))
+            earned += share * r
+            for t, p in following.items():
+                onward[t] = onward.get(t, F(0)) + share * p
+        chain.append((s, 0, earned, {t: p for t, p in onward.items() if p}))
+    return chain
+
+
+@given(SMALL, st.booleans())
+@settings(max_examples=60)
+def test_bounds_hold_of_the_optimum_and_of_the_policy(rows: Rows, floats: bool) -> None:
+    mdp = rows.model(floats=floats)
+    found, best = solve(mdp, criterion="average"), certify(mdp, criterion="average")
+    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert found.error_bound <= 1e-9 * (1 + np.abs(mdp.reward).max())
+    if not floats:
+        own = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(found.policy)]
+        gain, bias = gain_and_bias(own)
+        assert (off(found.gain, gain) <= found.state_error).all()
+        assert (off(found.bias, bias) <= found.bias_error).all()
+        lost = [float(x - y) for x, y in zip(best.gain, gain, strict=True)]
+        assert max(lost) <= found.regret_bound
+
+
+@given(SMALL, st.data())
+@settings(max_examples=60)
+def test_evaluations_are_within_their_bounds(rows: Rows, data: st.DataObject) -> None:
+    """Gain, bias and share of time of a mixed policy; a share is a gain, of the reward 1 there."""
+    mdp, chances = rows.model().with_(start=rows.n_states - 1), {}
+    for s in range(rows.n_states):
+        actions = [a for t, a, *_ in rows.pairs if t == s]
+        weights = data.draw(
+            st.lists(st.integers(0, 3), min_size=len(actions), max_size=len(actions))
+        )
+        weights = weights if any(weights) else [1] * len(actions)
+        chances |= {(s, a): F(w, sum(weights)) for a, w in zip(actions, weights, strict=True)}
+    given_as = np.array(
+        [float(chances[row[:2]]) for row in sorted(rows.pairs, key=lambda r: r[:2])]
+    )
+    found = evaluate(mdp, given_as, criterion="average")
+    chain = mixed(rows, chances)
+    # what a float cannot say exactly moves the numbers by little more
+    gain, bias = gain_and_bias(chain)
+    slack = (
+        1e-9 * (1 + float(max(map(abs, bias)))) * (found.weights != np.rint(found.weights)).any()
+    )
+    assert (off(found.gain, gain) <= found.gain_error + slack).all()
+    assert (off(found.bias, bias) <= found.bias_error + 1e3 * slack).all()
+    times = [
+        gain_and_bias([(s, a, F(s == t), p) for s, a, _, p in chain])[0][-1]
+        for t in range(rows.n_states)
+    ]
+    assert (off(found.share.value, times) <= found.share.error + slack).all()
+    total = found.components["reward"]
+    assert abs(total.value - found.start.value) <= total.error + found.start.error
+
+
+@given(SMALL)
+@settings(max_examples=8)
+def test_the_linear_program_and_relative_values_agree(rows: Rows) -> None:
+    mdp = rows.model()
+    assume(np.abs(mdp.reward).max() < 10)
+    best = certify(mdp, criterion="average")
+    found = solve(mdp, "linear-program", criterion="average")
+    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert found.error_bound <= 1e-9
+    try:
+        found = solve(mdp, "value-iteration", tol=1e-6, criterion="average")
+    except ModelError:  # where there are several end components
+        return
+    assert len(set(best.gain)) == 1
+    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert found.error_bound <= 1e-6
+
+
+def test_a_reset_chain_of_low_gain_is_solved() -> None:
+    """41 states in a row, up with 1/2 and back with 1/2; 1 at the top: 2^-40 and less."""
+    states = 41
+    rows = [
+        (
+            s,
+            0,
+            [
+                ("1/2", min(s + 1, states - 1), int(s == states - 1)),
+                ("1/2", 0, int(s == states - 1)),
+            ],
+        )
+        for s in range(states)
+    ]
+    mdp = MDP.from_outcomes(rows)
+    exact = certify(mdp, criterion="average").start_value
+    assert exact == F(1, 2**40)
+    found = solve(mdp, criterion="average")
+    assert abs(F(found.start_value) - exact) <= found.start.error
+    assert found.start.error <= 1e-14
+
+
+def test_components_of_rows_that_are_divided_by_their_sums_add_up() -> None:
+    rows = [(0, 0, [(0.1, 0, 1.5), (0.9 + 1e-10, 1, 2.0)]), (1, 0, [(0.3, 0, 1.0), (0.7, 1, 0.1)])]
+    mdp = MDP.from_outcomes(rows).with_(components={"first": [1.25, 0], "second": ["1/3", "1/7"]})
+    found = evaluate(mdp, [0, 0], criterion="average")
+    total = sum(number.value for number in found.components.values())
+    assert list(found.components) == ["first", "second", "rest"]
+    assert total == pytest.approx(found.start_value, rel=1e-12)
+    assert found.components["first"].value == pytest.approx(1.25 / 4 / (1 + 1e-10), rel=1e-9)
+
+
+def test_the_random_policy_of_the_forest() -> None:
+    found = evaluate(forest("9/10"), "random", criterion="average")
+    assert found.start.interval[0] <= 117 / 160 <= found.start.interval[1]
+    assert found.read_as == "policy"
+    assert found.frame().columns[:3].tolist() == ["state", "gain", "gain error"]
+    assert evaluate(forest("9/10"), "optimal", criterion="average").start_value == pytest.approx(
+        3.24
+    )
+
+
+def test_settings_and_what_is_refused() -> None:
+    mdp = forest("9/10")
+    with pytest.warns(PrecisionWarning):
+        assert solve(mdp, tol=1e-300, criterion="average").error_bound < 1e-12
+    with pytest.raises(SolverError, match="after 3 iterations"):
+        solve(mdp, ValueIteration(max_iterations=3), criterion="average")
+    for solver in (GaussSeidel(), "backward-induction"):
+        with pytest.raises(ModelError, match="does not apply to an average"):
+            solve(mdp, solver, criterion="average")
+    with pytest.raises(ModelError, match="no start applies"):
+        solve(mdp, LinearProgram(start=[0, 0, 0]), criterion="average")
+    for verb in (solve, lambda *_, **known: evaluate(mdp, "random", **known)):
+        with pytest.raises(ModelError, match="no horizon"):
+            verb(mdp, horizon=3, criterion="average")
+    found = solve(mdp, criterion="average")
+    assert repr(found).startswith("AverageSolution(policy-iteration: start value 3.24")
+    assert found.q[found.pairs] == pytest.approx(found.bias)
