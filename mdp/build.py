@@ -463,7 +463,9 @@ def _assemble(
         actions = tuple(str(number) for number in range(int(action.max(initial=-1)) + 1))
     if words and len(words) > size:
         size = len(words)
-    space = names.pop("space", None) or StateSpace.plain(size, words)
+    space = names.pop("space", None)
+    if space is None or words:
+        space = StateSpace.plain(size, words)
     names |= named_components(names, table)
     return dict(
         table=table,

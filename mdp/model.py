@@ -696,7 +696,8 @@ class MDP(Parts):
         actions : function of a state
             Its actions, any hashable objects. A state without any is an end.
         outcomes : function of a state and an action
-            A list of (probability, next state, reward), each number exact or a float.
+            A list of (probability, next state, reward), each number exact or a float. In place of a
+            reward there may be {component: amount}: the reward is their sum.
         discount : number or "p/q"
         max_states : int
             Give up when more states than this have been found.

@@ -1,20 +1,22 @@
 """A model from three things that one knows of it: where it starts, what can be done, what follows.
 
 Breadth first from the start, each state and action asked once; the model is that of the states that
-can be reached, whatever is done. States are any hashable objects, numbered as they are found.
+can be reached, whatever is done. States are any hashable objects, numbered as they are found. A
+reward may be a dictionary of amounts, whose sum it is: these are the components of the reward.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
-from exact_mdp.mdp.table import exact
+from exact_mdp.mdp.table import Given, exact, given, rounding_of
 
 MOST_STATES = 1_000_000
 
@@ -61,7 +63,35 @@ def explored(
         name: np.array([bool(holds(state)) for state in by_number]) if callable(holds) else holds
         for name, holds in (labels or {}).items()
     }
+    named = _components([list(outcomes) for _, _, outcomes in rows])
+    if named:  # nothing is earned in an end
+        ends = [0] * (len(found) - len(rows))
+        names["components"] = {name: amounts + ends for name, amounts in named.items()}
+        found = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in found]
     return found, names | {"start": start, "labels": flags}
+
+
+def _components(rows: list[list[Any]]) -> dict[str, list[Fraction]]:
+    """Return the expected amount of each component in each row, where rewards are dictionaries."""
+    rewards = [reward for row in rows for _, _, reward in row if isinstance(reward, Mapping)]
+    names = dict.fromkeys(name for reward in rewards for name in reward)
+    found: dict[str, list[Fraction]] = {}
+    for name in names:
+        amounts = [
+            [(p, r.get(name, 0)) for p, _, r in row if isinstance(r, Mapping)] for row in rows
+        ]
+        found[str(name)] = [
+            sum((exact(p) * exact(x) for p, x in row), Fraction(0)) for row in amounts
+        ]
+    return found
+
+
+def _total(reward: Any) -> Any:
+    """Return a reward that is a dictionary of amounts as their sum, with its rounding."""
+    if not isinstance(reward, Mapping):
+        return reward
+    amounts = [given(amount) for amount in reward.values()]
+    return Given(sum(amounts, Fraction(0)), rounding=sum(map(rounding_of, amounts)))
 
 
 def _outcome(given: Any) -> tuple[Any, Hashable, Any]:

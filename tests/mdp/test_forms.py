@@ -107,6 +107,8 @@ def test_names_stay() -> None:
         'state "',
     ]
     assert certify(mdp).start_value == HALF
+    renamed = MDP.from_arrays({"a": {"go": {"a": 1}}}, {"a": 0}, states=["x"], actions=["y"])
+    assert (renamed.space.label(0), renamed.actions) == ("state x", ("y",))
 
 
 class Nameless:
@@ -222,6 +224,30 @@ def test_what_exploring_keeps_and_refuses() -> None:
     assert mdp.n_states == 2 + 6 + 6 + 2
     assert certify(mdp).start_value == HALF * 7 + HALF * Fraction(7, 2)
     assert mdp.with_(start=(1, "3")).start == ((mdp.space.number((1, "3")), 1),)
+
+
+def test_rewards_by_component() -> None:
+    """Amounts by name add up to the reward; what has none of a name has 0 of it."""
+    outcomes = [("1/3", "b", {"care": "3/2", "time": -1}), ("2/3", "c", {"time": "-1/2"})]
+    mdp = MDP.from_function("a", lambda s: ["go"] if s == "a" else [], lambda s, a: outcomes)
+    assert mdp.component_names == ("care", "time")
+    amounts = [
+        [Fraction(int(x), int(y)) for x, y in zip(*mdp.component(name), strict=True)]
+        for name in mdp.component_names
+    ]
+    assert amounts == [[HALF, 0, 0], [Fraction(-2, 3), 0, 0]]
+    assert [r for _, _, r in mdp.table.row(0)] == [HALF, -HALF]
+    plain = MDP.from_function(
+        "a",
+        lambda s: ["go"] if s == "a" else [],
+        lambda s, a: [(p, t, sum(Fraction(x) for x in r.values())) for p, t, r in outcomes],
+    )
+    assert laws(plain) == laws(mdp)
+    mixed = MDP.from_function(
+        0, lambda s: "x" * (s < 1), lambda s, a: [(0.5, 1, {"x": 0.1}), (0.5, 2, 3)]
+    )
+    assert mixed.component_names == ("x", "rest")
+    assert mixed.components[0].tolist() == [0.05, 1.5]
 
 
 ENDLESS: dict[str, tuple[Any, Any, Any]] = {

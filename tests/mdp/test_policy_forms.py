@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from strategies import Rows, models
 
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Policy
@@ -107,6 +109,13 @@ def test_rows_may_hold_anything_where_all_actions_are_the_same() -> None:
     assert check(mdp, table[:, ::-1] * [0, 2]).passed
     with pytest.raises(ModelError, match="not a distribution"):
         Policy.of(mdp, table * 0, kind="policy")
+
+
+@given(models(discounts=(Fraction(1, 2),)), st.booleans())
+def test_states_whose_actions_are_the_same(drawn: Rows, floats: bool) -> None:
+    mdp = drawn.model(floats=floats)
+    rows = [[mdp.table.row(pair) for pair in mdp.pairs_of(s)] for s in range(mdp.n_states)]
+    assert mdp.indifferent.tolist() == [all(row == each[0] for row in each) for each in rows]
 
 
 BAD: dict[str, tuple[Any, str]] = {
