@@ -14,7 +14,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import reduce
 from math import isfinite
-from operator import index
+from operator import index, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +35,7 @@ from exact_mdp.mdp.table import (
     by_outcome,
     exact,
     given,
+    integers,
     ones,
     over_groups,
     rounding_of,
@@ -121,7 +122,7 @@ def hinting(P: Any, layout: str | None) -> Iterator[None]:
 def from_pairs(
     pair_state: ArrayLike,
     pair_action: ArrayLike,
-    transition: object,
+    transition: Any,
     reward: object,
     discount: object,
     *,
@@ -130,7 +131,18 @@ def from_pairs(
 ) -> Parts:
     """Return the parts of the model that `MDP.from_pairs` makes."""
     state, action = _indices(pair_state, "pair_state"), _indices(pair_action, "pair_action")
+    below = None
+    if isinstance(transition, tuple) and len(transition) == 2 and sp.issparse(transition[0]):
+        transition, below = transition[0], _indices(transition[1], "denominators")
     rows = _numbers(transition, "transition")
+    if below is not None and (
+        rows.dtype != np.int64 or below.shape != rows.shape[:1] or (below < 1).any()
+    ):
+        raise ModelError(
+            f"{len(below)} denominators for a matrix of {rows.dtype} of shape {rows.shape}",
+            where="transition",
+            fix="give a sparse matrix of integers (L, S) and positive integers (L,)",
+        )
     if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
         raise ShapeError(
             f"{len(state)} states and {len(action)} actions for transitions of shape {rows.shape}",
@@ -147,7 +159,8 @@ def from_pairs(
     if order is not None:
         state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
         _each_component(names, lambda values, _: values[order])
-    return _from_rows(state, action, rows, rewards, discount, start, names)
+        below = None if below is None else below[order]
+    return _from_rows(state, action, rows, rewards, discount, start, names, below)
 
 
 def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
@@ -210,9 +223,11 @@ def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
     row: Outcomes = {}
     for probability, then, reward in outcomes:
         earned, chance = _number(reward), _number(probability)
-        key = (index(then), earned, rounding_of(earned) > 0)
-        row[key] = _sum(row[key], chance) if key in row else chance
-    return {key: row[key] for key in sorted(row) if row[key] != 0}
+        key, known = (index(then), earned, rounding_of(earned) > 0), len(row)
+        before = row.setdefault(key, chance)  # one look-up: fractions are slow to hash
+        if len(row) == known:
+            row[key] = _sum(before, chance)
+    return {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}
 
 
 def _owned(rows: list[Outcomes]) -> list[Any] | None:
@@ -264,8 +279,9 @@ def _from_rows(
     discount: object,
     start: object,
     names: dict[str, Any],
+    below: Integers | None = None,
 ) -> Parts:
-    """Build from sorted pairs, their (L, S) rows and rewards (L,) or (L, S)."""
+    """Build from sorted pairs, their (L, S) rows, over `below` (L,), and rewards (L,) or (L, S)."""
     size = rows.shape[1]
     rising = False
     if sp.issparse(rows) and rows.dtype == np.float64 and rows.has_canonical_format:
@@ -278,8 +294,10 @@ def _from_rows(
     elif sp.issparse(rows):
         offsets, following, values = _added(rows)
         weight = grouped(values, offsets)
+        if below is not None:
+            weight = _Grouped(integers(map(int, values)), below)
     else:
-        kept = np.array(rows != 0, dtype=bool)
+        kept = rows.astype(bool)
         pair, following = np.nonzero(kept)
         offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
         weight = grouped(rows[pair, following], offsets)
@@ -610,7 +628,8 @@ def _array(values: Any) -> Any:
     if array.dtype != object:
         array = np.array(_leaves(values), dtype=object)
     flat = np.empty(array.size, dtype=object)
-    flat[:] = [_number(value) for value in array.flat]
+    zero = Fraction(0)  # one for all: rows are mostly zeros
+    flat[:] = [zero if type(value) is int and not value else _number(value) for value in array.flat]
     return flat.reshape(array.shape)
 
 
@@ -635,7 +654,7 @@ def _leaves(values: Any) -> Any:
 
 def _number(value: object) -> Fraction | float:
     """Return an exact number, or the double itself where one was given."""
-    if type(value) is float:
+    if isinstance(value, Fraction) or type(value) is float:
         return value
     return float(value) if isinstance(value, float) else given(value)
 

@@ -616,6 +616,7 @@ class MDP(Parts):
         ----------
         pair_state, pair_action : (L,) ints
         transition : (L, S) array or sparse matrix
+            Or a sparse matrix of integers with the denominators (L,) of its rows.
         reward : (L,) array
         discount, start, **names
             As in `from_arrays`.
@@ -633,6 +634,9 @@ class MDP(Parts):
         --------
         >>> MDP.from_pairs([1, 0], [0, 0], [[0, 1], ["1/2", "1/2"]], [0, 5]).reward.tolist()
         [5.0, 0.0]
+        >>> counts = sp.csr_array([[1, 2], [0, 1]])
+        >>> MDP.from_pairs([0, 1], [0, 0], (counts, [3, 1]), [0, 5]).table.row(0)[0][0]
+        Fraction(1, 3)
         """
         parts = build.from_pairs(
             pair_state, pair_action, transition, reward, discount, start=start, **names

@@ -245,8 +245,9 @@ def _equations(rows: BellmanRows, found: ExactClaims) -> list[str]:
             unit = lcm(unit, divisor) if unit % divisor else unit
         times = {g: unit // below[g] for g in {group[t] for t in needed}}
         value = {t: numerator[t] * times[group[t]] for t in needed}
+        more = unit // own
         for s in first:
-            here = numerator[s] * (unit // own) * scale[s]
+            here = numerator[s] * more * scale[s]
             losses = []  # V - Q of each pair, times scale and unit
             for l in range(pairs[s], pairs[s + 1]):
                 part = slice(offsets[l], offsets[l + 1])
@@ -260,7 +261,7 @@ def _equations(rows: BellmanRows, found: ExactClaims) -> list[str]:
                 wrong.append(f"the optimal actions of state {s} are not those of the model")
             least = min((loss for loss in losses if loss > 0), default=None)
             gap, below_gap = found.gap[s], found.gap_scale[s]
-            claimed = None if gap is None else gap * (unit // own) * scale[s]
+            claimed = None if gap is None else gap * more * scale[s]
             if claimed != (None if least is None else least * below_gap) or below_gap <= 0:
                 wrong.append(f"the gap of state {s} is not that of the model")
     return wrong

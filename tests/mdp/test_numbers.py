@@ -21,6 +21,7 @@ from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care.perception import independent
 from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.npz import load, save
 from exact_mdp.solvers import ValueIteration, certify, evaluate, solve
 from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
@@ -419,3 +420,36 @@ def test_a_policy_of_single_outcomes_earns_what_the_outcomes_earn() -> None:
     top, bottom = PolicyChain.of(mdp, np.array([0, 0])).table.expected_gain_exact()
     assert F(int(top[0]), int(bottom[0])) == 3 * F(near)
     assert check(mdp, [0, 0], exact_values=True).regret.learned.value == 3 * F(near)
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])
+@pytest.mark.parametrize("times", [1, 2])
+def test_integers_over_denominators_are_fractions(order: list[int], times: int) -> None:
+    """Pairs in any order; places that come twice are added."""
+    counts = np.array([[1, 2, 0], [0, 5, 5], [7, 0, 0], [2**50, 2**50, 2**51]])
+    below = counts.sum(axis=1)
+    chances = [[F(int(x), int(n)) for x in line] for line, n in zip(counts, below, strict=True)]
+    state, action, reward = np.array([0, 0, 1, 2]), np.array([0, 1, 0, 0]), np.arange(4)
+    wanted = MDP.from_pairs(state, action, chances, reward, "9/10")
+    place = sp.coo_array(counts[order])
+    row, column = np.tile(place.row, times), np.tile(place.col, times)
+    matrix = sp.coo_array((np.tile(place.data, times), (row, column)), counts.shape)
+    parts = matrix, times * below[order]
+    found = MDP.from_pairs(state[order], action[order], parts, reward[order], "9/10")
+    assert fingerprint(found) == fingerprint(wanted)
+    assert found.table.row(0) == wanted.table.row(0)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (sp.csr_array([[0.5, 0.5], [0.0, 1.0]]), [1, 1]),
+        (sp.csr_array([[1, 1], [0, 1]]), [2]),
+        (sp.csr_array([[1, 1], [0, 1]]), [2, 0]),
+        (sp.csr_array([[1, 1], [0, 1]]), [0.5, 1.0]),
+        (sp.csr_array([[1, 1], [0, 1]]), [3, 1]),
+    ],
+)
+def test_denominators_that_do_not_fit(parts: tuple[Any, Any]) -> None:
+    with pytest.raises(ModelError):
+        MDP.from_pairs([0, 1], [0, 0], parts, [0, 0], "9/10")
