@@ -125,7 +125,7 @@ lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
 	$(COMPILE) --extra all --extra test --output-file requirements.lock pyproject.toml
 	$(COMPILE) --extra bench --constraints requirements.lock \
 	    --output-file requirements-bench.lock pyproject.toml
-	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra plots --extra gymnasium --extra sensitivity --extra umb \
+	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra lp --extra plots --extra gymnasium --extra sensitivity --extra umb \
 	    --extra parquet \
 	    --extra cluster --extra test --output-file requirements-lowest.lock pyproject.toml
 

@@ -16,7 +16,7 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 
-PACKAGES = ("exact-mdp", "numpy", "scipy", "python-flint", "numba")
+PACKAGES = ("exact-mdp", "numpy", "scipy", "python-flint", "cvxpy", "clarabel", "highspy", "numba")
 COMMIT = ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
 
 

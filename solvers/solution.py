@@ -77,8 +77,8 @@ class SolverError(RuntimeError):
 
     Examples
     --------
-    >>> print(SolverError(Status.PROGRAM_FAILED, "interior-point: infeasible"))
-    interior-point: infeasible: the optimiser did not reach an optimum of the linear program; ...
+    >>> print(SolverError(Status.PROGRAM_FAILED, "CLARABEL says infeasible"))
+    CLARABEL says infeasible: the optimiser did not reach an optimum of the linear program; ...
     """
 
     def __init__(self, status: Status, detail: str = "", solution: Solution | None = None) -> None:

@@ -38,6 +38,7 @@ and Gibbs, Journal of Graph Theory 6, 1982).
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import ClassVar
@@ -58,10 +59,10 @@ from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 
-optimize = later("scipy.optimize")
+cvxpy = later("cvxpy")
 csgraph = later("scipy.sparse.csgraph")
 
-OPTIMISERS = {"interior-point": "highs-ipm", "simplex": "highs-ds"}
+OPTIMISERS = ("CLARABEL", "HIGHS")
 IMPROVEMENTS = 1000
 AGREEMENT = 1e-5
 GENERATION = "constraint generation"
@@ -77,8 +78,8 @@ class LinearProgram:
 
     Parameters
     ----------
-    solver : "interior-point" or "simplex"
-        How HiGHS, which comes with SciPy, goes to work: the first is faster but for small models.
+    solver : "CLARABEL" or "HIGHS"
+        Interior points, or a simplex method.
     start : PolicyLike, optional
         A known deterministic policy: a solution, a Policy, or (S,) action numbers. Constraints are
         generated from it, without an optimiser. For models too large for one; those are refused
@@ -92,7 +93,7 @@ class LinearProgram:
     ([2.0, 4.0], [0.0, 1.0, 0.0, 1.0], [2.0, 0.0, 0.0, 0.0])
     """
 
-    solver: str = "interior-point"
+    solver: str = "CLARABEL"
     start: PolicyLike | None = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "linear-program"
@@ -161,19 +162,22 @@ class LinearProgram:
             (np.ones(mdp.n_pairs), mdp.pair_state, np.arange(mdp.n_pairs + 1)), mdp.transition.shape
         )
         matrix = sp.csc_array((own - mdp.discount * mdp.transition)[open_pairs][:, live])
-        count = matrix.shape[1]
-        solved = optimize.linprog(
-            np.full(count, 1 / count),
-            A_ub=-matrix,
-            b_ub=-mdp.reward[open_pairs] / scale,
-            bounds=(None, None),
-            method=OPTIMISERS[self.solver],
-        )
-        if solved.status != 0:
-            raise SolverError(Status.PROGRAM_FAILED, f"{self.solver}: {solved.message}")
+        value, count = cvxpy.Variable(matrix.shape[1]), matrix.shape[1]
+        above = matrix @ value >= mdp.reward[open_pairs] / scale
+        problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
+        try:
+            # What cvxpy would warn of, an inaccurate solution, is an error here.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                problem.solve(solver=self.solver)
+        except cvxpy.SolverError as error:
+            raise SolverError(Status.PROGRAM_FAILED, f"{self.solver}: {error}") from error
+        if problem.status != cvxpy.OPTIMAL:
+            raise SolverError(Status.PROGRAM_FAILED, f"{self.solver} says {problem.status}")
         found = np.zeros(mdp.n_states)
-        found[live] = solved.x * scale
-        return greedy(mdp, gains(mdp, found)), float(solved.fun) * scale, int(solved.nit)
+        found[live] = np.asarray(value.value) * scale
+        steps = int(problem.solver_stats.num_iters or 0)
+        return greedy(mdp, gains(mdp, found)), float(problem.value) * scale, steps
 
     def _check(self, objective: float, mdp: MDP, value: Floats) -> None:
         """Raise SolverError where the optimiser's mean is not that of the values (S,) reached."""

@@ -19,7 +19,7 @@ from matplotlib.ticker import NullFormatter
 from exact_mdp.analysis.plots.style import LINES, save, style
 from exact_mdp.mdp.io.files import write_atomically
 
-PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy")
+PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy", "highspy")
 INK = ("#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7")
 MARKERS = "osD^v"
 LARGE = 5e6  # bytes of arrays from which on memory says more of the model than of the process

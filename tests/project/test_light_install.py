@@ -41,7 +41,6 @@ COMMANDS = [
     "solve yuan2025 --certify",
     "evaluate yuan2025 random",
     "returns yuan2025 random",
-    "solve yuan2025 --method linear-program",
     "check yuan2025 optimal --html page.html --junit report.xml",
     "simulate yuan2025 random --episodes 20",
     "sensitivity yuan2025 gradient --parameter base.anger",
@@ -49,6 +48,7 @@ COMMANDS = [
 ]
 
 NEEDED = {
+    "solve yuan2025 --method linear-program": "exact-mdp[lp]",
     "info gymnasium:FrozenLake-v1 --discount 0.9": "exact-mdp[gymnasium]",
     "convert yuan2025 m.umb": "exact-mdp[umb]",
     "sensitivity yuan2025 sobol --samples 8": "exact-mdp[sensitivity]",

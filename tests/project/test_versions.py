@@ -157,4 +157,4 @@ def test_the_lowest_lock_holds_the_declared_bounds() -> None:
         if name in held and cut(held[name]) != cut(bound[1]):
             newer[name] = (bound[1], held[name])
     assert newer == {}
-    assert {"numpy", "scipy", "numba", "gymnasium", "salib", "umbi", "dask"} <= set(held)
+    assert {"numpy", "scipy", "numba", "cvxpy", "gymnasium", "salib", "umbi", "dask"} <= set(held)

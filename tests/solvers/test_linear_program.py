@@ -42,7 +42,7 @@ def test_optimiser_and_generated_constraints_agree() -> None:
     assert known.policy.tolist() == found.policy.tolist()
     assert np.abs(known.value - found.value).max() <= known.error_bound + found.error_bound
     assert np.abs(known.occupancy - found.occupancy).max() < 1e-9
-    assert known.program.by == "interior-point"
+    assert known.program.by == "CLARABEL"
     assert found.program.by == "constraint generation"
     assert known.program.used == known.program.constraints == 360
     assert 120 < found.program.used < 360
@@ -81,7 +81,7 @@ def test_a_grid_is_not_refused() -> None:
         matrix = sp.csr_array((np.ones(len(state)), (state, to)), (len(state), len(state)))
         moves.append(0.8 * matrix + 0.2 * sp.eye_array(len(state), format="csr"))
     mdp = MDP.from_arrays(moves, -np.ones((len(state), 4)), 0.9)
-    programs.check_size(mdp, "interior-point")
+    programs.check_size(mdp, "CLARABEL")
     assert programs._band(mdp) < 5 * side
 
 
@@ -147,6 +147,6 @@ def test_refusals_of_random_models_need_no_order_of_the_states(
     assert 1000 < programs._density(mdp) <= programs._band(mdp)
     monkeypatch.setattr(programs, "_band", lambda _: pytest.fail("an order was looked for"))
     with pytest.raises(ModelError, match=r"factors could take .* or more"):
-        programs.check_size(mdp, "interior-point")
+        programs.check_size(mdp, "CLARABEL")
     care = Scenario.load("yuan2025").with_(tasks=[40]).compile()
     assert programs._density(care) < 50
