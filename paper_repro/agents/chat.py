@@ -7,19 +7,18 @@ fault named; the broken text itself is not sent back.
 
 from __future__ import annotations
 
-import json
 import math
-import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.structured import DEEPEST, json_of
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, violations
 
 SHAPES = ("json_schema", "json_object", "none")
 DIGITS = 40  # of a number in an answer
-DEPTH = 64  # of arrays and objects in an answer
 MOST_COUNTED = 10**15  # tokens of one answer; whoever counts more is not believed
 
 Post = Callable[[dict[str, Any]], tuple[dict[str, Any], int]]
@@ -178,7 +177,7 @@ def decoded(text: str | bytes) -> Any:
     ------
     Malformed
         For text that is not JSON in UTF-8, a part named twice, a number that is infinite, none or
-        of over `DIGITS` digits, and nesting deeper than `DEPTH`.
+        of over `DIGITS` digits, and nesting deeper than `DEEPEST`.
 
     Examples
     --------
@@ -189,29 +188,19 @@ def decoded(text: str | bytes) -> Any:
     exact_mdp.paper_repro.agents.chat.Malformed: names a part twice
     """
     try:
-        whole = text if isinstance(text, str) else text.decode("utf-8-sig")
-        if _deep(whole):
-            raise Malformed(f"is nested deeper than {DEPTH}")
-        return json.loads(
-            whole,
+        return json_of(
+            text if isinstance(text, str) else text.decode("utf-8-sig"),
+            "answer",
             object_pairs_hook=_once_each,
             parse_int=_whole_number,
             parse_float=_number,
             parse_constant=_number,
         )
-    except (ValueError, RecursionError):
+    except ModelError as error:
+        deep = "nested" in error.what
+        raise Malformed(f"is nested deeper than {DEEPEST}" if deep else "is not JSON") from None
+    except UnicodeDecodeError:
         raise Malformed("is not JSON") from None
-
-
-def _deep(text: str) -> bool:
-    """Return whether brackets outside of strings are nested too deep."""
-    depth = 0
-    for outside in re.sub(r"\\.", "", text, flags=re.DOTALL).split('"')[::2]:
-        for bracket in re.findall(r"[\[\]{}]", outside):
-            depth += 1 if bracket in "[{" else -1
-            if depth > DEPTH:
-                return True
-    return False
 
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -8,10 +8,11 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
+from exact_mdp.analysis.cli.commands import together
 from exact_mdp.analysis.exit_status import Programs
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp import Scenario
@@ -35,7 +36,6 @@ from exact_mdp.paper_repro.agents.prompts import HISTORY, VARIANTS
 from exact_mdp.paper_repro.agents.protocol import PURPOSES, Backend, BackendError, Tap, plain
 from exact_mdp.paper_repro.agents.scripted import Scripted
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 STYLE = Style()
@@ -52,24 +52,13 @@ class Range(click.FloatRange):
         return number
 
 
-def options(*listed: Callable[[Any], Any]) -> Callable[[Function], Function]:
-    """Return a decorator that adds options to a command, the first one on top of its help."""
-
-    def add(function: Function) -> Function:
-        for option in reversed(listed):
-            function = option(function)
-        return function
-
-    return add
-
-
 def option(*names: str, **settings: Any) -> Callable[[Any], Any]:
     """Return an option that shows its default, where it has one."""
     shown = settings.get("default") not in (None, PROMPTS)
     return click.option(*names, **{"show_default": shown} | settings)
 
 
-SCENE = options(
+SCENE = together(
     option("--scenario", default="yuan2025", help="By name, or a .toml file."),
     option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change the scenario."),
     option("--activity", default="shopping", help="By name, or a .toml file."),
@@ -100,7 +89,7 @@ PRICE = option(
     metavar="IN OUT",
     help="openai: prices of a million prompt tokens and completion tokens, for the cost.",
 )
-BACKEND = options(
+BACKEND = together(
     option(
         "--backend",
         type=click.Choice(("scripted", "openai", "local")),
@@ -236,7 +225,7 @@ def main() -> None:
 
 @main.command()
 @SCENE
-@options(POLICY, VARIANT)
+@together(POLICY, VARIANT)
 @option(
     "--out",
     type=FOLDER,

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp import MDP, Policy
-from exact_mdp.mdp.care.perception import LEVEL, Counted, interval, perceived
+from exact_mdp.mdp.care.perception import LEVEL, Counted, perceived
 from exact_mdp.mdp.care.perception import counted as counted_perception
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes, write_atomically
@@ -157,8 +157,6 @@ def write(out: Path, confusion: Floats, result: Mapping[str, Any], mdp: MDP, sce
     record = run_record(mdp, model=scenario, solver="auto", seed=result["seed"])
     write_atomically(out / "run.json", json.dumps(record, indent=1) + "\n")
 
-
-__all__ = ["bits", "cost", "count", "interval", "labelled", "matrix", "rates", "to_csv", "vector"]
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]

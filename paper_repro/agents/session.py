@@ -1,8 +1,8 @@
 """One conversation in one folder: recording, text, HTML and run record; resumable and replayable.
 
 conversation.jsonl   everything, written as it goes
-conversation.txt     the same for reading, written as it goes
-conversation.html    the same as a page, written when the run stops
+conversation.txt     the same for reading, and
+conversation.html    as a page, both written when the run stops
 run.json             versions, commit and date
 """
 
@@ -66,8 +66,6 @@ def hold(
         raise ModelError(
             f"cannot make the folder: {error.strerror}", where=str(out), fix="name another --out"
         ) from error
-    text = views.heading(header) + "".join(views.block(header, step) for step in steps)
-    write_atomically(path.with_suffix(".txt"), text)
     end = None
     try:
         with Recorder(path, keep=kept.whole if kept else 0) as recorder:
@@ -79,28 +77,27 @@ def hold(
                 if step is None:
                     end = totals(steps)
                     recorder.add(end)
-                    _append(path, views.closing(end))
                     break
                 recorder.add(step)
                 steps.append(step)
-                _append(path, views.block(header, step))
                 progress(step)
     finally:  # write what was recorded, whatever stopped the run
         whole = Recording(header=header, steps=tuple(steps), end=end, whole=0)
-        write_atomically(path.with_suffix(".html"), views.page(whole))
+        _written(whole, path)
     return whole
 
 
 def render(path: Path, out: Path) -> list[Path]:
     """Write the text and the page of a recording into a folder, and return their paths."""
-    told = recording.read(path)
-    texts = [views.heading(told.header)]
-    texts += [views.block(told.header, step) for step in told.steps]
-    texts += [views.closing(told.end)] if told.end else []
-    written = [out / f"{path.stem}.txt", out / f"{path.stem}.html"]
-    write_atomically(written[0], "".join(texts))
-    write_atomically(written[1], views.page(told))
-    return written
+    return _written(recording.read(path), out / path.name)
+
+
+def _written(told: Recording, path: Path) -> list[Path]:
+    """Write text and page of a recording beside a path."""
+    texts = {".txt": views.text(told), ".html": views.page(told)}
+    for ending, text in texts.items():
+        write_atomically(path.with_suffix(ending), text)
+    return [path.with_suffix(ending) for ending in texts]
 
 
 class Recorded:
@@ -178,18 +175,6 @@ def _follows(talk: Conversation, kept: Recording, path: Path) -> None:
             where=str(path),
             fix="begin a new one in another --out",
         )
-
-
-def _append(path: Path, text: str) -> None:
-    try:
-        with open(path.with_suffix(".txt"), "a", encoding="utf-8") as file:
-            file.write(text)
-    except OSError as error:
-        raise ModelError(
-            f"cannot write the text: {error.strerror}",
-            where=str(path.with_suffix(".txt")),
-            fix="make room, then resume",
-        ) from error
 
 
 def _kept(path: Path, header: Mapping[str, Any], resume: bool) -> Recording | None:

@@ -105,6 +105,12 @@ def closing(end: Mapping[str, Any]) -> str:
     )
 
 
+def text(told: Recording) -> str:
+    """Return the text of a recording, finished or not."""
+    blocks = [block(told.header, step) for step in told.steps]
+    return "".join([heading(told.header), *blocks, closing(told.end) if told.end else ""])
+
+
 def page(told: Recording) -> str:
     """Return the page of a recording, finished or not."""
     header, end = told.header, told.end

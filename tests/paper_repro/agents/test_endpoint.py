@@ -700,7 +700,7 @@ def test_a_key_is_shown_and_kept_by_nothing() -> None:
     [
         ("digits", "holds a number of over 40 digits"),
         ("twice", "names a part twice"),
-        ("deep", "is nested deeper than 64"),
+        ("deep", "is nested deeper than 100"),
         ("nan", "not finite"),
         ("infinite", "not finite"),
     ],
