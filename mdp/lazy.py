@@ -36,6 +36,7 @@ EXTRAS = {
     "matplotlib": "plots",
     "networkx": "plots",
     "pyarrow": "parquet",
+    "stormpy": "storm",
     "umbi": "umb",
     "xllamacpp": "agents-local",
 }

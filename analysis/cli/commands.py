@@ -184,9 +184,15 @@ def data() -> None:
 @command("model:convert", "Write a model in another format.")
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT")
+@click.option(
+    "--constants", metavar="A=1,B=2", help="What a .prism or .jani file leaves open (extra storm)."
+)
 @of_model
 def convert() -> None:
-    """Read the model IN and write it to OUT, in the format that OUT's ending names."""
+    """Read the model IN and write it to OUT: .npz and .umb keep all of it, .drn is Storm's text.
+
+    IN may also be a .prism or .jani file, which Storm builds.
+    """
 
 
 # ---- its optimum -------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.cli.options import given, whole_of
+from exact_mdp.analysis.cli.options import check_outputs, given, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.errors import ModelError
@@ -50,6 +50,8 @@ def info(**shared: Any) -> Report:
         "never_ends": _counterexample(mdp, ending),
         "acyclic": is_acyclic(mdp),
         "time_limit": mdp.time_limit,
+        "sense": mdp.sense,
+        "labels": {name: int(states.sum()) for name, states in mdp.labels.items()},
         "reward_components": mdp.component_names,
         "events": mdp.events,
         "model_hash": fingerprint(mdp),
@@ -67,6 +69,9 @@ def info(**shared: Any) -> Report:
         "time limit": f"{mdp.time_limit:,} steps, left out without --horizon"
         if mdp.time_limit is not None
         else None,
+        "labels": ", ".join(f"{name} ({count:,})" for name, count in result["labels"].items())
+        or None,
+        "rewards are": "costs to minimise" if mdp.sense == "min" else None,
         "reward components": mdp.component_names,
     }
     tables = []
@@ -172,9 +177,17 @@ def _renamed(text: str) -> tuple[str, str]:
     return name.strip(), column.strip()
 
 
-def convert(*, source: str, target: str, sets: tuple[str, ...], discount: str | None) -> Report:
+def convert(
+    *,
+    source: str,
+    target: str,
+    sets: tuple[str, ...],
+    discount: str | None,
+    constants: str | None,
+) -> Report:
     """Write a model in another format."""
-    loaded = load(source, sets=sets, discount=discount)
+    check_outputs((target, (".npz", ".umb", ".drn")))
+    loaded = load(source, sets=sets, discount=discount, constants=constants)
     save_model(loaded.mdp, target)
     result = {
         "written": target,

@@ -133,6 +133,23 @@ def model_of(
     )
 
 
+def actions_of(
+    given: Integers | None, names: tuple[str, ...], state_to_choices: Integers
+) -> tuple[Integers, tuple[str, ...]]:
+    """Return each choice's action, and the names of all.
+
+    Where two choices of a state have the same action, or none has one, actions are the places of
+    the choices in their state.
+    """
+    counts = np.diff(state_to_choices)
+    if given is not None and len(set(names)) == len(names):
+        state = np.repeat(np.arange(len(counts)), counts)
+        if len(np.unique(state * len(names) + given)) == len(given):
+            return given, names
+    places = np.arange(state_to_choices[-1]) - np.repeat(state_to_choices[:-1], counts)
+    return places, tuple(map(str, range(int(places.max(initial=0)) + 1)))
+
+
 def identifier(found: Explicit, wanted: str) -> str:
     """Return the identifier of the reward model called `wanted`."""
     titles = found.titles.get("rewards", {})

@@ -1,11 +1,13 @@
 """Models by name or file, as the command line takes them.
 
 A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`), a
-model checker's file (`.umb`, or `.umb#NAME` to choose among its reward models), or `gymnasium:ID`.
+model checker's file (`.umb` or `.drn`; `.umb#NAME` chooses among its reward models), its source
+(`.prism`, `.jani`, which Storm builds), or `gymnasium:ID`.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +18,15 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 
+drn = later("exact_mdp.mdp.io.drn")
 npz = later("exact_mdp.mdp.io.npz")
+storm = later("exact_mdp.mdp.io.storm")
 umb = later("exact_mdp.mdp.io.umb")
 
 GYMNASIUM = "gymnasium:"
-FILES = (".toml", ".npz", ".umb")
+CHECKERS = (".umb", ".drn")
+SOURCES = (".prism", ".nm", ".pm", ".jani")
+FILES = (".toml", ".npz", *CHECKERS, *SOURCES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,21 +44,24 @@ def load(
     sets: Sequence[str] = (),
     discount: object | None = None,
     start: object | None = None,
+    constants: str | None = None,
 ) -> Loaded:
     """Return the model that `spec` names.
 
     Parameters
     ----------
     spec : str or path
-        A shipped scenario, a `.toml`, `.npz` or `.umb` file (`.umb#NAME` chooses a reward model),
-        or `gymnasium:ID`.
+        A shipped scenario, a `.toml`, `.npz`, `.umb` or `.drn` file (`.umb#NAME` chooses a reward
+        model), a `.prism` or `.jani` file, or `gymnasium:ID`.
     sets : sequence of "KEY=VALUE"
         Changes to a scenario, in order; other models have nothing to set.
     discount : number or "p/q", optional
-        Instead of the model's own; it wins over `sets`. A `.umb` file of another program states
-        none: 1 is taken, with a warning.
+        Instead of the model's own; it wins over `sets`. A `.umb` or `.drn` file of another program
+        states none: 1 is taken, with a warning.
     start : state, {state: probability} or (S,) vector, optional
         Instead of the model's own; a `.umb` or `.drn` file may have several initial states.
+    constants : "N=4,p=1/3", optional
+        Values of what a `.prism` or `.jani` file leaves open.
 
     Raises
     ------
@@ -66,6 +75,10 @@ def load(
     """
     text = str(spec)
     suffix = _suffix(text)
+    if constants and suffix not in SOURCES:
+        raise ModelError(
+            "the model has no constants", where=text, fix=f"give a {' or '.join(SOURCES)} file"
+        )
     if text in shipped() or suffix == ".toml":
         scenario = load_scenario(text, sets=sets, discount=discount)
         compiled = scenario.compile()
@@ -83,9 +96,12 @@ def load(
     elif suffix == ".npz":
         mdp = npz.load(text)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
-    elif suffix == ".umb":
-        file, reward = _umb_parts(text)
-        mdp = umb.load(file, discount=discount, reward=reward, start=start)
+    elif suffix in CHECKERS:
+        file, reward = _parts(text)
+        form = umb if suffix == ".umb" else drn
+        mdp = form.load(file, discount=discount, reward=reward, start=start)
+    elif suffix in SOURCES:
+        mdp = storm.load(text, constants=constants or "", discount=discount, start=start)
     else:
         raise _unknown(text)
     mdp = mdp if start is None else mdp.with_(start=start)
@@ -127,7 +143,9 @@ def load_scenario(
 
 
 def save_model(model: MDP, path: str | Path) -> None:
-    """Write all of a model as `.npz`, or as `.umb` for model checkers, by its ending.
+    """Write a model as `.npz`, or as `.umb` or `.drn` for model checkers, by its ending.
+
+    Archives keep all of it; see `mdp.io.drn` for what that text does not hold.
 
     Examples
     --------
@@ -136,30 +154,32 @@ def save_model(model: MDP, path: str | Path) -> None:
     ...
     exact_mdp.mdp.errors.ModelError: cannot write a model as .txt
       where: model.txt
-      fix:   name it .npz or .umb
+      fix:   name it .npz or .umb, or .drn for Storm
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
         npz.save(model, path)
     elif suffix == ".umb":
         umb.save(model, path)
+    elif suffix == ".drn":
+        drn.save(model, path)
     else:
         raise ModelError(
             f"cannot write a model as {suffix or 'a file without ending'}",
             where=str(path),
-            fix="name it .npz or .umb",
+            fix="name it .npz or .umb, or .drn for Storm",
         )
 
 
 def _suffix(text: str) -> str:
     """Return a file's ending, without the name of a reward model after it."""
-    return Path(_umb_parts(text)[0]).suffix.lower()
+    return Path(_parts(text)[0]).suffix.lower()
 
 
-def _umb_parts(text: str) -> tuple[str, str | None]:
+def _parts(text: str) -> tuple[str, str | None]:
     """Return the file and the reward model of "file.umb#NAME"; the text itself without one."""
-    place = text.lower().rfind(".umb#")
-    return (text, None) if place < 0 else (text[: place + 4], text[place + 5 :])
+    found = re.fullmatch(r"(?s)(.*\.(?:umb|drn))#(.*)", text, re.IGNORECASE)
+    return (text, None) if found is None else (found[1], found[2])
 
 
 def _unknown(text: str) -> ModelError:

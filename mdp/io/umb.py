@@ -33,7 +33,7 @@ import io
 import json
 import re
 import tarfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -41,38 +41,28 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.components import of_columns
-from exact_mdp.mdp.errors import ModelError, located, shown_text
+from exact_mdp.mdp.errors import located, shown_text
 from exact_mdp.mdp.io.explicit import (
     REWARD,
-    Explicit,
-    expected,
-    identifier,
     model_of,
-    over,
-    table_of,
 )
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.npz import as_header, parts_of
-from exact_mdp.mdp.io.umb_read import (
+from exact_mdp.mdp.io.npz import as_header
+from exact_mdp.mdp.io.own import (
     CARRIER,
     DOUBTS,
     GROUP,
     component_key,
     key_of,
     label_key,
-    read,
+    restored,
 )
+from exact_mdp.mdp.io.umb_read import read
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     Numbers,
-    OutcomeTable,
-    exact,
-    multiply,
-    shown,
 )
-from exact_mdp.mdp.validate import as_discount, as_start
 
 binary = later("umbi.binary")
 datatypes = later("umbi.datatypes")
@@ -122,101 +112,10 @@ def load(
     with located(str(path)):
         content = read(path)
         if content.header is not None:
-            return _own(content, content.header, reward, discount, start)
+            return restored(content, content.header, reward=reward, discount=discount, start=start)
         named = replace(content, name=content.name or Path(path).stem)
         where = shown_text(str(path))
         return model_of(named, where, reward=reward, discount=discount, start=start)
-
-
-# ---- reading -------------------------------------------------------------------------------------
-
-
-def _own(
-    content: Explicit,
-    header: Mapping[str, Any],
-    reward: str | None,
-    discount: object,
-    start: object,
-) -> MDP:
-    """Return a model that `save` wrote, with everything that the header says of it."""
-    chosen = identifier(content, REWARD if reward is None else reward)
-    own, choices, pairs = content.own, np.diff(content.state_to_choices), len(content.actions)
-    labels = _listed(content.labels, label_key, header.get("labels"))
-    parts = parts_of(header, pairs=pairs, labels=labels)
-    parts["goal"] = own.get("goal")
-    columns = _listed(content.rewards, component_key, header.get("component_names"))
-    initial = {state for state, p in parts["start"] if p > 0}
-    for what, same in (
-        ("a state without choices", bool(choices.all())),
-        ("the names of the actions", content.listed_actions == parts["actions"]),
-        ("the initial states", set(np.flatnonzero(content.initial).tolist()) == initial),
-        ("the components of the reward", len(columns) in (0, len(parts["component_names"]))),
-    ):
-        if not same:
-            raise ModelError(
-                f"another program changed {what}",
-                where=f"annotations/{GROUP}",
-                fix=f"drop the annotations of group {GROUP}, which no longer describe the model",
-            )
-    ours = chosen == REWARD
-    if not ours:
-        parts["component_names"] = (content.titles["rewards"][chosen],)
-    elif columns:
-        parts["component_table"] = of_columns([expected(content, each) for each in columns])
-    if discount is not None:
-        parts["discount_exact"] = as_discount(discount)
-    if start is not None:
-        parts["start"] = as_start(start, parts["space"])
-    table = table_of(content, content.rewards[chosen])
-    coarse, finer = table, ours and "gain" in own
-    if ours:
-        changes = {name: own[key_of(name)].top for name in DOUBTS if key_of(name) in own}
-        if "event" in own:
-            changes["event"] = own["event"].top.astype(np.uint8)
-        if finer:
-            gain, below = over(own["gain"], table.offsets)
-            changes |= {"gain": gain, "gain_denominator": below}
-        table = replace(table, **changes)
-    model = MDP(table, np.repeat(np.arange(len(choices)), choices), content.actions, **parts)
-    if finer:
-        _check_gains(table, coarse)
-    return model
-
-
-def _listed(found: Mapping[str, T], key: Callable[[int], str], names: object) -> list[T]:
-    """Return the annotations that `save` wrote for names in the header, those that are there."""
-    keys = map(key, range(len(names) if isinstance(names, list) else 0))
-    return [found[each] for each in keys if each in found]
-
-
-def _check_gains(finer: OutcomeTable, table: OutcomeTable) -> None:
-    """Raise ModelError unless the rewards of branches average to those of the choices.
-
-    Exact numbers agree exactly. Floats agree within the rounding of a sum of n products, which is
-    at most (n + 3) 2^-52 Σ |p r|, and (n + 1) 2^-1074 below the range of normal floats.
-    """
-    floats = np.float64 in (finer.weight.dtype, finer.gain.dtype, table.gain.dtype)
-    if not floats:
-        (top, below), (a, b) = finer.expected_gain_exact(), table.expected_gain_exact()
-        suspect = np.flatnonzero(np.asarray(multiply(top, b) != multiply(a, below), dtype=bool))
-    else:
-        suspect = np.arange(table.pairs)
-    for choice in suspect.tolist():
-        terms = [p * r for p, _, r in finer.row(choice)]
-        wanted, slack = (
-            exact(table.gain[choice]) / exact(table.gain_denominator[choice]),
-            Fraction(0),
-        )
-        total = sum(terms, Fraction(0))
-        if floats:
-            tiny = (len(terms) + 1) * Fraction(2) ** -1074
-            slack = (len(terms) + 3) * Fraction(2) ** -52 * sum(map(abs, terms)) + tiny
-        if abs(total - wanted) > slack:
-            raise ModelError(
-                f"rewards of branches average {shown(total)}, the choice's is {shown(wanted)}",
-                where=f"choice {choice}",
-                fix=f"change both, or drop the annotation {GROUP}/gain",
-            )
 
 
 # ---- writing -------------------------------------------------------------------------------------

@@ -18,32 +18,23 @@ import logging
 import lzma
 import tarfile
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.explicit import Explicit, Ratios
+from exact_mdp.mdp.io.explicit import Explicit, Ratios, actions_of
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
+from exact_mdp.mdp.io.own import CARRIER, GROUP
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, Numbers, OutcomeTable, ones
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, Numbers, ones
 from exact_mdp.mdp.validate import Flags
 
 binary = later("umbi.binary")
 datatypes = later("umbi.datatypes")
 umb_package = later("umbi.umb")
 encoding = later("umbi.umb.umb_to_tar")
-
-GROUP = "exact-mdp"
-CARRIER = "start"
-"""The annotation whose description is the header: what the format has no place for, as JSON."""
-
-DOUBTS = tuple(
-    field.name for field in fields(OutcomeTable) if field.default is None and field.name != "event"
-)
-"""Arrays of floats that a table of outcomes may have, each an annotation where it has it."""
 
 FREE, RATIO = 2**26, 200
 """An archive may unpack to 64 MiB, or to 200 times its own size, whichever is more."""
@@ -57,21 +48,6 @@ ANY_SIZE = 10**6
 
 # What umbi has to say of a file goes into the error, not to the terminal.
 logging.getLogger("umbi").addHandler(logging.NullHandler())
-
-
-def key_of(name: str) -> str:
-    """Return the identifier of the annotation that holds an array of the table."""
-    return name.replace("_", "-")
-
-
-def component_key(number: int) -> str:
-    """Return the identifier of the reward model that holds a component."""
-    return f"component-{number}"
-
-
-def label_key(number: int) -> str:
-    """Return the identifier of the annotation that holds a label."""
-    return f"label-{number}"
 
 
 def _damaged(what: str, where: str) -> ModelError:
@@ -378,31 +354,21 @@ def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
 def _actions(
     system: Any, files: Any, state_to_choices: Integers
 ) -> tuple[Integers, tuple[str, ...], tuple[str, ...]]:
-    """Return each choice's action, the names of actions, and these as the file lists them.
-
-    Where two choices of a state have the same action, or none has one, actions are the places of
-    the choices in their state.
-    """
-    count, counts = system.num_choice_actions, np.diff(state_to_choices)
-    places = np.arange(state_to_choices[-1]) - np.repeat(state_to_choices[:-1], counts)
+    """Return each choice's action, the names of actions, and these as the file lists them."""
+    count, folder = system.num_choice_actions, "actions/choices"
     listed: tuple[str, ...] = ()
-    if count and "actions/choices/string-mapping.bin" in files:
-        folder = "actions/choices"
-        listed = tuple(
-            files.read_strings(f"{folder}/strings.bin", filename_csr=f"{folder}/string-mapping.bin")
-        )
-    if count and "actions/choices/values.bin" in files:
-        given = np.frombuffer(files["actions/choices/values.bin"], "<u4").astype(np.int64)
-        names = tuple(name or "unnamed" for name in listed) or tuple(f"a{k}" for k in range(count))
+    if count and f"{folder}/string-mapping.bin" in files:
+        mapping = f"{folder}/string-mapping.bin"
+        listed = tuple(files.read_strings(f"{folder}/strings.bin", filename_csr=mapping))
+    given = None
+    names = tuple(name or "unnamed" for name in listed) or tuple(f"a{k}" for k in range(count))
+    if count and f"{folder}/values.bin" in files:
+        given = np.frombuffer(files[f"{folder}/values.bin"], "<u4").astype(np.int64)
         if given.max(initial=0) >= count or len(names) != count:
             raise _damaged(
                 f"{len(names)} names for {count} actions, or an action beyond them", "actions"
             )
-        state = np.repeat(np.arange(len(counts)), counts)
-        distinct = len(np.unique(state * count + given)) == len(given)
-        if distinct and len(set(names)) == len(names):
-            return given, names, listed
-    return places, tuple(map(str, range(int(places.max(initial=0)) + 1))), listed
+    return *actions_of(given, names, state_to_choices), listed
 
 
 def _offsets(files: Mapping[str, bytes], where: str, size: int, end: int) -> Integers:
