@@ -202,7 +202,7 @@ def require_termination(mdp: MDP) -> None:
     raise ModelError(
         "discount 1 needs every policy to end, and one does not",
         where="it stays for ever in " + ", ".join(named) + (f" and {more} more" if more else ""),
-        fix="use solve(mdp) or certify(mdp), choose a discount below 1, stop after N steps "
+        fix="use solve(mdp) or certify(mdp), give a discount (discount=0.95), stop after N steps "
         f"(--horizon {mdp.time_limit or 'N'}), or add a way out: a terminal state stays put and "
         "earns 0",
     )

@@ -57,8 +57,9 @@ LOADER = "exact_mdp.mdp.io.load"  # by name: it knows every kind of model, this 
 class MDP(Parts):
     """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
 
-    Build one with `MDP.from_arrays`, `MDP.from_pairs`, `MDP.from_outcomes`,
-    `MDP.from_gymnasium` or `Scenario.compile`; this constructor takes the parts themselves.
+    Build one with `MDP.from_arrays`, `from_pairs`, `from_outcomes`, `from_function`,
+    `from_gymnasium` or `from_transitions`, `MDP.load` or `Scenario.compile`; this constructor takes
+    the parts themselves.
 
     Attributes
     ----------

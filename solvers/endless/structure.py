@@ -288,7 +288,7 @@ def refusal(mdp: MDP, states: Mask, what: str) -> ModelError:
     return ModelError(
         f"at discount 1 the total reward has no limit: {what}",
         where=f"state {named}{more}",
-        fix="choose a discount below 1, stop after N steps (--horizon "
+        fix="choose a discount below 1 (discount=0.95), stop after N steps (--horizon "
         f"{mdp.time_limit or 'N'}), or ask for the average reward",
     )
 

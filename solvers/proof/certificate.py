@@ -145,7 +145,9 @@ class Certificate(ExactClaims, Pictured):
     def optimal_policy(self) -> Policy:
         """Return the policy that draws one of the optimal actions of each state, all alike.
 
-        Raises ModelError where the certificate was read from a file: it lacks the model.
+        Raises ModelError where the certificate was read from a file, which lacks the model; and
+        where some policy never ends and a state has several: each is right alone, and drawing among
+        them may go round for ever.
 
         Examples
         --------
@@ -155,6 +157,14 @@ class Certificate(ExactClaims, Pictured):
         [0.5, 0.0, 0.5]
         """
         mdp, optimal = _model(None, self.mdp), self.optimal
+        several = (optimal.sum(axis=1) > 1) & ~mdp.terminal
+        if self.endless is not None and several.any():
+            raise ModelError(
+                "several actions are optimal, and not every policy ends: drawn among, they may not "
+                "be optimal together",
+                where=f"state ({mdp.space.label(int(np.flatnonzero(several)[0]))})",
+                fix="take certificate.policy, which is",
+            )
         table = optimal / optimal.sum(axis=1, keepdims=True)
         return Policy(
             space=mdp.space, actions=mdp.actions, rule=table, shares=optimal.astype(np.int64)

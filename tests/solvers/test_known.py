@@ -72,6 +72,17 @@ def test_the_policy_of_all_optimal_actions(drawn: Rows) -> None:
     assert abs(found.mean - float(certificate.start_value)) <= found.start.error + 1e-9
 
 
+def test_ties_are_not_shared_where_a_policy_may_never_end() -> None:
+    """Staying and leaving are both worth 1; who only stays never gets it."""
+    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    found = certify(MDP.from_outcomes(rows))
+    assert found.start_value == 1
+    with pytest.raises(ModelError, match="drawn among"):
+        found.optimal_policy()
+    alone = certify(MDP.from_outcomes([*rows[1:], (0, 0, [(1, 0, -1)])]))
+    assert alone.optimal_policy().weights(alone.mdp).tolist() == [0, 1, 1]
+
+
 MODEL = garnet(300, seed=1, discount="0.99")
 STARTED = [name for name, kind in SOLVERS.items() if hasattr(kind, "start")]
 
