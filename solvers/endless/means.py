@@ -1,4 +1,4 @@
-"""The best mean reward of an end component: its sign, its exact value, and what proves either.
+"""The best mean reward of end components: its sign, its exact value, and what proves either.
 
     r(l) + P_l h - h(s) ≤ g  for all pairs l of the component,   with equality along a policy
 
@@ -16,18 +16,17 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
 from exact_mdp.solvers.endless.derived import Derived, derived
-from exact_mdp.solvers.endless.graph import Graph, Mask
+from exact_mdp.solvers.endless.graph import Mask
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError
 
 NEARNESS = (Fraction(1, 2**8), Fraction(1, 2**16), Fraction(1, 2**26))  # 1 - γ
@@ -44,80 +43,78 @@ class Mean:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Component:
-    """An end component: K states and their pairs inside, as a model of its own.
+class Components:
+    """The end components of a model: the number (S,) of each state's, or -1, and all their pairs.
 
     Attributes
     ----------
-    states : (K,) int64
-    sign : int
-        That of the best mean reward.
-    own : Derived
-        The component as a model, the end of which cannot be reached.
-    near : Solution, optional
-        Its solution with a discount near 1, where floats told the sign.
+    mdp : MDP
+    label : (S,) int64
+    inside : (L,) bool
     """
 
-    states: Integers
-    sign: int
-    own: Derived
-    near: Solution | None = None
+    mdp: MDP
+    label: Integers
+    inside: Mask
 
-    @cached_property
-    def mean(self) -> Mean:
-        """The exact mean, its potentials and its policy."""
-        return exact_mean(self.own)
+    def among(self, numbers: Sequence[int] | Integers) -> tuple[Integers, Derived]:
+        """Return the states (K,) of some components, and these as a model whose end is far."""
+        chosen = np.isin(self.label, numbers)
+        states = np.flatnonzero(chosen)
+        names = np.full(len(chosen), -1, dtype=np.int64)
+        names[states] = np.arange(len(states))
+        pairs = np.flatnonzero(self.inside & chosen[self.mdp.pair_state])
+        return states, derived(self.mdp, pairs, names)
 
-    @cached_property
-    def proof(self) -> tuple[list[Fraction], Integers]:
-        """Potentials (K,) that prove a sign other than 0, and the pairs (K,) of a policy."""
-        near = self.near or nearly(self.own, NEARNESS[0])
-        for nearness in (None, *NEARNESS[1:]):
-            near = near if nearness is None else nearly(self.own, nearness)
+    def signs(self, numbers: Integers) -> Integers:
+        """Return the signs of the best mean rewards of some components (C,)."""
+        found = np.zeros(len(numbers), dtype=np.int64)
+        if not len(numbers):
+            return found
+        states, own = self.among(numbers)
+        place = np.searchsorted(numbers, self.label[states])
+        for nearness in NEARNESS:
+            near = nearly(own, nearness)
             if near is None:
                 continue
-            largest = max(float(np.abs(near.value).max()), 2.0**-900)
-            step = Fraction(2) ** (int(np.ceil(np.log2(largest))) - BITS)
-            found = [step * int(x) for x in np.rint(near.value[:-1] / float(step))]
-            if self._proves(found, near.pairs[:-1]):
-                return found, self.own.source[near.pairs[:-1]]
-        return self.mean.potential, self.mean.pairs
+            low, high = np.full(len(numbers), np.inf), np.full(len(numbers), -np.inf)
+            np.minimum.at(low, place, (near.value - near.error)[:-1])
+            np.maximum.at(high, place, (near.value + near.error)[:-1])
+            found = np.where(found, found, np.where(low > 0, 1, np.where(high < 0, -1, 0)))
+            if found.all():
+                break
+        for i in np.flatnonzero(found == 0).tolist():
+            mean = self.mean(int(numbers[i])).mean
+            found[i] = (mean > 0) - (mean < 0)
+        return found
 
-    def _proves(self, potential: Sequence[Fraction], pairs: Integers) -> bool:
-        rows = bellman_rows(self.own.mdp)
-        gain = surplus(rows, [*potential, Fraction(0)])
-        if self.sign > 0:
-            return all(gain[pair] > 0 for pair in pairs.tolist())
-        return all(number < 0 for number in gain[:-1])
+    def mean(self, number: int) -> Mean:
+        """Return the exact mean of one component."""
+        return exact_mean(self.among([number])[1])
 
-
-def component(
-    mdp: MDP, graph: Graph, states: Integers, inside: Mask, rewards: Numbers
-) -> Component:
-    """Return an end component with the sign of its best mean, from the signs of rewards (L,)."""
-    pairs = np.flatnonzero(inside & np.isin(graph.pair_state, states))
-    label = np.full(mdp.n_states, -1, dtype=np.int64)
-    label[states] = np.arange(len(states))
-    own = derived(mdp, pairs, label)
-    earned = rewards[pairs]
-    if not (earned > 0).any():
-        rest = np.zeros(mdp.n_pairs, dtype=bool)
-        rest[pairs[earned == 0]] = True
-        stays = rest.any() and (graph.end_components(rest)[0] >= 0).any()
-        return Component(states=states, sign=0 if stays else -1, own=own)
-    if not (earned < 0).any():
-        return Component(states=states, sign=1, own=own)
-    for nearness in NEARNESS:
-        near = nearly(own, nearness)
-        if near is None:
-            continue
-        low, high = near.value - near.error, near.value + near.error
-        if high[:-1].max() < 0 or low[:-1].min() > 0:
-            return Component(states=states, sign=int(np.sign(near.value[0])), own=own, near=near)
-    mean = exact_mean(own)
-    found = Component(states=states, sign=(mean.mean > 0) - (mean.mean < 0), own=own)
-    found.__dict__["mean"] = mean
-    return found
+    def proof(self, numbers: Integers, sign: int) -> tuple[Integers, list[Fraction], Integers]:
+        """Return states (K,), potentials (K,) that prove the sign of means, and pairs (K,)."""
+        states, own = self.among(numbers)
+        rows = bellman_rows(own.mdp)
+        for nearness in NEARNESS:
+            near = nearly(own, nearness)
+            if near is None or not near.value.any():
+                continue
+            step = Fraction(2) ** (int(np.ceil(np.log2(np.abs(near.value).max()))) - BITS)
+            whole = np.rint(near.value / float(step)).tolist()
+            numerators = [int(x) * step for x in whole]
+            pairs = near.pairs if sign > 0 else np.arange(own.mdp.n_pairs)
+            if all(number * sign > 0 for number in surplus(rows, numerators, pairs[:-1])):
+                return states, numerators[:-1], own.source[near.pairs[:-1]]
+        if len(numbers) == 1:
+            best = exact_mean(own)
+            return states, best.potential, best.pairs
+        parts = [self.proof(numbers[[i]], sign) for i in range(len(numbers))]
+        return (
+            np.concatenate([part[0] for part in parts]),
+            [number for part in parts for number in part[1]],
+            np.concatenate([part[2] for part in parts]),
+        )
 
 
 def nearly(own: Derived, nearness: Fraction) -> Solution | None:

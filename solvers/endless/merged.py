@@ -65,39 +65,49 @@ def toward(graph: Graph, distance: Integers, pairs: Mask, chosen: Integers) -> N
     chosen[states] = falling[first]
 
 
-def lifted(found: Structure, whole: Derived, chosen: Integers) -> Integers:
-    """Return pairs (S,) of the model from the sources `chosen` (S',) in the merged one."""
-    graph, mdp = found.graph, found.mdp
-    pairs = mdp.pair_offsets[:-1].copy()
-    target = np.zeros(mdp.n_states, dtype=bool)
-    plain = found.sign == 0
-    for rest in found.rests:
-        plain[rest.states] = False
-        taken = int(chosen[whole.label[rest.states[0]]])
-        if 0 <= taken < mdp.n_pairs:
-            pairs[mdp.pair_state[taken]] = taken
-            target[mdp.pair_state[taken]] = True
-        else:
-            _first(mdp, rest.stay, pairs)
-            target[mdp.pair_state[rest.stay]] = True
+def lifted(found: Structure, whole: Derived, chosen: Integers) -> tuple[Integers, Mask]:
+    """Return the pairs (S,) of the model for the sources `chosen` (S',) in the merged one.
+
+    And where the policy stays for ever: (S,) True in its rests, its cores, and at the end.
+    """
+    graph, mdp, rest = found.graph, found.mdp, found.rest
+    pairs, stays = mdp.pair_offsets[:-1].copy(), found.over & (found.sign == 0)
+    taken = chosen[whole.label]  # of each state's merged one
+    leaves = (taken >= 0) & (taken < mdp.n_pairs)
+    plain = (found.sign == 0) & leaves & (rest < 0)
+    pairs[plain] = taken[plain]
+    resting = (rest >= 0) & ~leaves
+    uneven = np.isin(rest, list(found.tilted))
+    stay = [found.inside & (resting & ~uneven)[mdp.pair_state]]
+    for number, each in found.tilted.items():
+        some = np.zeros(mdp.n_pairs, dtype=bool)
+        some[each.stay] = resting[rest == number].any()
+        stay.append(some)
+    staying = np.logical_or.reduce(stay)
+    _first(mdp, np.flatnonzero(staying), pairs)
+    stays |= graph.having(staying)
+    ways = taken[(rest >= 0) & leaves]
+    pairs[mdp.pair_state[ways]] = ways
+    target = stays.copy()
+    target[mdp.pair_state[ways]] = True
     toward(graph, graph.distance(target, found.inside), found.inside, pairs)
-    plain &= whole.label < whole.mdp.n_states - 1
-    pairs[plain] = chosen[whole.label[plain]]
+    every = np.ones(mdp.n_pairs, dtype=bool)
     if found.drift is not None:
         drifting = found.sign != 0
         pairs[drifting] = (mdp.pair_offsets[:-1] + found.drift.policy)[drifting]
     elif found.missing.any():
         _first(mdp, np.flatnonzero(graph.every(found.missing)), pairs)
-        every = np.ones(mdp.n_pairs, dtype=bool)
         toward(graph, graph.distance(found.missing, every), every, pairs)
-    else:
+        stays |= found.missing
+    elif len(found.core):
+        states, _, best = found.gaining
+        pairs[states] = best
         above = np.zeros(mdp.n_states, dtype=bool)
-        for core in found.cores:
-            above[core.states] = True
-            pairs[core.states] = core.proof[1]
+        above[states] = True
         safe = graph.every(found.sign >= 0)
         toward(graph, graph.distance(above, safe), safe & (found.sign > 0)[mdp.pair_state], pairs)
-    return pairs
+        stays |= above
+    return pairs, stays
 
 
 def _first(mdp: MDP, some: Integers, pairs: Integers) -> None:

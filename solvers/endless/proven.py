@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, fingerprint, per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.endless.means import surplus
@@ -58,10 +59,10 @@ def certify_total(mdp: MDP) -> Certificate:
     whole, swings = finite(found)
     best = _optimum(whole)
     chosen = _choice(found, whole, best.optimal & ~swings)
-    pairs = lifted(found, whole, chosen)
+    pairs, stays = lifted(found, whole, chosen)
     proof = EndlessClaims(
         sign=found.sign,
-        rank=_ranks(found, whole, chosen, pairs),
+        rank=_ranks(found, pairs, stays),
         order=_orders(found, whole, best),
         potential=_potentials(found),
         drift=None
@@ -126,20 +127,13 @@ def _choice(found: Structure, whole: Derived, allowed: Mask) -> Integers:
     return whole.source[first]
 
 
-def _ranks(found: Structure, whole: Derived, chosen: Integers, pairs: Integers) -> Integers:
+def _ranks(found: Structure, pairs: Integers, stays: Mask) -> Integers:
     """Return how many steps the policy is from where it stays for ever, at least."""
-    mdp, graph, sign = found.mdp, found.graph, found.sign
-    taken = np.zeros(mdp.n_pairs, dtype=bool)
+    graph, sign = found.graph, found.sign
+    taken = np.zeros(found.mdp.n_pairs, dtype=bool)
     taken[pairs] = True
-    settled = (mdp.terminal if mdp.goal is None else mdp.goal) & (sign == 0)
-    for rest in found.rests:
-        if not 0 <= chosen[whole.label[rest.states[0]]] < mdp.n_pairs:
-            settled[mdp.pair_state[rest.stay]] = True
-    rank = np.where(sign == 0, graph.distance(settled, taken), 0)
-    above = found.missing.copy()
-    for core in found.cores:
-        above[core.states] = True
-    return np.where(sign == 0, rank, np.maximum(graph.distance(above, taken), 0))
+    finite, above = (graph.distance(stays & (sign == s), taken) for s in (0, 1))
+    return np.where(sign == 0, finite, np.maximum(above, 0))
 
 
 def _orders(found: Structure, whole: Derived, best: _Optimum) -> Integers:
@@ -150,22 +144,24 @@ def _orders(found: Structure, whole: Derived, best: _Optimum) -> Integers:
     order = Graph.of(whole.mdp).ranks(whole.mdp.terminal, live)[whole.label]
     if found.drift is not None or not (sign < 0).any():
         return np.where(sign == 0, order, 0)
-    graph, rounds = found.graph, found.given_up
+    graph, rounds, components = found.graph, found.given_up, found.components
     own = np.repeat(rounds[graph.pair_state], np.diff(graph.offsets))
     level = np.logical_and.reduceat(rounds[graph.next] == own, graph.offsets[:-1])
-    label, inside = graph.end_components(level & (sign < 0)[graph.pair_state])
-    below = graph.levels(label, level & (sign < 0)[graph.pair_state] & ~inside)
+    level &= (sign < 0)[graph.pair_state] & ~components.inside
+    below = graph.levels(components.label, level)
     return np.where(sign == 0, order, rounds * (int(below.max()) + 1) + below)
 
 
 def _potentials(found: Structure) -> list[Fraction]:
     potential = [Fraction(0)] * found.mdp.n_states
-    for rest in found.rests:
-        for state, number in zip(rest.states.tolist(), rest.second, strict=True):
+    for each in found.tilted.values():
+        for state, number in each.second.items():
             potential[state] = number
-    for each in [*found.cores, *found.losing]:
-        for state, number in zip(each.states.tolist(), each.proof[0], strict=True):
-            potential[state] = number
+    for numbers, sign in ((found.core, 1), (found.losing, -1)):
+        if len(numbers):
+            proof = found.gaining if sign > 0 else found.components.proof(numbers, sign)
+            for state, number in zip(proof[0].tolist(), proof[1], strict=True):
+                potential[state] = number
     return potential
 
 
@@ -188,26 +184,33 @@ def _certificate(
     own = (whole.source >= 0) & (whole.source < mdp.n_pairs)
     optimal[whole.source[own & best.optimal]] = True
     optimal |= found.mdp.terminal[mdp.pair_state] & (found.sign == 0)[mdp.pair_state]
-    apart = np.isin(label, whole.mdp.pair_state[best.left_out])
-    for rest in found.rests:
-        apart[rest.states] = True
-        for state, height in zip(rest.states.tolist(), rest.height, strict=True):
-            if height:
-                value = best.of(int(label[state])) + height
-                numerator[state], group[state] = value.numerator, len(denominator)
-                denominator.append(value.denominator)
+    for state, height in found.height.items():
+        value = best.of(int(label[state])) + height
+        numerator[state], group[state] = value.numerator, len(denominator)
+        denominator.append(value.denominator)
     for state in np.flatnonzero(found.sign != 0).tolist():
         numerator[state], group[state] = 0, len(values.denominator)
         gap[state], gap_scale[state] = None, 1
-    value_of = [Fraction(a, denominator[g]) for a, g in zip(numerator, group.tolist(), strict=True)]
-    for state in np.flatnonzero(apart & (found.sign == 0)).tolist():
-        some = np.array([pair for pair in mdp.pairs_of(state) if found.kept[pair]])
-        loss = [-number for number in surplus(rows, value_of, some)]
-        optimal[some] = [number == 0 for number in loss]
-        least = min((number for number in loss if number > 0), default=None)
-        scaled = None if least is None else least * denominator[group[state]]
-        gap[state] = None if scaled is None else scaled.numerator
-        gap_scale[state] = 1 if scaled is None else scaled.denominator
+    # Of merged states, and where pairs were left out, the next best pair is not known yet.
+    optimal |= found.inside
+    apart = np.isin(label, whole.mdp.pair_state[best.left_out]) & (label < whole.mdp.n_states - 1)
+    apart = (found.sign == 0) & ~found.over & (apart | (found.rest >= 0))
+    some = np.flatnonzero(apart[mdp.pair_state] & found.kept & ~found.inside)
+    for state in np.flatnonzero(apart).tolist():
+        gap[state], gap_scale[state] = None, 1
+    value_of = [flint.fmpq(0)] * mdp.n_states
+    for state in {*mdp.pair_state[some].tolist(), *_successors(found.graph, some)}:
+        value_of[state] = flint.fmpq(numerator[state], denominator[group[state]])
+    least: dict[int, Any] = {}
+    gains = zip(some.tolist(), surplus(rows, value_of, some), strict=True) if len(some) else ()
+    for pair, gain in gains:
+        state = int(mdp.pair_state[pair])
+        optimal[pair] = gain == 0
+        if gain != 0 and (state not in least or -gain < least[state]):
+            least[state] = -gain
+    for state, number in least.items():
+        scaled = number * denominator[group[state]]
+        gap[state], gap_scale[state] = int(scaled.p), int(scaled.q)
     infinite = (found.sign != 0)[mdp.pair_state]
     optimal[infinite] = optimal_infinite(proof, rows)[infinite]
     reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
@@ -222,13 +225,20 @@ def _certificate(
         gap=gap,
         gap_scale=gap_scale,
         unique=bool((count[reached] == 1).all()),
-        start_value=_start_value(mdp, value_of, found.sign),
+        start_value=_start_value(mdp, numerator, group, denominator, found.sign),
         endless=proof,
         mdp=mdp,
     )
 
 
-def _start_value(mdp: MDP, value: list[Fraction], sign: Integers) -> Fraction | float:
+def _successors(graph: Graph, pairs: Integers) -> list[int]:
+    found: list[int] = graph.next[spans(graph.offsets[pairs], graph.offsets[pairs + 1])].tolist()
+    return found
+
+
+def _start_value(
+    mdp: MDP, numerator: list[int], group: Integers, below: list[int], sign: Integers
+) -> Fraction | float:
     signs = {int(sign[state]) for state, weight in mdp.start if weight} - {0}
     if len(signs) > 1:
         raise ModelError(
@@ -238,7 +248,8 @@ def _start_value(mdp: MDP, value: list[Fraction], sign: Integers) -> Fraction | 
         )
     if signs:
         return inf * signs.pop()
-    return sum((weight * value[state] for state, weight in mdp.start), Fraction(0))
+    terms = (w * Fraction(numerator[s], below[group[s]]) for s, w in mdp.start)
+    return sum(terms, Fraction(0))
 
 
 def _listed(numbers: Numbers) -> list[Fraction]:

@@ -28,9 +28,10 @@ Sankur, Stochastic Shortest Paths and Weight-Bounded Properties in Markov Decisi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from math import inf
 
 import numpy as np
@@ -43,38 +44,35 @@ from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.endless.derived import Derived, derived
 from exact_mdp.solvers.endless.graph import Graph, Mask
-from exact_mdp.solvers.endless.means import Component, component, exact_mean, surplus
+from exact_mdp.solvers.endless.means import Components, exact_mean, surplus
 from exact_mdp.solvers.proof.endless import aperiodic
 
 SHOWN = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rest:
-    """States (K,) between which one moves at will: a component whose pairs are used for ever.
+class Tilted:
+    """A rest in which rewards cancel: what is earned from s to t is height(s) - height(t).
 
     Attributes
     ----------
-    states : (K,) int64
-    height : list of Fraction, of length K
-        The potential h: all 0 where nothing is earned.
+    height : dict of Fraction by state
+        The potential h.
     worth : Fraction or None
-        What staying is worth, less the height of where one comes from; None where it is not
-        allowed to stay.
+        What staying is worth, less the height of where one comes from; None where that swings.
     stay : (J,) int64
         The pairs that stay for that worth.
     swing : Fraction or None
-        What staying for ever is worth at most, where rewards cancel, if that is more; less height.
-    second : list of Fraction, of length K
-        A potential of the heights, which proves `swing`; all 0 where there are none.
+        What staying for ever is worth at most, if that is more; less height.
+    second : dict of Fraction by state
+        A potential of the heights, which proves that nothing is worth more.
     """
 
-    states: Integers
-    height: list[Fraction]
+    height: Mapping[int, Fraction]
     worth: Fraction | None
     stay: Integers
-    swing: Fraction | None = None
-    second: list[Fraction] = field(default_factory=list)
+    swing: Fraction | None
+    second: Mapping[int, Fraction]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,16 +84,22 @@ class Structure:
     mdp : MDP
         Its rows sum to 1 exactly.
     graph : Graph
+    components : Components
+        The end components, ends left out.
     sign : (S,) int64
         1 where the value is +∞, -1 where it is -∞, else 0.
     kept : (L,) bool
         The pairs that lead from finite states to finite states only.
+    rest : (S,) int64
+        The number of each state's rest, a part of an end component between whose states one moves
+        at will; -1 where there is none.
     inside : (L,) bool
-        Those of them with which one moves inside a rest.
-    rests : list of Rest
-        Terminal states left out.
-    cores, losing : list of Component
-        Where +∞ is earned, and where all is lost; none where a goal or a drift decides that.
+        The pairs with which one moves inside a rest.
+    tilted : dict of Tilted by rest
+        In the other rests nothing is earned, and staying is worth 0; with a goal it is not allowed.
+    core, losing : (C,) int64
+        The components where +∞ is earned, and where all is lost; none where a goal or a drift
+        decides that.
     given_up : (S,) int64
         The round in which states of -∞ were given up, see `Graph.rounds`.
     missing : (S,) bool
@@ -106,103 +110,122 @@ class Structure:
 
     mdp: MDP
     graph: Graph
+    components: Components
     sign: Integers
     kept: Mask
+    rest: Integers
     inside: Mask
-    rests: list[Rest]
-    cores: list[Component]
-    losing: list[Component]
+    tilted: Mapping[int, Tilted]
+    core: Integers
+    losing: Integers
     given_up: Integers
     missing: Mask
     drift: AverageCertificate | None = None
 
+    @property
+    def over(self) -> Mask:
+        """(S,) True where all is over: terminal states, or the goal."""
+        return self.mdp.terminal if self.mdp.goal is None else self.mdp.goal
+
+    @cached_property
+    def height(self) -> dict[int, Fraction]:
+        """The heights of states in tilted rests."""
+        return {state: h for each in self.tilted.values() for state, h in each.height.items()}
+
+    @cached_property
+    def gaining(self) -> tuple[Integers, list[Fraction], Integers]:
+        """States, potentials and pairs of the cores."""
+        return self.components.proof(self.core, 1)
+
 
 def structure(mdp: MDP) -> Structure:
     """Return the structure of a model at discount 1, whose rows sum to 1 exactly."""
-    graph = Graph.of(mdp)
+    graph, goal = Graph.of(mdp), mdp.goal
+    over = mdp.terminal if goal is None else goal
+    every, none = np.ones(mdp.n_pairs, dtype=bool), np.arange(0)
+    label, inside = graph.end_components(~over[mdp.pair_state])
+    components = Components(mdp=mdp, label=label, inside=inside)
+    if goal is not None and mdp.unreached == inf:
+        missing = label >= 0
+        sign = np.where(graph.distance(missing, every) >= 0, 1, 0)
+        return Structure(
+            mdp=mdp,
+            graph=graph,
+            components=components,
+            sign=sign,
+            kept=(sign == 0)[mdp.pair_state],
+            rest=np.full(mdp.n_states, -1),
+            inside=~every,
+            tilted={},
+            core=none,
+            losing=none,
+            given_up=np.zeros(mdp.n_states, dtype=np.int64),
+            missing=missing,
+        )
     rewards = np.sign(mdp.table.expected_gain_exact()[0])
-    terminal = mdp.terminal if mdp.goal is None else mdp.goal
-    moving = ~terminal[mdp.pair_state]
-    label, inside = graph.end_components(moving)
-    if mdp.goal is not None and mdp.unreached == inf:
-        return _missing(mdp, graph, label, terminal)
-    found = [
-        component(mdp, graph, np.flatnonzero(label == number), inside, rewards)
-        for number in range(int(label.max(initial=-1)) + 1)
-    ]
-    every = np.ones(mdp.n_pairs, dtype=bool)
-    above, best = (
-        _of([each for each in found if each.sign == sign], mdp.n_states) for sign in (1, 0)
-    )
-    if mdp.goal is not None:
-        best = terminal
-        if (bad := above & (graph.rounds(best, every) == 0)).any():
-            raise refusal(
-                mdp,
-                bad,
-                "costs can be driven to -∞ before the goal is reached, so that no policy is best",
-            )
-        above[:] = False
-    else:
-        best |= terminal
-    drift = None
-    given_up = graph.rounds(above | best, every)
-    might = graph.distance(above, every) >= 0
-    safe = given_up == 0
-    win = graph.distance(above, every & graph.every(safe)) >= 0
+    quiet, still = graph.end_components(inside & (rewards == 0))
+    best, both = _best_means(components, rewards, quiet)
+    worth = np.append(best, -1)[label]  # the sign of each state's component
+    settled = over | (worth == 0) if goal is None else over
+    if goal is not None:
+        if (bad := (worth > 0) & (graph.rounds(over, every) == 0)).any():
+            raise refusal(mdp, bad, "costs fall without end before the goal is reached")
+        worth = np.full_like(worth, -1)
+    given_up = graph.rounds((worth > 0) | settled, every)
+    safe, drift = given_up == 0, None
+    win = graph.distance(worth > 0, every & graph.every(safe)) >= 0
     sign = np.where(win & safe, 1, np.where(safe, 0, -1))
-    if (might & (sign < 1)).any():
+    if ((graph.distance(worth > 0, every) >= 0) & (sign < 1)).any():
         drift = certify_average(mdp)
         sign = np.array([(each > 0) - (each < 0) for each in drift.gain])
         _check_drift(mdp, graph, sign, drift.gain)
     kept = (sign == 0)[mdp.pair_state] & graph.every(sign == 0)
-    rests: list[Rest] = []
-    moved = np.zeros(mdp.n_pairs, dtype=bool)
-    for each in found:
-        if sign[each.states[0]] == 0 and (each.sign == 0 or mdp.goal is not None):
-            for rest, pairs in _rests(mdp, graph, each, rewards, kept & inside):
-                rests.append(rest)
-                moved[pairs] = True
-    plain = mdp.goal is None and drift is None
+    tilted: dict[int, Tilted] = {}
+    rest, moved = quiet, still
+    uneven = both & (best == 0)
+    if uneven.any():
+        chosen = np.flatnonzero(uneven & (sign[_first(label, len(best))] == 0))
+        rest, moved, tilted = _tilted(components, graph, rewards, quiet, still, chosen)
+    plain = goal is None and drift is None
+    of_sign = sign[_first(label, len(best))]
     return Structure(
         mdp=mdp,
         graph=graph,
+        components=components,
         sign=sign,
         kept=kept,
-        inside=moved,
-        rests=rests,
-        cores=[each for each in found if each.sign == 1 and plain and sign[each.states[0]] == 1],
-        losing=[each for each in found if plain and sign[each.states[0]] == -1],
+        rest=np.where(sign == 0, rest, -1),
+        inside=moved & kept,
+        tilted=tilted,
+        core=np.flatnonzero((best > 0) & (of_sign > 0)) if plain else none,
+        losing=np.flatnonzero(of_sign < 0) if plain else none,
         given_up=np.where(sign < 0, given_up, 0),
         missing=np.zeros(mdp.n_states, dtype=bool),
         drift=drift,
     )
 
 
-def _missing(mdp: MDP, graph: Graph, label: Integers, goal: Mask) -> Structure:
-    """Return the structure of a model in which never reaching the goal is worth +∞."""
-    every = np.ones(mdp.n_pairs, dtype=bool)
-    sign = np.where(graph.distance(label >= 0, every & ~goal[mdp.pair_state]) >= 0, 1, 0)
-    none = np.zeros(mdp.n_pairs, dtype=bool)
-    return Structure(
-        mdp=mdp,
-        graph=graph,
-        sign=sign,
-        kept=(sign == 0)[mdp.pair_state],
-        inside=none,
-        rests=[],
-        cores=[],
-        losing=[],
-        given_up=np.zeros(mdp.n_states, dtype=np.int64),
-        missing=label >= 0,
-    )
-
-
-def _of(components: Sequence[Component], states: int) -> Mask:
-    found = np.zeros(states, dtype=bool)
-    for each in components:
-        found[each.states] = True
+def _first(label: Integers, count: int) -> Integers:
+    """Return (C,) a state of each component."""
+    found = np.zeros(count, dtype=np.int64)
+    found[label[label >= 0]] = np.flatnonzero(label >= 0)
     return found
+
+
+def _best_means(components: Components, rewards: Numbers, quiet: Integers) -> tuple[Integers, Mask]:
+    """Return (C,) the signs of the best mean rewards, and where rewards of both signs are met."""
+    label, inside = components.label, components.inside
+    owner, count = label[components.mdp.pair_state], int(label.max(initial=-1)) + 1
+
+    def any_of(where: Mask, of: Integers) -> Mask:
+        return np.bincount(of[where], minlength=count) > 0
+
+    gains, losses = any_of(inside & (rewards > 0), owner), any_of(inside & (rewards < 0), owner)
+    free = any_of(quiet >= 0, label)
+    best = np.where(gains, 1, np.where(free, 0, -1))
+    both = gains & losses
+    best[both] = components.signs(np.flatnonzero(both))
+    return best, both
 
 
 def _check_drift(mdp: MDP, graph: Graph, sign: Integers, mean: Numbers) -> None:
@@ -210,74 +233,70 @@ def _check_drift(mdp: MDP, graph: Graph, sign: Integers, mean: Numbers) -> None:
     suspect = (sign == 0)[mdp.pair_state] & ~graph.every(sign == 0)
     for pair in np.flatnonzero(suspect).tolist():
         if sum(p * mean[state] for p, state, _ in mdp.table.row(pair)) == 0:
-            state = mdp.pair_state[[pair]]
-            bad = np.isin(np.arange(mdp.n_states), state)
+            bad = np.isin(np.arange(mdp.n_states), mdp.pair_state[pair])
             raise refusal(mdp, bad, "gains and losses without end cancel on average")
 
 
-def _rests(
-    mdp: MDP, graph: Graph, each: Component, rewards: Numbers, inside: Mask
-) -> list[tuple[Rest, Integers]]:
-    """Return what can be stayed in of a component of mean 0, and the pairs that do."""
-    own = np.flatnonzero(inside & np.isin(mdp.pair_state, each.states))
-    height = [Fraction(0)] * len(each.states)
-    tight = np.zeros(mdp.n_pairs, dtype=bool)
-    if (rewards[own] > 0).any():
-        height = each.mean.potential
-        gain = surplus(bellman_rows(each.own.mdp), [*height, Fraction(0)])
-        source = each.own.source
-        tight[source[[pair for pair, number in enumerate(gain[:-1]) if number == 0]]] = True
-    else:
-        tight[own[rewards[own] == 0]] = True
-    label, staying = graph.end_components(tight)
-    place = {state: i for i, state in enumerate(each.states.tolist())}
-    found = []
-    for number in range(int(label.max(initial=-1)) + 1):
-        states = np.flatnonzero(label == number)
-        pairs = np.flatnonzero(staying & (label == number)[mdp.pair_state])
-        here = [height[place[state]] for state in states.tolist()]
-        found.append((_rest(mdp, graph, states, pairs, here, rewards), pairs))
-    return found
+def _tilted(
+    components: Components,
+    graph: Graph,
+    rewards: Numbers,
+    quiet: Integers,
+    still: Mask,
+    chosen: Integers,
+) -> tuple[Integers, Mask, dict[int, Tilted]]:
+    """Return rests and their pairs where some `chosen` components have rewards of both signs."""
+    mdp, label = components.mdp, components.label
+    moved = still & ~np.isin(label, chosen)[mdp.pair_state]
+    height: dict[int, Fraction] = {}
+    for number in chosen.tolist():
+        states, own = components.among([number])
+        best = exact_mean(own)
+        height |= zip(states.tolist(), best.potential, strict=True)
+        gain = surplus(bellman_rows(own.mdp), [*best.potential, Fraction(0)])
+        moved[own.source[[pair for pair, x in enumerate(gain[:-1]) if x == best.mean]]] = True
+    rest, moved = graph.end_components(moved)
+    found = {}
+    for number in np.unique(rest[np.isin(label, chosen) & (rest >= 0)]).tolist():
+        states = np.flatnonzero(rest == number)
+        pairs = np.flatnonzero(moved & (rest == number)[mdp.pair_state])
+        here = {state: height[state] for state in states.tolist()}
+        if len({*here.values()}) > 1:
+            found[number] = _sloping(mdp, graph, states, pairs, here, rewards)
+    return rest, moved, found
 
 
-def _rest(
+def _sloping(
     mdp: MDP,
     graph: Graph,
     states: Integers,
     pairs: Integers,
-    height: list[Fraction],
+    height: dict[int, Fraction],
     rewards: Numbers,
-) -> Rest:
-    nothing = [Fraction(0)] * len(states)
+) -> Tilted:
+    """Return what staying in a tilted rest is worth."""
     if mdp.goal is not None:
-        return Rest(states=states, height=height, worth=None, stay=pairs[:0], second=nothing)
-    if len(set(height)) == 1:
-        return Rest(states=states, height=nothing, worth=Fraction(0), stay=pairs, second=nothing)
+        return Tilted(height=height, worth=None, stay=pairs[:0], swing=None, second={})
     quiet = np.zeros(mdp.n_pairs, dtype=bool)
     quiet[pairs[rewards[pairs] == 0]] = True
     label, staying = graph.end_components(quiet)
-    own, worth, stay = label[states], None, pairs[:0]
-    for number in range(int(label.max(initial=-1)) + 1):
-        level = -height[int(np.flatnonzero(own == number)[0])]
-        if worth is None or level > worth:
-            worth = level
-            stay = np.flatnonzero(staying & (label == number)[mdp.pair_state])
+    worth, stay = None, pairs[:0]
+    for state in states[label[states] >= 0].tolist():
+        if worth is None or -height[state] > worth:
+            worth = -height[state]
+            stay = np.flatnonzero(staying & (label == label[state])[mdp.pair_state])
     names = np.full(mdp.n_states, -1, dtype=np.int64)
     names[states] = np.arange(len(states))
-    earned = [-height[names[state]] for state in mdp.pair_state[pairs].tolist()]
-    most = exact_mean(derived(mdp, pairs, names, earned=earned))
-    swing = None
+    earned = [-height[state] for state in mdp.pair_state[pairs].tolist()]
+    most, swing = exact_mean(derived(mdp, pairs, names, earned=earned)), None
     if worth is None or most.mean > worth:
-        after = [
-            np.unique(mdp.table.next[slice(*mdp.table.offsets[p : p + 2])]) for p in most.pairs
-        ]
+        after = [mdp.table.next[slice(*mdp.table.offsets[p : p + 2])] for p in most.pairs]
         if aperiodic([each.tolist() for each in after], states.tolist()):
             worth, stay = most.mean, most.pairs
         else:
             swing = most.mean
-    return Rest(
-        states=states, height=height, worth=worth, stay=stay, swing=swing, second=most.potential
-    )
+    second = dict(zip(states.tolist(), most.potential, strict=True))
+    return Tilted(height=height, worth=worth, stay=stay, swing=swing, second=second)
 
 
 def refusal(mdp: MDP, states: Mask, what: str) -> ModelError:
@@ -296,36 +315,32 @@ def refusal(mdp: MDP, states: Mask, what: str) -> ModelError:
 def finite(found: Structure) -> tuple[Derived, Mask]:
     """Return the model of the finite values, and which of its pairs (L',) swing for ever.
 
-    Rests are merged, each a state with a pair to the end. The value of a state is that of its
-    label, plus its height in its rest.
+    Rests are merged, each a state with a pair to the end where staying is allowed. The value of a
+    state is that of its label, plus its height.
     """
-    mdp, sign = found.mdp, found.sign
-    over = mdp.terminal if mdp.goal is None else mdp.goal
-    label = np.full(mdp.n_states, -1, dtype=np.int64)
-    pairs = found.kept & ~found.inside & ~over[mdp.pair_state]
-    leaving = found.graph.having(pairs)
-    open_ = (sign == 0) & ~over
-    rests: list[tuple[int, Fraction]] = []
-    swings: list[int] = []
-    height: dict[int, Fraction] = {}
-    number = 0
-    for rest in found.rests:
-        open_[rest.states] = False
-        height |= zip(rest.states.tolist(), rest.height, strict=True)
-        flat = not any(rest.height)
-        if flat and rest.worth is not None and not leaving[rest.states].any():
-            continue
-        label[rest.states] = number
-        if rest.worth is not None:
-            rests.append((number, rest.worth))
-        if rest.swing is not None:
+    mdp, rest = found.mdp, found.rest
+    pairs = found.kept & ~found.inside & ~found.over[mdp.pair_state]
+    count = int(rest.max(initial=-1)) + 1
+    leaving = np.bincount(rest[found.graph.having(pairs) & (rest >= 0)], minlength=count) > 0
+    uneven = np.zeros(count, dtype=bool)
+    uneven[list(found.tilted)] = True
+    free = mdp.goal is None
+    merged = np.bincount(rest[rest >= 0], minlength=count) > 0
+    merged &= leaving | uneven | (not free)  # the others are at an end
+    number = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)
+    label = number[rest]
+    open_ = (found.sign == 0) & ~found.over & (rest < 0)
+    label[open_] = int(merged.sum()) + np.arange(int(open_.sum()))
+    rests = [(int(k), Fraction(0)) for k in number[:-1][merged & ~uneven]] if free else []
+    swings = []
+    for k, each in found.tilted.items():
+        if each.worth is not None:
+            rests.append((int(number[k]), each.worth))
+        if each.swing is not None:
             swings.append(-1 - len(rests))
-            rests.append((number, rest.swing))
-        number += 1
-    label[open_] = number + np.arange(int(open_.sum()))
-    chosen = np.flatnonzero(pairs)
-    earned = None
-    if any(height.values()):
+            rests.append((int(number[k]), each.swing))
+    chosen, earned = np.flatnonzero(pairs), None
+    if height := found.height:
         top, below = mdp.table.expected_gain_exact()
         earned = []
         for pair in chosen.tolist():

@@ -57,8 +57,7 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     solution = solved(part.mdp)
     _verify(whole, part, solution)
     height = np.zeros(mdp.n_states)
-    for rest in found.rests:
-        height[rest.states] = [float(number) for number in rest.height]
+    height[list(found.height)] = [float(number) for number in found.height.values()]
     value = solution.value[whole.label] + height
     error = solution.state_error[whole.label]
     error = error + (2 * UNIT * (np.abs(value) + np.abs(height))) * (height != 0)
@@ -68,7 +67,7 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
         solution,
         mdp=mdp,
         value=value,
-        pairs=lifted(found, whole, chosen),
+        pairs=lifted(found, whole, chosen)[0],
         state_error=np.where(found.sign == 0, error, 0.0),
         seconds=perf_counter() - started,
         gaps=None,
