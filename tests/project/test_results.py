@@ -16,7 +16,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from exact_mdp import analysis, paper_repro, solvers
-from exact_mdp.analysis import best_policy, check, compare, value_function
+from exact_mdp.analysis import best_policy, check, compare, tradeoff, value_function
 from exact_mdp.analysis.learning import instability
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
@@ -83,6 +83,8 @@ MADE: dict[str, Callable[[], object]] = {
     "AccuracyCurves": lambda: accuracy_curves(care(), levels=[0.9, 1]),
     "AccuracyNeeded": lambda: accuracy_needed(care()),
     "Audit": lambda: check(care(), "always:directive"),
+    "AverageEvaluation": lambda: evaluate(care(), "random", criterion="average"),
+    "AverageSolution": lambda: solve(care(), criterion="average"),
     "AverageCertificate": lambda: certify(care(), criterion="average"),
     "BeliefSolution": lambda: solve_beliefs(Process.of(care(), ROUGH), tol=1),
     "BestPolicy": lambda: best_policy(care()),
@@ -95,6 +97,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Explorer": lambda: explore(SMALL, "base.anger"),
     "ErrorCosts": lambda: error_costs(care(), "optimal", ROUGH),
     "Evaluation": lambda: evaluate(care(), "random"),
+    "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),
     "Gradient": lambda: gradient(SMALL),
     "Hedging": lambda: hedging(care(), levels=[1.0, 0.9]),
     "JointRadius": lambda: joint_radius(SMALL, {"base.anger": (0, 1)}),
@@ -143,9 +146,11 @@ def kinds() -> dict[str, type[Result]]:
         below = waiting.pop().__subclasses__()
         waiting += below
         found |= {kind.__name__: kind for kind in below if kind.__module__.startswith("exact_mdp")}
-    abstract = {"Pictured", *(name for name, kind in found.items() if inspect.isabstract(kind))}
-    bases = {base.__name__ for kind in found.values() for base in kind.__mro__[1:]}
-    return {name: kind for name, kind in found.items() if name not in abstract | bases}
+    return {
+        name: kind
+        for name, kind in found.items()
+        if not inspect.isabstract(kind) and name != "Global"  # Sobol and Morris are made
+    }
 
 
 class Parsed(HTMLParser):
