@@ -47,6 +47,7 @@ HEAVY = (
     "exact_mdp.mdp.io",  # each format on its own
     "exact_mdp.paper_repro.agents.transport",  # made of classes of httpcore
     "exact_mdp.solvers.kernels",
+    "exact_mdp.solvers.objectives",  # for limits on totals alone
     "flint",
     "jinja2",
     "joblib",

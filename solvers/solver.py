@@ -9,14 +9,16 @@ problems do; its answer is the answer.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, Protocol, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, overload
 
 from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import numbered_in_order
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
 from exact_mdp.solvers.bounds.bounds import levels
@@ -31,6 +33,11 @@ from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.endless.total import endless, solve_total
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, Status
+
+if TYPE_CHECKING:
+    from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
+
+constrained = later("exact_mdp.solvers.objectives.constrained")
 
 SOLVERS: dict[str, type[Solver]] = {
     "value-iteration": ValueIteration,
@@ -103,6 +110,13 @@ def solve(
 ) -> AverageSolution: ...
 @overload
 def solve(
+    model: MDP | Scenario,
+    *,
+    horizon: int | None = ...,
+    subject_to: Mapping[str, Any],
+) -> ConstrainedSolution: ...
+@overload
+def solve(
     model: SolvesItself[Found],
     solver: object = ...,
     *,
@@ -117,6 +131,7 @@ def solve(
     horizon: int | None = None,
     start: Any = None,
     criterion: str = "total",
+    subject_to: Mapping[str, Any] | None = None,
 ) -> object:
     """Return optimal values and a policy, with bounds on their error.
 
@@ -145,12 +160,16 @@ def solve(
         What is best: the total reward, discounted as the model says, or the average reward per
         step in the long run, whatever the discount. The average is found by policy iteration, by
         value iteration on relative values, or by a linear program.
+    subject_to : {name: ">= p/q" or "<= p/q"}, optional
+        Limits on expected totals of components of the reward, of steps, events or sums of these
+        (`solvers.objectives.amounts`). The optimum under them is exact, and the policy may draw its
+        actions.
 
     Returns
     -------
     Solution
-        An AverageSolution of an average reward, which has gain and bias; or what `solve_with` of
-        another kind of model gives.
+        With limits a ConstrainedSolution; an AverageSolution of an average reward, which has gain
+        and bias; or what `solve_with` of another kind of model gives.
 
     Raises
     ------
@@ -174,6 +193,12 @@ def solve(
     [2.5, 2.5]
     """
     solver = "auto" if solver is None else solver
+    if subject_to is not None and (solver, tol, start, criterion) != ("auto", None, None, "total"):
+        raise ModelError(
+            "limits on total rewards have one solver, which is exact",
+            where="subject_to",
+            fix="leave out solver, tol, start and criterion",
+        )
     if is_average(criterion):
         require_no_horizon(horizon)
         check_tolerance("solve", tol)
@@ -193,6 +218,8 @@ def solve(
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon)
+    if subject_to is not None:
+        return constrained.solve_under(mdp, subject_to)
     if mdp.sense == "min":
         return solve(mdp.maximised, solver, tol=tol, start=opposite(mdp, start)).negated(mdp)
     if endless(mdp):

@@ -218,6 +218,14 @@ def convert() -> None:
     is_flag=True,
     help="Solve a scenario without its matrix, by backward induction: for large ones.",
 )
+@click.option(
+    "--subject-to",
+    "subject_to",
+    multiple=True,
+    metavar="'NAME >= X'",
+    help="Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward, "
+    "steps, an event, or a sum such as 2*a-b. Exact. May be repeated.",
+)
 @click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
 @click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
 @click.option(
@@ -231,7 +239,9 @@ def solve() -> None:
     With --certify the optimum is also computed in rational arithmetic, and proved. The result says
     whether an optimal policy needs the status alone, unless bounds without a proof leave that open.
     With --operator it does not say so, and it records no hash of the model. With --horizon episodes
-    stop, and the optimal policy depends on the time.
+    stop, and the optimal policy depends on the time. With --subject-to the optimum under limits is
+    exact, with its policy, which may draw its actions, and the price of each limit; the exit
+    status is 1 where no policy keeps the limits.
     """
 
 

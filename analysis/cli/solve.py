@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import click
@@ -11,7 +13,7 @@ import numpy as np
 from exact_mdp import solvers
 from exact_mdp.analysis.cli.options import Given, check_outputs, given, number_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
-from exact_mdp.analysis.optimum import Optimum, optimum
+from exact_mdp.analysis.optimum import Contradiction, Optimum, optimum
 from exact_mdp.analysis.record import run_record, write_record
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
@@ -19,7 +21,6 @@ from exact_mdp.mdp.io.load import Loaded, load_scenario
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.solve import AverageSolution
 from exact_mdp.solvers.proof.certificate import Certificate
@@ -39,10 +40,16 @@ def solve(
     policy_out: str | None,
     out: str | None,
     certificate: str | None,
+    subject_to: tuple[str, ...],
     **shared: Any,
 ) -> Report:
     """Find an optimum, and write what was asked for."""
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
+    if subject_to:
+        refused = {"--method": method != "auto", "--tol": tol, "--operator": operator}
+        refused |= {"--certificate": certificate, "--out": out}
+        refused["--criterion average"] = shared.get("criterion") == "average"
+        return _under_limits(subject_to, refused, policy_out, **shared)
     if operator:
         wanted: dict[str, object] = {"--certify": certify, "--certificate": certificate}
         if is_average(shared.pop("criterion")):
@@ -83,7 +90,7 @@ def solve(
         "status": str(solution.status) if solution else None,
         "solver": solution.solver if solution else None,
         "written": written,
-        **policy_words(mdp, found.policy),
+        **policy_words(mdp, [mdp.actions[action] for action in found.policy]),
         **(_averages(mdp, found) if average else {}),
     }
     facts: dict[str, Any] = {"method": found.method}
@@ -120,6 +127,75 @@ def _averages(mdp: MDP, found: Optimum) -> dict[str, Any]:
     }
 
 
+def _under_limits(
+    texts: tuple[str, ...], refused: Mapping[str, object], policy_out: str | None, **shared: Any
+) -> Report:
+    """Find the optimum under limits."""
+    for option, used in refused.items():
+        if used:
+            raise ModelError(
+                f"{option} does not apply to limits",
+                where="--subject-to",
+                fix=f"leave {option} out",
+            )
+    limits: dict[str, list[str]] = {}
+    for text in texts:
+        name, sign, bound = re.match(r"(.*?)(>=|<=|$)(.*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
+        limits.setdefault(name.strip(), []).append(sign + bound)
+    asked = given(**shared)
+    mdp = asked.mdp
+    found = solvers.solve(mdp, subject_to=limits)
+    if faults := found.violations():
+        raise Contradiction(f"the proof does not hold: {faults[0]}")
+    drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
+    words = policy_words(mdp, drawn)
+    if policy_out:
+        found.policy.write(policy_out)
+    result = {
+        "method": "limits",
+        "claim": found.claim,
+        "feasible": found.feasible,
+        "start_value": float(found.start_value) if found.feasible else None,
+        "error_bound": 0.0,
+        "exact_start_value": found.start_value if found.feasible else None,
+        "limits": [str(limit) for limit in found.limits],
+        "totals": found.totals,
+        "prices": found.prices,
+        "closest": found.closest,
+        "randomises": [
+            {"state": mdp.space.label(state), "actions": chances}
+            for state, chances in found.randomises.items()
+        ],
+        "policy": words["policy"] or words["policy_by_state"],
+        "written": [policy_out] if policy_out else [],
+    }
+    facts = {
+        "limits": "can be kept" if found.feasible else "no policy keeps them all (proven)",
+        "start value": found.start if found.feasible else None,
+        "draws its action in": f"{len(found.randomises)} state(s): "
+        + "; ".join(map(mdp.space.label, found.randomises))
+        if found.randomises
+        else "no state",
+        "written": result["written"] or None,
+    }
+    rows = [
+        {"limit": str(limit), "total": float(found.totals[limit.name]), "price": float(price),
+         "closest": float(found.closest[limit.name])}
+        for limit, price in zip(found.limits, found.price, strict=True)
+    ]  # fmt: skip
+    title = "limits" if found.feasible else "limits, and the closest ones that can be kept"
+    shown = {"limit": "limit", "total": "total", "price": "price:.10g"}
+    table = Table(
+        title=title,
+        rows=rows,
+        columns=shown if found.feasible else {"limit": "limit", "closest": "closest:.10g"},
+        note="price: what the optimum gains for one point by which the limit is moved"
+        if found.feasible
+        else "all are moved by the same step, the least that suffices",
+    )
+    return asked.report(result, facts, [table], status=0 if found.feasible else 1)
+
+
 def _as_operator(
     method: str, wanted: dict[str, object], model: str, sets: tuple[str, ...], discount: str | None
 ) -> Given:
@@ -142,9 +218,8 @@ def _as_operator(
     return Given(endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=())
 
 
-def policy_words(mdp: MDP, policy: Integers) -> dict[str, dict[str, str] | None]:
-    """Return the policy by status at subtask 0, trial 0, or by state where there are few."""
-    names = [mdp.actions[action] for action in policy]
+def policy_words(mdp: MDP, names: Sequence[Any]) -> dict[str, dict[str, Any] | None]:
+    """Return what is said of each state by status at subtask 0, trial 0, or by state if few."""
     if {"subtask", "trial", "status"} <= set(mdp.space.names):
         column = mdp.space.column("status")
         first = {column.label(value): mdp.space.index(status=value) for value in range(column.size)}

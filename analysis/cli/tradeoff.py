@@ -90,5 +90,5 @@ def _floats(names: tuple[str, ...], values: Any) -> dict[str, Any]:
 
 def _policy(mdp: MDP, policy: Any) -> dict[str, Any]:
     """Return a policy by status where there are such, else by state."""
-    words = policy_words(mdp, policy)
+    words = policy_words(mdp, [mdp.actions[action] for action in policy])
     return {"policy": words["policy"] or words["policy_by_state"]}

@@ -21,6 +21,7 @@ import numpy as np
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
+from exact_mdp.solvers.objectives.occupancy import flow
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.proof.rationals import fraction
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -104,29 +105,8 @@ def exact_visits(chain: PolicyChain) -> Floats:
     """
     mdp = chain.mdp
     rows = mixed_rows(bellman_rows(mdp), chain)
-    offsets, following = rows.offsets.tolist(), rows.next.tolist()
-    weight, scale = rows.weight.tolist(), rows.scale.tolist()
-    into: list[dict[int, Fraction]] = [{} for _ in range(mdp.n_states)]
-    for state in np.flatnonzero(chain.reached & ~mdp.terminal).tolist():
-        for i in range(offsets[state], offsets[state + 1]):
-            into[following[i]][state] = fraction(weight[i], scale[state])
-    first = [Fraction(0)] * mdp.n_states
-    for state, chance in mdp.start:
-        first[state] += chance
-    parts = zip(first, into, strict=True)
-    scales = [lcm(mu.denominator, *(p.denominator for p in row.values())) for mu, row in parts]
-    every = list(zip(scales, into, strict=True))
-    flow = BellmanRows(
-        pair_offsets=np.arange(mdp.n_states + 1),
-        terminal=np.zeros(mdp.n_states, dtype=bool),
-        scale=integers(scales),
-        constant=integers(int(mu * unit) for mu, unit in zip(first, scales, strict=True)),
-        offsets=np.concatenate([[0], np.cumsum([len(row) for row in into], dtype=np.int64)]),
-        next=np.array([s for row in into for s in sorted(row)], dtype=rows.next.dtype),
-        weight=integers(int(row[s] * unit) for unit, row in every for s in sorted(row)),
-    )
-    found = solve_exactly(flow)
-    if not _holds(flow, found):
+    equations, found = flow(mdp, rows, np.flatnonzero(chain.reached & ~mdp.terminal))
+    if not _holds(equations, found):
         raise RuntimeError("exact visits of a policy do not solve their equations")
     counted = ExactPolicy(
         mdp=mdp, numerator=found.numerator, group=found.group, denominator=found.denominator

@@ -3,6 +3,7 @@
 An objective is a linear combination of named amounts, `2*help-anger`, or `name=2*help-anger`:
 
     a component of the reward     its expected amount
+    reward                        all of it, unless a component is called so
     steps                         1 in every state that is not terminal
     an event                      how often it happens, on average
     a label whose states are not left again, at discount 1     1 on the step into them, so that the
@@ -32,7 +33,7 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, exact, integers, multiply, ones, spans
 
-STEPS = "steps"
+REWARD, STEPS = "reward", "steps"
 Column = tuple[Numbers, Numbers]
 
 
@@ -168,7 +169,7 @@ Terms = list[tuple[Fraction, str]]
 
 def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     """Return the name of an objective, and its terms."""
-    known = [*mdp.component_names, STEPS, *mdp.events, *mdp.labels]
+    known = [*mdp.component_names, REWARD, STEPS, *mdp.events, *mdp.labels]
     name, equals, body = text.partition("=")
     if text in known or not equals:
         name, body = text, text
@@ -219,6 +220,8 @@ def _column(mdp: MDP, name: str) -> Column:
     """Return the exact amounts (L,) of one name, over denominators (L,)."""
     if name in mdp.component_names:
         return mdp.component(name)
+    if name == REWARD:
+        return mdp.table.expected_gain_exact()
     if name == STEPS:
         return (~mdp.terminal[mdp.pair_state]).astype(np.int64), ones(mdp.n_pairs)
     weight, below = mdp.table.integer_weights()

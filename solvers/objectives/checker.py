@@ -82,7 +82,7 @@ def wrong_bound(
 ) -> bool:
     """Return whether values do not prove that no policy has a weighted total above the bound."""
     whole, below = common(list(weights))
-    if min(weights) < 0 or values.below <= 0 or of.at_start(*values) > bound:
+    if values.below <= 0 or of.at_start(*values) > bound:
         return True
     scaled = Values([number * below for number in values.top], values.below)
     return bool((slack(of, of.weighted(whole), scaled) < 0).any())
@@ -103,7 +103,11 @@ def front_violations(
     cells: list[list[Point]] = [[] for _ in vertices]
     for weights, values in duals.items():
         worth = [sum(w * v for w, v in zip(weights, a.total, strict=True)) for a in vertices]
-        if sum(weights) != 1 or wrong_bound(of, weights, values, Fraction(max(worth))):
+        if (
+            sum(weights) != 1
+            or min(weights) < 0
+            or wrong_bound(of, weights, values, Fraction(max(worth)))
+        ):
             shown = ", ".join(map(str, weights))
             wrong.append(f"the bound for weights ({shown}) does not hold")
         for cell, own in zip(cells, worth, strict=True):
@@ -139,3 +143,80 @@ def _half(points: Sequence[Point]) -> Fraction:
 
 def _turn(a: Point, b: Point, c: Point) -> Fraction:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+Flow = dict[int, Fraction]
+"""Expected visits from the start, of pairs; none of other pairs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A total is at least (sign 1) or at most (sign -1) a bound."""
+
+    name: str
+    sign: int
+    bound: Fraction
+
+    def __str__(self) -> str:
+        return f"{self.name} {'>=' if self.sign > 0 else '<='} {self.bound}"
+
+
+def totals_of(of: Objectives, flow: Mapping[int, Fraction]) -> Point:
+    """Return what the pairs visited earn of each objective."""
+    scale, state = of.rows.scale, of.mdp.pair_state
+    return tuple(
+        sum((v * int(own[l]) / int(scale[state[l]]) for l, v in flow.items()), Fraction(0))
+        for own in of.amounts
+    )
+
+
+def constrained_violations(
+    of: Objectives,
+    proof: Proof,
+    limits: Sequence[Limit],
+    flow: Mapping[int, Fraction],
+    price: Sequence[Fraction],
+    dual: Values,
+    shift: Fraction,
+) -> list[str]:
+    """Return what does not hold of an optimum under limits, or of the proof that there is none.
+
+    `price` begins with that of the reward: 1, or 0 where no policy keeps the limits. Prices p ≥ 0
+    bound p₀ r(π) + Σ p c(π) by μ V; a flow that keeps the limits and meets the bound is optimal.
+    """
+    wrong, (reward, *each) = sound(of, proof), price
+    if reward not in (0, 1) or min(each, default=0) < 0 or shift < 0 or (reward and shift):
+        wrong.append("a price or the step of the limits is negative")
+    if not _flows(of, flow):
+        wrong.append("the visits are not those of a policy")
+        return wrong
+    totals, names = totals_of(of, flow), of.names
+    weights = dict.fromkeys(names, Fraction(0)) | {names[0]: Fraction(reward)}
+    right = Fraction(0)
+    for limit, own in zip(limits, each, strict=True):
+        weights[limit.name] += of.sign * limit.sign * own
+        right += own * limit.sign * limit.bound
+        if limit.sign * (of.sign * totals[names.index(limit.name)] - limit.bound) + shift < 0:
+            wrong.append(f"the policy does not keep {limit}")
+    bound = right + totals[0] if reward else right - shift
+    if wrong_bound(of, list(weights.values()), dual, bound):
+        wrong.append("the values do not prove that no policy is better")
+    if not reward and (shift <= 0 or sum(each) != 1):
+        wrong.append("nothing proves that no policy keeps the limits")
+    return wrong
+
+
+def _flows(of: Objectives, flow: Mapping[int, Fraction]) -> bool:
+    """Return whether visits are positive, and what leaves each state has come into it."""
+    rows, state = of.rows, of.mdp.pair_state
+    left = dict(of.mdp.start)
+    for pair, visits in flow.items():
+        own = int(state[pair])
+        if visits <= 0 or rows.terminal[own]:
+            return False
+        left[own] = left.get(own, Fraction(0)) - visits
+        unit = int(rows.scale[own])
+        for i in range(int(rows.offsets[pair]), int(rows.offsets[pair + 1])):
+            then = int(rows.next[i])
+            left[then] = left.get(then, Fraction(0)) + visits * Fraction(int(rows.weight[i]), unit)
+    return not any(rest for s, rest in left.items() if not rows.terminal[s])

@@ -21,8 +21,8 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Attained, Proof, Values
-from exact_mdp.solvers.proof.certify import uniqueness
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
+from exact_mdp.solvers.proof.uniqueness import uniqueness
 
 if TYPE_CHECKING:
     from flint import fmpq
@@ -52,7 +52,7 @@ def optimum(of: Objectives, weights: Weights, pairs: Integers | None = None) -> 
     )
 
 
-def extreme(of: Objectives, weights: Sequence[int], first: Optimum) -> Attained:
+def extreme(of: Objectives, weights: Weights, first: Optimum) -> Attained:
     """Return a policy whose totals no others dominate or mix to, of those optimal for weights.
 
     `first` is their optimum. Its values and those of the weights that settle ties are values of the
@@ -62,13 +62,14 @@ def extreme(of: Objectives, weights: Sequence[int], first: Optimum) -> Attained:
     ties = [tuple(int(i == k) for i in range(size)) for k in range(size)]
     if not all(weights):
         ties.insert(0, (1,) * size)
-    chosen, found, pairs = [tuple(weights)], [first.values], first.optimal
+    own = [flint.fmpq(w.numerator, w.denominator) for w in weights]
+    chosen, found, pairs = [own], [first.values], first.optimal
     for tie in ties:
         if len(chosen) == size:
             break
-        if flint.fmpq_mat([*chosen, tie]).rank() > len(chosen):
+        if flint.fmpq_mat([*chosen, list(tie)]).rank() > len(chosen):
             next_ = optimum(of, tie, pairs)
-            chosen, pairs = [*chosen, tie], next_.optimal
+            chosen, pairs = [*chosen, list(tie)], next_.optimal
             found.append(next_.values)
     state = of.mdp.pair_state[pairs]
     values = tuple(_mixed(found, row) for row in flint.fmpq_mat(chosen).inv().tolist())

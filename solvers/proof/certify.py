@@ -10,18 +10,16 @@ upper = V + c w and lower = V - c' w, c and c' being the least that satisfy the 
 from __future__ import annotations
 
 import warnings
-from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
-from math import lcm
 from typing import Literal, overload
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import reachable, require_termination, termination, topological_levels
+from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import bellman_rows, fingerprint, slack_signs
+from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.certificate import AverageCertificate
@@ -31,7 +29,8 @@ from exact_mdp.solvers.endless.proven import certify_total
 from exact_mdp.solvers.endless.total import endless
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.exact import solve_exactly
-from exact_mdp.solvers.proof.margins import UNIT, falling, gains
+from exact_mdp.solvers.proof.margins import UNIT, gains
+from exact_mdp.solvers.proof.uniqueness import uniqueness
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve
 
@@ -182,32 +181,6 @@ def _worth(mdp: MDP, value: Floats, sign: int) -> Floats:
     gain, error = gains(mdp, value)
     own = value[mdp.pair_state]
     return np.asarray(own + gain + sign * (error + 4 * UNIT * (np.abs(own) + np.abs(gain) + error)))
-
-
-def uniqueness(mdp: MDP) -> tuple[Integers | None, list[int] | None]:
-    """Return what proves that values are unique: nothing, a rank, or weights."""
-    slack = slack_signs(mdp)[~mdp.terminal[mdp.pair_state]]
-    if (slack > 0).all():
-        return None, None
-    require_termination(mdp)
-    ends = termination(mdp)
-    if ends.proven and (slack >= 0).all():
-        return ends.rank, None
-    level = topological_levels(mdp)
-    if level is not None:
-        return level, None
-    with suppress(SolverError):
-        weight = [int(number) for number in np.rint(2.0**20 * margin_weights(mdp).value)]
-        proven = falling(mdp, np.array(weight, dtype=object))
-        if (proven | mdp.terminal[mdp.pair_state]).all():
-            return None, weight
-    # The greatest expected number of steps: w = 1 + γ P w for the pairs that take longest.
-    rows = bellman_rows(mdp)
-    ones = np.where(mdp.terminal[mdp.pair_state], 0, rows.scale[rows.pair_state])
-    steps = solve_exactly(replace(rows, constant=ones), positive=True)
-    common = lcm(*steps.denominator)
-    below = [steps.denominator[group] for group in steps.group.tolist()]
-    return None, [a * (common // b) for a, b in zip(steps.numerator, below, strict=True)]
 
 
 WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the other

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
 from cli_runner import run
 
-from exact_mdp import Scenario, tradeoff
+from exact_mdp import Scenario, evaluate, solve, tradeoff
 from exact_mdp.mdp import ModelError
 
 SMALL = ("--set", "tasks=[1]", "--set", "max_trial=2")
@@ -35,6 +36,37 @@ def test_a_front_of_three_totals_as_json() -> None:
     found = run("tradeoff", "yuan2025", *TWO, "steps", *SMALL, "--json").result
     assert {len(facet["weights"]) for facet in found["facets"]} == {3}
     assert all(edge["rate"].keys() == {"anger", "done", "steps"} for edge in found["edges"])
+
+
+def test_limits_as_json(tmp_path: Path) -> None:
+    words = ("solve", "yuan2025", *SMALL, "--subject-to", "anger >= -1/10", "--json")
+    found = run(*words, "--policy-out", str(tmp_path / "p.csv")).result
+    scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    wanted = solve(scenario, subject_to={"anger": ">= -1/10"})
+    assert found["feasible"] is True
+    assert Fraction(found["exact_start_value"]) == wanted.start_value
+    assert {n: Fraction(p) for n, p in found["prices"].items()} == wanted.prices
+    assert Fraction(found["totals"]["anger"]) == Fraction(-1, 10)
+    (drawn,) = found["randomises"]
+    assert sum(map(Fraction, drawn["actions"].values())) == 1
+    assert found["policy"].keys() == {f"{n:04b}" for n in range(16)}
+    assert all(sum(map(Fraction, own.values())) == 1 for own in found["policy"].values())
+    again = evaluate(scenario.compile(), tmp_path / "p.csv")
+    assert again.mean == pytest.approx(found["start_value"])
+
+
+def test_limits_that_no_policy_keeps() -> None:
+    words = ("solve", "yuan2025", *SMALL, "--subject-to", "anger >= 1/2")
+    found = run(*words, "--json")
+    assert (found.status, found.result["feasible"], found.result["closest"]) == (
+        1, False, {"anger": "0"},
+    )  # fmt: skip
+    assert found.result["exact_start_value"] is None
+    text = run(*words)
+    assert (text.status, "no policy keeps them all" in text.out) == (1, True)
+    for bad in (("--subject-to", "anger > 1"), ("--subject-to", "anger"), ("--method", "auto")):
+        assert run(*words, *bad).status == (1 if bad[1] == "auto" else 2)
+    assert run(*words, "--tol", "1e-3").status == 2
 
 
 @pytest.mark.parametrize(
