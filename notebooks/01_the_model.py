@@ -107,7 +107,11 @@ with style():
 calmer = scenario.with_(parameters={"base.anger": "1/100"}, tasks=[3, 1])
 other = scenario.with_(readings={"influence_orientation": "column-to-row"})
 models = {"the paper's": scenario, "calmer": calmer, "other reading": other}
-pd.Series({label: repr(each.compile()) for label, each in models.items()}, name="model").to_frame()
+sizes = {label: each.compile() for label, each in models.items()}
+pd.DataFrame(
+    {label: (m.n_states, m.n_pairs, m.n_transitions) for label, m in sizes.items()},
+    index=["states", "pairs", "transitions"],
+).T
 
 # %% [markdown]
 # A wrong name is refused, with the nearest one:

@@ -24,8 +24,6 @@
 # one task of three subtasks; the reproduction itself looks at all 6,912.
 
 # %%
-from textwrap import fill
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -43,7 +41,7 @@ from exact_mdp.paper_repro.reported import STARTS
 space = ReadingSpace(options={**READINGS, "tasks": ((3,),), "evaluation_discount": (1,)})
 print(len(space), "readings")
 options = {name: ", ".join(map(str, options)) for name, options in space.options.items()}
-pd.Series(options, name="options").to_frame()
+pd.Series(options, name="options").to_frame().style
 
 # %% [markdown]
 # ## Every compatible policy under every reading
@@ -109,9 +107,11 @@ with style():
 
 # %%
 joints = {judged.experiments: joint(judged)}
-for sentence in sentences({"main": judged}, joints):
-    print(fill(f"[{sentence.kind}] {sentence.text}", width=100, subsequent_indent="    "))
 print(len(contradictions(joints[judged.experiments])), "sets of statements contradict each other")
+findings = [(sentence.kind, sentence.text) for sentence in sentences({"main": judged}, joints)]
+pd.DataFrame(findings, columns=["kind", "finding"]).style.hide().set_properties(
+    **{"text-align": "left"}
+)
 
 # %% [markdown]
 # ## A verdict on the reported policy
