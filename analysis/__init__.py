@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
     from exact_mdp.analysis.gate.comparison import PolicyComparison, compare
     from exact_mdp.analysis.graph import dot
+    from exact_mdp.analysis.pages.explorer import explore
     from exact_mdp.analysis.sensitivity.curve import value_function
     from exact_mdp.analysis.tradeoffs.front import tradeoff
 
@@ -29,6 +30,7 @@ __all__ = [
     "check",
     "compare",
     "dot",
+    "explore",
     "tradeoff",
     "value_function",
     "value_of_memory",
@@ -48,6 +50,7 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.analysis.tradeoffs.front": ["tradeoff"],
         "exact_mdp.analysis.gate.comparison": ["PolicyComparison", "compare"],
         "exact_mdp.analysis.graph": ["dot"],
+        "exact_mdp.analysis.pages.explorer": ["explore"],
     },
 )
 

@@ -26,8 +26,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from exact_mdp.analysis import value_of_memory
-from exact_mdp.analysis.pages.explorer import explore
+from exact_mdp.analysis import explore, value_of_memory
 from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.sensitivity import thresholds
 from exact_mdp.mdp import ModelError, Scenario

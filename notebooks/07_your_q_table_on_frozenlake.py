@@ -24,7 +24,7 @@ import gymnasium
 import numpy as np
 
 from exact_mdp import MDP, check, evaluate, solve
-from exact_mdp.analysis.pages.explorer import explore
+from exact_mdp.analysis import explore
 from exact_mdp.analysis.plots import style
 
 

@@ -25,7 +25,7 @@
 import numpy as np
 
 from exact_mdp import MDP, certify, moving, solve
-from exact_mdp.analysis.pages.explorer import explore
+from exact_mdp.analysis import explore
 from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.sensitivity import gradient, thresholds, tornado
 from exact_mdp.mdp import Parameter
