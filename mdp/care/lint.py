@@ -60,8 +60,8 @@ def lint(text: str, name: str) -> tuple[Problem, ...]:
     --------
     >>> for problem in lint("statuses = ['anger']\\nmax_trial = 3\\n[base]\\nanger = 20%", "x")[:2]:
     ...     print(problem.line, problem.what, "|", problem.fix)
+    4 base.anger cannot be read: 20% | write anger = 0.2
     None actions is not a list of different names | write, ... ["forgetfulness", "anger"], ...
-    None tasks is not a list of positive whole numbers, or is empty | give the number of ...
     """
     return _File(text).problems(name)
 
@@ -113,7 +113,8 @@ class _File:
             told.add(key)
         if scenario is not None:
             self._suspect(scenario)
-        return tuple(sorted(self.found, key=lambda problem: problem.line or 0))
+        last = len(self.lines) + 1  # what is missing comes last
+        return tuple(sorted(self.found, key=lambda problem: problem.line or last))
 
     def _names(self, *path: str) -> dict[str, Any]:
         """Return the table at a path, empty where there is none."""

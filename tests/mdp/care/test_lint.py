@@ -77,6 +77,8 @@ def test_all_faults_at_once() -> None:
     text = TEMPLATE
     for old, new, _, _ in FAULTS:
         text = text.replace(old, new, 1)
+    lines = [each.line or 10**6 for each in lint(text, "x")]
+    assert lines == sorted(lines)
     found = [f"{each.what} {each.fix}" for each in lint(text, "x")]
     for _, _, what, fix in FAULTS:
         assert any(what in each and fix in each for each in found), (what, fix)
