@@ -803,7 +803,7 @@ class MDP(Parts):
         progress : bool
             Show a bar on standard error where that is a terminal.
         **names
-            `name`, `sense`.
+            `name`, `sense`; `start` instead of the shares of the states that episodes begin in.
 
         Returns
         -------
@@ -829,10 +829,12 @@ class MDP(Parts):
         >>> mdp.observations.tolist(), mdp.table.row(mdp.pair(1, "wait"))[0][0]
         ([0, 3], Fraction(2, 3))
         """
+        start = names.pop("start", None)
         parts = transitions.from_transitions(
             frame, discount, columns=columns, unseen=unseen, progress=progress, **names
         )
-        return cls(**parts)
+        found = cls(**parts)
+        return found if start is None else found.with_(start=start)
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:

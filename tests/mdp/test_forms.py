@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.sparse as sp
 from hypothesis import given
@@ -163,6 +164,10 @@ def test_a_start_in_any_form(start: Any) -> None:
         MDP.from_gymnasium({s: {0: [(1, s, 0, False)]} for s in range(3)}, start=start),
     ):
         assert mdp.start == ((2, Fraction(1)),)
+    listed = [(s, s, "go", 0, s) for s in range(3)]
+    names = ["episode", "state", "action", "reward", "next_state"]
+    learned = MDP.from_transitions(pd.DataFrame(listed, columns=names), start=start)
+    assert learned.start == ((2, Fraction(1)),)
     named = MDP.from_arrays([eye], [0, 0, 0], states=["x", "y", "2 or so"], start="2 or so")
     assert named.start == ((2, 1),)
 
