@@ -6,7 +6,8 @@ outcome with terminated = True, whatever `P` lists for the state that it names:
     Q(s, a) = Σ p (r + γ (1 - terminated) V(s')).
 
 The next state of such an outcome may be -1, and a table may come without an environment. States
-keep their numbers; those of toy-text also get the names of their environment. A state that can only
+keep their numbers; those of toy-text also get the names of their environment. A label, end, says
+where episodes are over, and on the map of FrozenLake there are goal and hole. A state that can only
 be entered by terminated outcomes becomes an absorbing end without reward (the holes and the goal of
 FrozenLake, the goal of CliffWalking, where `P` goes on to list moves that no episode makes). Where
 an episode may also pass through such a state alive, or start in it (Taxi with the passenger at the
@@ -114,7 +115,17 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
     if appended:
         listed.append((goal, 0, [(1, goal, 0)]))
     space = StateSpace(columns=columns, extra=(END,) if appended else ())
+    if "labels" not in names:
+        over = np.isin(np.arange(space.size), [*ends, *([goal] if appended else [])])
+        names["labels"] = ({END: over} if over.any() else {}) | _of_the_map(bare, space.size)
     return "from_outcomes", (listed,), names | {"start": dict(start), "space": space}
+
+
+def _of_the_map(env: Any, states: int) -> dict[str, Any]:
+    """Return the goals and holes of FrozenLake's map."""
+    letters = np.asarray(getattr(env, "desc", ())).ravel()
+    named = {"goal": letters == b"G", "hole": letters == b"H"} if len(letters) == states else {}
+    return {name: flags for name, flags in named.items() if np.any(flags)}
 
 
 def _named(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:

@@ -83,7 +83,7 @@ def test_ties_are_not_shared_where_a_policy_may_never_end() -> None:
     assert alone.optimal_policy().weights(alone.mdp).tolist() == [0, 1, 1]
 
 
-MODEL = garnet(300, seed=1, discount="0.99")
+MODEL = garnet(120, seed=1, discount="0.99")
 STARTED = [name for name, kind in SOLVERS.items() if hasattr(kind, "start")]
 
 
@@ -118,9 +118,9 @@ def test_a_start_that_does_not_fit() -> None:
     for model, solver, start, message in (
         (acyclic, "backward-induction", [0, 0], "takes no start"),
         (MODEL, "value-iteration", np.zeros(3), "values of shape"),
-        (MODEL, "value-iteration", np.full(300, np.inf), "not finite"),
+        (MODEL, "value-iteration", np.full(120, np.inf), "not finite"),
         (MODEL, "policy-iteration", "random", "mixed"),
-        (MODEL, "policy-iteration", [9] * 300, "outside"),
+        (MODEL, "policy-iteration", [9] * 120, "outside"),
     ):
         with pytest.raises(ModelError, match=message):
             solve(model, solver, start=start)

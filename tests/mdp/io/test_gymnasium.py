@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from exact_mdp.mdp import MDP, ModelError, Policy, ShapeError
 from exact_mdp.mdp.io.load import load
 from exact_mdp.mdp.lazy import later
-from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers import certify, evaluate, solve
 
 # Gymnasium 1.3 numbers it anew.
 NUMBER = max(each.version or 0 for each in gymnasium.registry.values() if each.name == "Taxi")
@@ -262,6 +262,21 @@ def test_toys_have_the_names_of_their_environment(name: str) -> None:
         assert tuple(mdp.space.values(c)[state] for c in mdp.space.names) == tuple(
             env.decode(state)
         )
+
+
+def test_labels_say_where_episodes_are_over() -> None:
+    """FrozenLake without a limit is worth the probability of reaching its goal."""
+    lake = MDP.from_gymnasium("FrozenLake-v1")
+    assert {name: np.flatnonzero(flags).tolist() for name, flags in lake.labels.items()} == {
+        "end": [5, 7, 11, 12, 15], "hole": [5, 7, 11, 12], "goal": [15],
+    }  # fmt: skip
+    best = certify(lake).start_value
+    assert certify(lake.reaching("goal")).start_value == best
+    assert certify(lake.reaching("end")).start_value == 1
+    assert np.flatnonzero(MDP.from_gymnasium(TAXI).labels["end"]).tolist() == [500]
+    assert MDP.from_gymnasium("FrozenLake-v1", labels={}).labels == {}
+    endless = MDP.from_gymnasium({0: {0: [(1, 0, 0, False)]}})
+    assert endless.labels == {}
 
 
 class Ward:
