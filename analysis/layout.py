@@ -1,7 +1,8 @@
 """Where each state stands in a picture: in a row and a column of a map.
 
 A map is spanned by columns of the state space, `down` and `across`; the last column goes across
-unless said otherwise, and all others down. A grid world whose states are only numbered is given its
+unless said otherwise, and all others down; the digits of a column that is left alone go both ways.
+A grid world whose states are only numbered is given its
 `shape`, read row by row. States of a single column without a shape stand in rows of ten.
 """
 
@@ -105,6 +106,7 @@ def arrange(
     for name in named:
         space.column(name)
     rest = [name for name in space.names if name not in named]
+    split = across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1
     if across is None:
         across = rest[-1:]
     below = [name for name in space.names if name in {*(down or ()), *rest} - {*across, *at}]
@@ -114,13 +116,22 @@ def arrange(
         space.index(**{name: value})
         inside &= space.values(name) == value
     (row, rows), (column, columns) = (_along(space, names) for names in (below, list(across)))
+    under, over = ", ".join(below) or "-", ", ".join(across) or "-"
+    if split:
+        low = space.column(rest[0]).bits // 2
+        row, column = column >> low, column & (2**low - 1)
+        rows, columns = (
+            tuple(dict.fromkeys(label[:-low] for label in columns)),
+            tuple(dict.fromkeys(label[-low:] for label in columns)),
+        )
+        under, over = f"{over}: first digits", f"{over}: last digits"
     return Layout(
         row=np.where(inside, row, -1),
         column=np.where(inside, column, -1),
         rows=rows,
         columns=columns,
-        down=", ".join(below) or "-",
-        across=", ".join(across) or "-",
+        down=under,
+        across=over,
     )
 
 

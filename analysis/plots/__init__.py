@@ -12,7 +12,7 @@ from exact_mdp.analysis.plots.learning import (
     plot_value_bands,
 )
 from exact_mdp.analysis.plots.perception import plot_confusion, plot_prices
-from exact_mdp.analysis.plots.policy import plot_policy_map, plot_return_distribution
+from exact_mdp.analysis.plots.returns import plot_return_distribution
 from exact_mdp.analysis.plots.states import plot_policy, plot_states
 from exact_mdp.analysis.plots.style import action_styles, save, style
 from exact_mdp.analysis.plots.transitions import plot_transitions
@@ -24,7 +24,6 @@ __all__ = [
     "plot_influence",
     "plot_learning_curves",
     "plot_policy",
-    "plot_policy_map",
     "plot_prices",
     "plot_regrets",
     "plot_return_distribution",

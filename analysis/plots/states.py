@@ -55,13 +55,17 @@ GROUND = "Blues"
 
 
 @plain_text
-def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **place: Any) -> Axes:
+def plot_policy(
+    model: MDP, policy: PolicyLike, *, legend: bool = True, ax: Axes | None = None, **place: Any
+) -> Axes:
     """Draw what a policy does in each state, in the style of its action.
 
     Parameters
     ----------
     model : MDP
     policy : PolicyLike
+    legend : bool
+        Name the actions beside the map.
     ax : Axes, optional
     **place
         Where states stand: `shape`, `down`, `across`, and columns held fixed; see `arrange`.
@@ -98,7 +102,8 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
         else:
             cell(ax, *where, drawn, font=_font(layout))
             used.add(numbers[0])
-    action_legend(ax, styles, sorted(used))
+    if legend:
+        action_legend(ax, styles, sorted(used))
     return ax
 
 

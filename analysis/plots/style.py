@@ -15,7 +15,6 @@ from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -269,25 +268,6 @@ def cell(
         fontsize=font,
         bbox={"facecolor": face if frame["hatch"] else "none", "edgecolor": "none", "pad": pad},
     )
-
-
-def mark_cell(ax: Axes, column: float, row: float, width: float = 2.0) -> None:
-    """Draw a heavy frame within a cell."""
-    ax.add_patch(Rectangle((column + 0.04, row + 0.1), 0.92, 0.8, fill=False, ec="black", lw=width))
-
-
-def status_grid(ax: Axes, statuses: Sequence[str]) -> list[tuple[int, int]]:
-    """Prepare a map of all status vectors; return (column, row) of each vector."""
-    bits = len(statuses)
-    high, low = bits - bits // 2, bits // 2
-    columns = [format(v, f"0{low}b") if low else "" for v in range(2**low)]
-    ax.set(xlim=(0, 2**low), ylim=(2**high, 0), aspect="equal")
-    ax.set_xticks(np.arange(2**low) + 0.5, columns)
-    ax.set_yticks(np.arange(2**high) + 0.5, [format(v, f"0{high}b") for v in range(2**high)])
-    ax.set_xlabel(", ".join(statuses[high:]))
-    ax.set_ylabel(", ".join(statuses[:high]))
-    ax.tick_params(length=0)
-    return [(vector & (2**low - 1), vector >> low) for vector in range(2**bits)]
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

@@ -17,10 +17,8 @@ from exact_mdp.analysis.plots.style import (
     action_styles,
     axes_or_new,
     cell,
-    mark_cell,
     name_rows,
     plain_text,
-    status_grid,
 )
 from exact_mdp.mdp.table import Floats, Integers
 
@@ -105,12 +103,12 @@ def plot_agreement(
     Choices and shares are (2^n,) for n statuses; marked vectors have a heavy frame.
     """
     ax, styles = axes_or_new(ax), action_styles(actions)
-    places = status_grid(ax, statuses)
+    places = _status_grid(ax, statuses)
     for vector, place in enumerate(places):
         drawn = styles[int(choices[vector])]
         cell(ax, *place, drawn, text=f"{drawn.short}\n{shares[vector]:.0%}")
     for vector in marked:
-        mark_cell(ax, *places[vector], width=2.5)
+        _mark_cell(ax, *places[vector], width=2.5)
     return ax
 
 
@@ -187,7 +185,7 @@ def plot_choices(
             fontweight="bold" if loss == 0 else "normal",
         )
     for row, column in marked.items():
-        mark_cell(ax, column, row)
+        _mark_cell(ax, column, row)
     ax.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
     ax.set_xticks(np.arange(len(columns)) + 0.5, columns)
     ax.set_yticks(np.arange(len(rows)) + 0.5, rows, family="monospace")
@@ -217,3 +215,22 @@ def plot_experiments(
         ax.plot(*smoothed(values, window), color=ink, linestyle=line, linewidth=1.6, label=label)
     ax.set(xlabel="epoch", ylabel="average return")
     return ax
+
+
+def _mark_cell(ax: Axes, column: float, row: float, width: float = 2.0) -> None:
+    """Draw a heavy frame within a cell."""
+    ax.add_patch(Rectangle((column + 0.04, row + 0.1), 0.92, 0.8, fill=False, ec="black", lw=width))
+
+
+def _status_grid(ax: Axes, statuses: Sequence[str]) -> list[tuple[int, int]]:
+    """Prepare a map of all status vectors; return (column, row) of each vector."""
+    bits = len(statuses)
+    high, low = bits - bits // 2, bits // 2
+    columns = [format(v, f"0{low}b") if low else "" for v in range(2**low)]
+    ax.set(xlim=(0, 2**low), ylim=(2**high, 0), aspect="equal")
+    ax.set_xticks(np.arange(2**low) + 0.5, columns)
+    ax.set_yticks(np.arange(2**high) + 0.5, [format(v, f"0{high}b") for v in range(2**high)])
+    ax.set_xlabel(", ".join(statuses[high:]))
+    ax.set_ylabel(", ".join(statuses[:high]))
+    ax.tick_params(length=0)
+    return [(vector & (2**low - 1), vector >> low) for vector in range(2**bits)]

@@ -21,7 +21,7 @@ from exact_mdp.analysis.plots import (
     action_styles,
     plot_distinct,
     plot_influence,
-    plot_policy_map,
+    plot_policy,
     plot_regrets,
     plot_return_distribution,
     plot_status_transitions,
@@ -239,15 +239,11 @@ def _policy_map(reading: Reading) -> Figure:
     )
     for places, ax in zip(maps.values(), axes[0], strict=True):
         subtask, trial = places[0]
-        plot_policy_map(
-            reading.mdp,
-            reading.optimum,
-            statuses=reading.scenario.statuses,
-            subtask=subtask,
-            trial=trial,
-            ax=ax,
-            legend=False,
-        )
+        at = {"subtask": subtask, "trial": trial}
+        plot_policy(reading.mdp, reading.optimum, legend=False, ax=ax, **at)
+        names = reading.scenario.statuses
+        half = len(names) - len(names) // 2
+        ax.set(xlabel=", ".join(names[half:]), ylabel=", ".join(names[:half]), aspect="equal")
         listed = ", ".join(f"{subtask}/{trial}" for subtask, trial in places)
         where = "every subtask and trial" if len(maps) == 1 else f"subtask/trial {listed}"
         ax.set_title(f"optimal action, {where}")

@@ -72,7 +72,7 @@ class ReturnDistribution(Pictured):
     (1.25, 0.5, Fraction(1, 2))
     """
 
-    picture = "exact_mdp.analysis.plots.policy:plot_return_distribution"
+    picture = "exact_mdp.analysis.plots.returns:plot_return_distribution"
 
     multiples: Numbers
     unit: Fraction

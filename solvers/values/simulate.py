@@ -71,7 +71,7 @@ class Simulation(Pictured):
     truncation_error: float
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
-    picture = "exact_mdp.analysis.plots.policy:plot_simulation"
+    picture = "exact_mdp.analysis.plots.returns:plot_simulation"
 
     def __post_init__(self) -> None:
         self.returns.setflags(write=False)

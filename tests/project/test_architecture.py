@@ -330,7 +330,7 @@ def test_what_is_forbidden_is_found() -> None:
     early = imports_of("analysis/gate/check.py", "import mdp\nimport matplotlib.pyplot as plt")
     assert against_layers(early) == []
     assert too_early(early) == ["analysis/gate/check.py:2 imports matplotlib.pyplot"]
-    assert too_early(imports_of("analysis/plots/policy.py", "import matplotlib")) == []
+    assert too_early(imports_of("analysis/plots/returns.py", "import matplotlib")) == []
 
 
 def test_circles_are_found() -> None:

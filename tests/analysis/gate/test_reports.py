@@ -145,7 +145,10 @@ def test_every_state_has_a_place_of_its_own() -> None:
         assert len(places) == len(found.shown) == mdp.space.regular
         assert len(found.rows) * len(found.columns) == mdp.space.regular
     part = arrange(mdp, subtask=1, trial=0)
-    assert len(part.shown) == len(part.columns) == 16
+    assert (len(part.shown), part.rows, part.columns) == (16, *[("00", "01", "10", "11")] * 2)
+    for state in part.shown:
+        digits = part.rows[part.row[state]] + part.columns[part.column[state]]
+        assert mdp.space.as_dict(state)["status"] == digits
     assert {mdp.space.label(s).split(",")[0] for s in part.shown} == {"subtask 1"}
     for bad in ({"subtask": 5}, {"nothing": 0}, {"shape": (3, 4)}):
         with pytest.raises(ModelError):

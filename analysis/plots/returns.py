@@ -1,23 +1,16 @@
-"""The map of a status policy, every status vector in a grid; the distribution of its return."""
+"""The distribution of a policy's return, and of a sample of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.plots.style import (
-    action_legend,
-    action_styles,
     axes_or_new,
-    cell,
     plain_text,
-    status_grid,
 )
-from exact_mdp.mdp import MDP
-from exact_mdp.mdp.table import Numbers
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.values.returns import ReturnDistribution
@@ -68,53 +61,4 @@ def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
     ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=str(found.value))
     ax.set(xlabel="return (reward)", ylabel="episodes")
     ax.legend()
-    return ax
-
-
-@plain_text
-def plot_policy_map(
-    model: MDP,
-    choices: Numbers,
-    *,
-    statuses: Sequence[str],
-    legend: bool = True,
-    ax: Axes | None = None,
-    **place: int,
-) -> Axes:
-    """Draw the action in every status vector at one place of the model.
-
-    Parameters
-    ----------
-    model : MDP
-        With a column `status`.
-    choices : (S,)
-        Action numbers.
-    statuses : sequence of str
-        Names of the status bits, the first bit first.
-    legend : bool
-    ax : Axes, optional
-    **place
-        Values of the other columns, such as `subtask=0, trial=0` (0 where left out).
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario, solve
-    >>> scenario = Scenario.load("yuan2025")
-    >>> mdp = scenario.compile()
-    >>> ax = plot_policy_map(mdp, solve(mdp).policy, statuses=scenario.statuses, trial=1)
-    >>> ax.get_xlabel()
-    'anger, disengagement'
-    """
-    ax, styles = axes_or_new(ax), action_styles(model.actions)
-    used = set()
-    for vector, (column, row) in enumerate(status_grid(ax, statuses)):
-        action = int(choices[model.space.index(**place, status=vector)])
-        cell(ax, column, row, styles[action], pad=1.5, font=None)
-        used.add(action)
-    if legend:
-        action_legend(ax, styles, sorted(used))
     return ax
