@@ -1,22 +1,20 @@
-"""Reading labelled timesteps out of recordings, and writing what was measured.
+"""Measured perception: a backend's confusion matrix, its uncertainty, and what it would cost.
+
+For every status vector s a backend is given n behaviours and reads p out of each; the matrix is
+C(s, p) = count(s, p) / n(s). A row's uncertainty is Dirichlet(count + 1/2^n), the prior of Perks
+(1947), which weighs as much as one behaviour; that of one status's sensitivity or specificity is
+the interval of Clopper and Pearson (1934). What it costs is exact for a given matrix: the robot in
+state (place, s) follows
+
+    π_C(a | place, s) = Σ_p C(s, p) π(a | place, p),
+
+whose value is a linear solve. The spread of that value over matrices drawn from the posterior is
+an estimate. A folder holds
 
 labelled.jsonl    a header, then every behaviour with its label, written as it goes
 confusion.csv     the matrix: rows are true statuses, columns perceived ones
 perception.json   counts, rates with intervals, and values
 run.json          versions, commit and date
-
-Measured perception: a backend's confusion matrix, its uncertainty, and what it would cost.
-
-For every status vector s a backend is given n behaviours and reads p out of each; the matrix is
-C(s, p) = count(s, p) / n(s). A row's uncertainty is Dirichlet(count + 1/2^n), the prior of Perks
-(1947), which weighs as much as one behaviour; that of one status's sensitivity or specificity is
-the interval of Clopper and Pearson (1934). What it costs is exact
-for a given matrix: the robot in state (place, s) follows
-
-    π_C(a | place, s) = Σ_p C(s, p) π(a | place, p),
-
-whose value is a linear solve. The spread of that value over matrices drawn from the posterior is
-an estimate.
 """
 
 from __future__ import annotations

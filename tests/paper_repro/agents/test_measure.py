@@ -16,6 +16,7 @@ from oracle import STATUSES, Oracle
 from scipy.stats import binom
 
 from exact_mdp.mdp import ModelError, Policy, Scenario
+from exact_mdp.mdp.care.perception import interval
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.claims import EXACT, errors, misread, statements
@@ -24,7 +25,6 @@ from exact_mdp.paper_repro.agents.measure import (
     bits,
     cost,
     count,
-    interval,
     labelled,
     matrix,
     rates,
