@@ -67,7 +67,9 @@ class Result(Brief, ABC):
         more = len(frame) - ROWS_SHOWN
         rest = f"<p>… and {more} rows more: <code>.frame()</code></p>" if more > 0 else ""
         table = frame.head(ROWS_SHOWN).to_html(border=0)
-        return f"<p>{escape(repr(self))}</p>{table}{rest}"
+        said, claim = repr(self), getattr(self, "claim", "")
+        said += f" ({claim})" if str(claim) not in said else ""
+        return f"<p>{escape(said)}</p>{table}{rest}"
 
 
 class Pictured(Result):

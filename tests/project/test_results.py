@@ -93,6 +93,7 @@ MADE: dict[str, Callable[[], object]] = {
     "BoxOptimum": lambda: box_optimum(SMALL, {"base.anger": ("1/25", "3/50")}),
     "Certificate": lambda: certify(care()),
     "Comparison": lambda: instability.compare(np.array([0.5, 0.5]), np.array([3, 5])),
+    "ConstrainedSolution": lambda: solve(care(), subject_to={"anger": ">= -50"}),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
     "Explorer": lambda: explore(SMALL, "base.anger"),
     "ErrorCosts": lambda: error_costs(care(), "optimal", ROUGH),
@@ -191,6 +192,7 @@ def test_a_result_shows_itself(name: str) -> None:
     assert len(frame.columns) > 0
     page = found._repr_html_()
     assert page.count("<tr") <= LINES + 2
+    assert str(getattr(found, "claim", "")) in page
     assert set(Parsed(page).open.values()) == {0}
     if isinstance(found, Pictured):
         ax = found.plot()
