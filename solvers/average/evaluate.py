@@ -25,7 +25,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.average.chain import Classes, FloatAverages, graph_of
+from exact_mdp.solvers.average.chain import Classes, FloatAverages, Mask, graph_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start, transposed
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
@@ -136,7 +136,7 @@ class AverageEvaluation(Result):
 
     @cached_property
     def _averages(self) -> FloatAverages:
-        return _averages(self.mdp, self.weights, self.roundings, self.classes)
+        return averages_of(self.mdp, self.weights, self.roundings)
 
     @property
     def visits(self) -> Floats:
@@ -180,32 +180,17 @@ def evaluated(
 
     Raises SolverError where double precision cannot bound them.
     """
-    classes = Classes.of(graph_of(mdp, np.flatnonzero(weights)))
-    averages = _averages(mdp, weights, roundings, classes)
-    label, inside, size = classes.label, classes.recurrent, len(classes.base)
+    averages = averages_of(mdp, weights, roundings)
+    label, inside, size = _sizes(averages.classes)
     first = mdp.pair_offsets[:-1]
     _, bias, second = averages.expansion(np.add.reduceat(weights * mdp.reward, first))
-
-    def of_policy(added: Gain) -> FixedPoint:
-        """Return (S,) what a step of the policy adds, from what each pair does."""
-        most = int(np.diff(mdp.pair_offsets).max()) + roundings + 2
-        error = added.error + gamma(most) * np.abs(added.value)
-        return FixedPoint(
-            value=np.add.reduceat(weights * added.value, first),
-            error=np.add.reduceat(weights * error, first) * SLACK,
-        )
-
-    step = of_policy(gains(mdp, bias))
-    low, high = _between(step, label, size)
-    middle, half = low / 2 + high / 2, (high - low) / 2
-    half = half * SLACK + UNIT * (np.abs(low) + np.abs(high)) + TINY * (high != low)
-    gain = FixedPoint(value=middle[label] * inside, error=half[label] * inside)
-    if not inside.all():
-        gain = averages.system(inside).solve(gain.value, gain.error)
+    step = _of_policy(mdp, gains(mdp, bias), weights, roundings)
+    gain = bounded_gain(averages, step)
     rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
-    still, at_base = np.zeros(len(label)), classes.at_base
+    still, at_base = np.zeros(len(label)), averages.classes.at_base
     away = averages.system(at_base).solve(still, np.where(at_base, 0.0, rest * SLACK)).error
-    low, high = _between(of_policy(gains(mdp, second, reward=-bias[mdp.pair_state])), label, size)
+    away_from_mean = gains(mdp, second, reward=-bias[mdp.pair_state])
+    low, high = _between(_of_policy(mdp, away_from_mean, weights, roundings), label, size)
     most = np.zeros(size)
     np.maximum.at(most, label[inside], away[inside])
     off = (np.maximum(np.abs(low), np.abs(high)) + most)[label] + away
@@ -219,7 +204,7 @@ def evaluated(
         weights=weights,
         roundings=roundings,
         policy=policy,
-        classes=classes,
+        classes=averages.classes,
         gain=gain.value,
         gain_error=gain.error,
         bias=bias,
@@ -227,11 +212,38 @@ def evaluated(
     )
 
 
-def _averages(mdp: MDP, weights: Floats, roundings: int, classes: Classes) -> FloatAverages:
+def averages_of(mdp: MDP, weights: Floats, roundings: int = 1) -> FloatAverages:
+    """Return the chain of a policy, given as probabilities of pairs (L,)."""
     shape, every = (mdp.n_states, mdp.n_pairs), np.arange(mdp.n_pairs)
     mixing = sp.csr_array((weights, (mdp.pair_state, every)), shape)
     mixing.eliminate_zeros()
+    classes = Classes.of(graph_of(mdp, np.flatnonzero(weights)))
     return FloatAverages(sp.csr_array(mixing @ mdp.transition), classes, roundings)
+
+
+def bounded_gain(averages: FloatAverages, step: FixedPoint) -> FixedPoint:
+    """Return the gain (S,), from what a step of the policy adds to any values (S,)."""
+    label, inside, size = _sizes(averages.classes)
+    low, high = _between(step, label, size)
+    middle, half = low / 2 + high / 2, (high - low) / 2
+    half = half * SLACK + UNIT * (np.abs(low) + np.abs(high)) + TINY * (high != low)
+    gain = FixedPoint(value=middle[label] * inside, error=half[label] * inside)
+    return gain if inside.all() else averages.system(inside).solve(gain.value, gain.error)
+
+
+def _of_policy(mdp: MDP, added: Gain, weights: Floats, roundings: int) -> FixedPoint:
+    """Return (S,) what a step of a policy adds, from what each pair does."""
+    first = mdp.pair_offsets[:-1]
+    most = int(np.diff(mdp.pair_offsets).max()) + roundings + 2
+    error = added.error + gamma(most) * np.abs(added.value)
+    return FixedPoint(
+        value=np.add.reduceat(weights * added.value, first),
+        error=np.add.reduceat(weights * error, first) * SLACK,
+    )
+
+
+def _sizes(classes: Classes) -> tuple[Integers, Mask, int]:
+    return classes.label, classes.recurrent, len(classes.base)
 
 
 def _between(found: FixedPoint, label: Integers, size: int) -> tuple[Floats, Floats]:

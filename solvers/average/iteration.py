@@ -17,8 +17,9 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.average.chain import Classes, FloatAverages, graph_of
+from exact_mdp.solvers.average.evaluate import averages_of, bounded_gain
 from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.solution import SolverError, Status
 
 MOST = 1000  # policies
@@ -40,30 +41,42 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Impr
     """
     still, first = np.zeros(step.n_states), step.pair_offsets[:-1]
     if pairs is None:
-        pairs = _greatest(step, (still, still, still), first)
+        none = FixedPoint(value=still, error=still)
+        pairs = _greatest(step, none, still, still, first)
     seen: set[bytes] = set()
     for iteration in range(1, most + 1):
         seen.add(pairs.tobytes())
-        averages = FloatAverages(step.transition[pairs], Classes.of(graph_of(step, pairs)))
-        found = averages.expansion(step.reward[pairs])
-        pairs = _greatest(step, found, pairs)
+        taken = np.zeros(step.n_pairs)
+        taken[pairs] = 1.0
+        averages = averages_of(step, taken)
+        _, bias, second = averages.expansion(step.reward[pairs])
+        added = gains(step, bias)
+        own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
+        pairs = _greatest(step, bounded_gain(averages, own), bias, second, pairs)
         if pairs.tobytes() in seen:
-            return Improved(pairs, found[1], iteration)
+            return Improved(pairs, bias, iteration)
     raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
 
 
-def _greatest(step: MDP, found: tuple[Floats, Floats, Floats], keep: Integers) -> Integers:
-    """Return (S,) pairs that no other beats by more than rounding, those of `keep` first."""
+def _greatest(
+    step: MDP, gain: FixedPoint, bias: Floats, second: Floats, keep: Integers
+) -> Integers:
+    """Return (S,) pairs that no other beats by more than rounding, those of `keep` first.
+
+    Gains that are equal come out of different equations: their whole error counts, not only that
+    of their differences.
+    """
     first, state = step.pair_offsets[:-1], step.pair_state
-    gain, bias, second = found
+    unsure = step.transition @ gain.error + gain.error[state]
     left = np.ones(step.n_pairs, dtype=bool)
-    for earned, value in (
-        (np.zeros(step.n_pairs), gain),
-        (step.reward - gain[state], bias),
-        (-bias[state], second),
+    for earned, value, doubt in (
+        (np.zeros(step.n_pairs), gain.value, unsure),
+        (step.reward - gain.value[state], bias, 0.0),
+        (-bias[state], second, 0.0),
     ):
         level = gains(step, value, reward=earned)
-        least = np.where(left, level.value - level.noise, -np.inf)
-        left &= level.value + level.noise >= np.maximum.reduceat(least, first)[state]
+        noise = level.noise + doubt
+        least = np.where(left, level.value - noise, -np.inf)
+        left &= level.value + noise >= np.maximum.reduceat(least, first)[state]
     chosen = np.minimum.reduceat(np.where(left, np.arange(step.n_pairs), step.n_pairs), first)
     return np.where(left[keep], keep, chosen)

@@ -34,7 +34,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.evaluate import evaluated
 from exact_mdp.solvers.average.iteration import Improved, improved
 from exact_mdp.solvers.bounds.gains import SLACK, gains, greedy
-from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, OPTIMISERS, LinearProgram
+from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, LinearProgram, optimised
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
@@ -42,7 +42,7 @@ from exact_mdp.solvers.endless.derived import derived
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
-optimize = later("scipy.optimize")
+cvxpy = later("cvxpy")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -193,24 +193,19 @@ def _by_program(step: MDP, solver: Any) -> Improved:
         step.pair_state,
     )
     rows = (np.ones(step.n_pairs), state, np.arange(step.n_pairs + 1))
-    own = sp.csr_array(rows, step.transition.shape)
-    stays = own - step.transition
-    solved = optimize.linprog(
-        np.repeat([1.0, 0.0], step.n_states),
-        A_ub=-sp.block_array([[stays, None], [own, stays]], format="csc"),
-        b_ub=np.concatenate([np.zeros(step.n_pairs), -step.reward / scale]),
-        bounds=(None, None),
-        method=OPTIMISERS[solver.solver],
-    )
-    if solved.status != 0:
-        raise SolverError(Status.PROGRAM_FAILED, f"{solver.solver}: {solved.message}")
-    passed, used = np.split(np.maximum(-solved.ineqlin.marginals, 0.0), 2)
+    own = sp.csc_array(sp.csr_array(rows, step.transition.shape))
+    stays = own - sp.csc_array(step.transition)
+    gain, bias = cvxpy.Variable(step.n_states), cvxpy.Variable(step.n_states)
+    keeps, earns = stays @ gain >= 0, own @ gain + stays @ bias >= step.reward / scale
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(gain)), [keeps, earns])
+    steps = optimised(problem, solver.solver)
+    used, passed = (np.maximum(np.asarray(each.dual_value), 0.0) for each in (earns, keeps))
     recurrent = np.maximum.reduceat(used, first) > AGREEMENT / step.n_states
     weight = np.where(recurrent[state], used, passed)
     best = weight == np.maximum.reduceat(weight, first)[state]
     numbers = np.where(best, np.arange(step.n_pairs), step.n_pairs)
     found = improved(step, np.minimum.reduceat(numbers, first))
-    return found._replace(iterations=int(solved.nit) + found.iterations)
+    return found._replace(iterations=steps + found.iterations)
 
 
 METHODS: dict[str, Callable[[MDP, Any], Improved]] = {

@@ -41,7 +41,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -165,18 +165,9 @@ class LinearProgram:
         value, count = cvxpy.Variable(matrix.shape[1]), matrix.shape[1]
         above = matrix @ value >= mdp.reward[open_pairs] / scale
         problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
-        try:
-            # What cvxpy would warn of, an inaccurate solution, is an error here.
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                problem.solve(solver=self.solver)
-        except cvxpy.SolverError as error:
-            raise SolverError(Status.PROGRAM_FAILED, f"{self.solver}: {error}") from error
-        if problem.status != cvxpy.OPTIMAL:
-            raise SolverError(Status.PROGRAM_FAILED, f"{self.solver} says {problem.status}")
+        steps = optimised(problem, self.solver)
         found = np.zeros(mdp.n_states)
         found[live] = np.asarray(value.value) * scale
-        steps = int(problem.solver_stats.num_iters or 0)
         return greedy(mdp, gains(mdp, found)), float(problem.value) * scale, steps
 
     def _check(self, objective: float, mdp: MDP, value: Floats) -> None:
@@ -185,6 +176,20 @@ class LinearProgram:
         if not abs(objective - reached) <= AGREEMENT * (abs(reached) + scale):
             detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
             raise SolverError(Status.PROGRAM_FAILED, detail)
+
+
+def optimised(problem: Any, solver: str) -> int:
+    """Solve a program of cvxpy, and return the steps; SolverError where it finds no optimum."""
+    try:
+        # What cvxpy would warn of, an inaccurate solution, is an error here.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            problem.solve(solver=solver)
+    except cvxpy.SolverError as error:
+        raise SolverError(Status.PROGRAM_FAILED, f"{solver}: {error}") from error
+    if problem.status != cvxpy.OPTIMAL:
+        raise SolverError(Status.PROGRAM_FAILED, f"{solver} says {problem.status}")
+    return int(problem.solver_stats.num_iters or 0)
 
 
 def visits(mdp: MDP, pairs: Integers) -> tuple[Floats, Floats]:

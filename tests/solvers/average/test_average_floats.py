@@ -103,6 +103,35 @@ def test_the_linear_program_and_relative_values_agree(rows: Rows) -> None:
     assert found.error_bound <= 1e-6
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_gains_that_are_equal_but_for_rounding_do_not_hide_what_is_better(seed: int) -> None:
+    """Rings of sevenths with ends: states whose equal gains come of unlike equations."""
+    rng, rows = np.random.default_rng(seed), []
+    for s in range(30):
+        for a in range(1 + s % 3):
+            near = {
+                int(s + d) % 30: int(w)
+                for d, w in zip(rng.integers(-2, 4, 3), (1, 2, 4), strict=True)
+            }
+            total, reward = sum(near.values()), F(int(rng.integers(-4, 5)), 10)
+            rows.append((s, a, [(F(w, total), t, reward) for t, w in near.items()]))
+    ends = set(rng.integers(0, 30, 2).tolist())
+    rows = [row for row in rows if row[0] not in ends] + [(s, 0, [(1, s, 0)]) for s in ends]
+    mdp = MDP.from_outcomes(rows)
+    found, best = solve(mdp, criterion="average"), certify(mdp, criterion="average")
+    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert found.error_bound < 1e-9
+
+
+def test_costs_are_the_least_per_step() -> None:
+    rewards = forest("9/10")
+    costs = rewards.negated()
+    found, proof = solve(costs, criterion="average"), certify(costs, criterion="average")
+    assert (found.gain == -solve(rewards, criterion="average").gain).all()
+    assert (proof.start_value, proof.violations()) == (F(-81, 25), [])
+    assert proof.losses[1].tolist() == certify(rewards, criterion="average").losses[1].tolist()
+
+
 def test_a_reset_chain_of_low_gain_is_solved() -> None:
     """41 states in a row, up with 1/2 and back with 1/2; 1 at the top: 2^-40 and less."""
     states = 41
