@@ -95,11 +95,15 @@ class RightSides:
     def products(self, states: Integers) -> Iterator[Product]:
         """Yield the products whose sums are those of all pairs of `states`, in order."""
         for first in range(0, len(states), CHUNK):
-            yield self._product(states[first : first + CHUNK])
+            yield self._product(_part(self.rows.pair_offsets, states[first : first + CHUNK]))
 
-    def _product(self, states: Integers) -> Product:
+    def products_of(self, pairs: Integers) -> Iterator[Product]:
+        """Yield the products whose sums are those of `pairs`, in order."""
+        for first in range(0, len(pairs), CHUNK):
+            yield self._product(pairs[first : first + CHUNK])
+
+    def _product(self, pairs: Integers | slice) -> Product:
         rows = self.rows
-        pairs = _part(rows.pair_offsets, states)
         entries = _part(rows.offsets, pairs)
         lengths, constant = self._lengths[pairs], rows.constant[pairs]
         following, weight = rows.next[entries], rows.weight[entries]
@@ -231,10 +235,17 @@ class Cycle:
             weight=self.weight[chosen],
         )
 
-    def losses(self, value: Sequence[fmpz], rest: Sequence[fmpz]) -> list[list[fmpz]]:
-        """Return pivot · v - right side for the pairs of each state: negative where better."""
+    def losses(self, value: Sequence[fmpz], rest: Mapping[int, fmpz]) -> list[list[fmpz]]:
+        """Return pivot · v - right side for the pairs of each state: negative where better.
+
+        Pairs without a right side in `rest` are those of the policy, which lose nothing.
+        """
+        nothing = value[0] * 0
         return [
-            [self.pivot[pair] * value[i] - rest[pair] for pair in range(first, last)]
+            [
+                self.pivot[pair] * value[i] - rest[pair] if pair in rest else nothing
+                for pair in range(first, last)
+            ]
             for i, (first, last) in enumerate(pairwise(self.offsets.tolist()))
         ]
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.bounds.layers import layers
 from exact_mdp.solvers.proof.cycle import LARGEST, Cycle, Product, RightSides, endless
 
@@ -238,14 +238,18 @@ class _Solver:
         nothing = dict.fromkeys(inside, base * 0)
         cycle = Cycle.of(self.sides, states, _sums(products, outer | nothing, base))
         policy = cycle.policy()
+        rows, numbers = self.sides.rows, np.arange(len(cycle.pivot))
+        pairs = spans(rows.pair_offsets[states], rows.pair_offsets[states + 1])
         while True:
             value, below = cycle.values(policy)
             if positive and min(value) <= 0:
                 raise endless()
             scaled = {state: own * below for state, own in outer.items()}
             scaled |= zip(inside, value, strict=True)
-            rest = _sums(products, scaled, base * below)
-            losses = cycle.losses(value, rest)
+            others = np.setdiff1d(numbers, policy)
+            products = list(self.sides.products_of(pairs[others]))
+            sums = _sums(products, scaled, base * below)
+            losses = cycle.losses(value, dict(zip(others.tolist(), sums, strict=True)))
             least = [min(of_state) for of_state in losses]
             if min(least) >= 0:
                 break

@@ -181,8 +181,8 @@ def _expanded(numbers: list[fmpz], base: fmpz, length: int) -> Integers:
     return np.array(split(numbers, length), dtype=np.int64)
 
 
-def _evaluated(digits: list[int], prime: int) -> fmpz:
-    found: fmpz = flint.fmpz_poly(digits)(flint.fmpz(prime))
+def _evaluated(digits: list[int], base: int) -> fmpz:
+    found: fmpz = flint.fmpz_poly(digits)(flint.fmpz(base))
     return found
 
 
@@ -196,8 +196,10 @@ def _rationals(
     modulus = flint.fmpz(prime) ** len(digits)
     longest = modulus.bit_length() - norm.bit_length() - 2
     found: list[fmpz] = []
-    for column in digits.T:
-        product = _symmetric(below * _evaluated(column.tolist(), prime), modulus)
+    paired = digits[::2].astype(np.int64)
+    paired[: len(digits) // 2] += digits[1::2] * np.int64(prime)
+    for column in paired.T:
+        product = _symmetric(below * _evaluated(column.tolist(), prime**2), modulus)
         if product.bit_length() > longest:
             factor = _denominator(product % modulus, modulus, excess)
             if factor is None:
