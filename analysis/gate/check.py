@@ -367,7 +367,7 @@ def check(
     exact_values : bool, optional
         Rational arithmetic or bounds in floats; see `analysis.gate.regret.regret`. Unless given,
         bounds that leave a verdict open are followed by rational arithmetic in models of up to
-        100,000 transitions without cycles of over 200 states.
+        100,000 transitions without cycles of over 500 states.
     kind : "auto", "q" or "policy"
         What a two-dimensional array or a file of one holds; `mdp.policies.arrays` states the rule
         of "auto", and `Audit.read_as` says what was taken.

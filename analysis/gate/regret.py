@@ -70,8 +70,8 @@ def proven(mdp: MDP) -> Certificate:
 
 EXACT_TRANSITIONS = 100_000
 EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
-EXACT_CYCLE = 64  # states of the largest cycle
-LAST_CYCLE = 200  # states of the largest cycle, where bounds leave a verdict open: about a second
+EXACT_CYCLE = 200  # states of the largest cycle
+LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open: about a second
 ACCURATE = 2.0**-30  # relative errors of gaps from which on they are worked out exactly
 IMPROVEMENTS = 100  # policies tried after a solver has stopped at its tolerance
 
@@ -168,7 +168,7 @@ def regret(
     """Return what a policy is worth against the optimum.
 
     `exact` asks for rational arithmetic, or for bounds; unless given, rational arithmetic is used
-    in models of up to 100,000 transitions (250,000 with a horizon) without cycles of over 64
+    in models of up to 100,000 transitions (250,000 with a horizon) without cycles of over 200
     states. An `optimum` that another policy's regret was found with is not computed again; unless
     `exact` is given, it says how. Raises ModelError at discount 1 where not every policy ends.
 

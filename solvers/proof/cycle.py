@@ -30,7 +30,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers, Numbers, spans
+from exact_mdp.mdp.table import Integers, Numbers, magnitude, spans
 from exact_mdp.solvers.proof.linear import Equations
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ flint = later("flint")
 linalg = later("scipy.sparse.linalg")
 
 STEPS = 100  # of policy iteration, before the exact ones
+PRECISE = 256  # bits of fixed-point values
+BEYOND = 2**900  # pivots that floats would not hold, with their remainders
 LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
 CHUNK = 64  # states whose pairs are multiplied together
 FILLED = 4  # one in this many entries of a matrix is not zero, at least
@@ -192,7 +194,7 @@ class Cycle:
         )
 
     def policy(self) -> Integers:
-        """Return (K,) pairs that are optimal as far as floats can show."""
+        """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits can show."""
         size, policy = len(self.offsets) - 1, self.offsets[:-1].copy()
         largest = max(1, *(abs(int(number)) for number in self.fixed))
         pivot = self.pivot
@@ -208,16 +210,64 @@ class Cycle:
                 try:
                     value = linalg.splu((identity - chain[policy]).tocsc()).solve(earned[policy])
                 except RuntimeError:  # singular, up to rounding
-                    break
+                    return policy
                 gain = earned + chain @ value - np.repeat(value, np.diff(self.offsets))
-                best = np.maximum.reduceat(gain, self.offsets[:-1])
-                better = best > 1e-12 * np.abs(value).max()
-                if not better.any():
+                better = self._better(policy, gain, 1e-12 * np.abs(value).max())
+                if better is None:
                     break
-                equal = gain == np.repeat(best, np.diff(self.offsets))
-                first = np.where(equal, np.arange(len(gain)), len(gain))
-                policy = np.where(better, np.minimum.reduceat(first, self.offsets[:-1]), policy)
+                policy = better
+            return self._sharpened(policy, chain)
+
+    def _sharpened(self, policy: Integers, chain: sp.csr_array) -> Integers:
+        """Improve a policy by fixed-point values, until no pair gains one part in 2^128."""
+        if magnitude(np.array(self.pivot, dtype=object)) > BEYOND:
+            return policy
+        longest = max(int(number).bit_length() for number in self.fixed)
+        spare, units = max(0, longest - PRECISE), PRECISE + max(0, PRECISE - longest)
+        fixed = np.array([int(number) >> spare << units for number in self.fixed], dtype=object)
+        pivot, weight = np.array(self.pivot, dtype=object), self.weight.astype(object)
+        filled = np.flatnonzero(np.diff(self.row, prepend=-1))
+        scale, identity = pivot.astype(np.float64), sp.eye_array(len(policy), format="csc")
+
+        def gains(value: Numbers) -> Numbers:
+            gain = fixed - pivot * np.repeat(value, np.diff(self.offsets))
+            if len(filled):
+                gain[self.row[filled]] += np.add.reduceat(weight * value[self.column], filled)
+            return np.asarray(gain)
+
+        for _ in range(STEPS):
+            try:
+                factors: Any = linalg.splu((identity - chain[policy]).tocsc())
+            except RuntimeError:  # singular, up to rounding
+                return policy
+            value, before = np.zeros(len(policy), dtype=object), 2 * units + longest
+            while True:
+                gain = gains(value)
+                left = max(int(number).bit_length() for number in gain[policy])
+                if left <= PRECISE:
+                    break
+                low = left - 60
+                step = factors.solve((gain[policy] >> low).astype(np.float64) / scale[policy])
+                step = np.ldexp(step, 60)
+                if left >= before or not np.isfinite(step).all():
+                    return policy
+                value += np.array([int(x) for x in step], dtype=object) << low >> 60
+                before = left
+            better = self._better(policy, gain // pivot, magnitude(value) >> PRECISE // 2)
+            if better is None:
+                break
+            policy = better
         return policy
+
+    def _better(self, policy: Integers, gain: Numbers, least: float) -> Integers | None:
+        """Return the policy with the best pairs where they gain more than `least`, if any do."""
+        best = np.maximum.reduceat(gain, self.offsets[:-1])
+        better = np.asarray(best > least, dtype=bool)
+        if not better.any():
+            return None
+        equal = np.asarray(gain == np.repeat(best, np.diff(self.offsets)), dtype=bool)
+        first = np.where(equal, np.arange(len(gain)), len(gain))
+        return np.where(better, np.minimum.reduceat(first, self.offsets[:-1]), policy)
 
     def values(self, policy: Integers) -> tuple[list[fmpz], fmpz]:
         """Return the values of a policy as integers over one positive denominator."""

@@ -408,7 +408,7 @@ def test_what_bounds_leave_open_goes_to_rational_arithmetic(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where the model is too large for it, the verdict is open, fails, and says what to do."""
-    size = 70  # a cycle that is bounded unless asked for more
+    size = 210  # a cycle that is bounded unless asked for more
     rows = [(s, 0, [(1, (s + 1) % size, F(1, 3))]) for s in range(size)]
     rows += [(0, 1, [(F(1, 2), 1, 0), (F(1, 2), 1, F(2, 3))])]
     mdp = MDP.from_outcomes(rows, "9/10")

@@ -9,7 +9,7 @@ from flint import fmpq_mat, fmpz
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from large_models import gridworld
-from strategies import Rows, models
+from strategies import Rows, model_of, models
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
@@ -17,7 +17,7 @@ from exact_mdp.solvers import certify
 from exact_mdp.solvers.proof import exact
 from exact_mdp.solvers.proof import linear as exact_linear
 from exact_mdp.solvers.proof.certificate import Certificate
-from exact_mdp.solvers.proof.cycle import RightSides
+from exact_mdp.solvers.proof.cycle import Cycle, RightSides
 from exact_mdp.solvers.proof.exact import stages
 from exact_mdp.solvers.proof.linear import Equations
 from exact_mdp.solvers.proof.rationals import fraction, fractions, primes_of
@@ -248,6 +248,27 @@ def test_cycles_that_are_too_large_are_refused(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(exact_linear, "MANY", 8)
     with pytest.raises(ModelError, match="singular, or nearly so"):
         certify(gridworld(4))
+
+
+def test_fixed_point_finds_what_floats_do_not_see(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gains of one part in 10^17 and many ties: the first policy that is solved is optimal."""
+    solved: list[int] = []
+    values = Cycle.values
+
+    def counted(cycle: Cycle, policy: np.ndarray) -> tuple[list[fmpz], fmpz]:
+        solved.append(len(policy))
+        return values(cycle, policy)
+
+    monkeypatch.setattr(Cycle, "values", counted)
+    mdp = gridworld(24)
+    found = certify(mdp)
+    assert solved == [575]
+    rows = [
+        (s, a, F(1, 2) + a * F(1, 10**20), {(s + 1) % 50: F(1)}) for s in range(50) for a in (0, 1)
+    ]
+    found = certify(model_of(50, rows, F(1, 2)))
+    assert solved == [575, 50]
+    assert set(found.value) == {1 + 2 * F(1, 10**20)}
 
 
 def test_policy_iteration_repairs_a_poor_start(monkeypatch: pytest.MonkeyPatch) -> None:
