@@ -1,43 +1,46 @@
 """Models from arrays, from rows and from lists of outcomes, floats or exact rationals alike.
 
-Every number keeps its exact value, whatever stands beside it: Fractions, integers and "p/q" strings
-are what they say, a float is the dyadic rational that it is, and outcomes that come twice are added
-exactly. Where all numbers are doubles, and one at least was given as a float, the table holds them
-as floats; else as integers over one denominator for each row.
+Every number keeps its exact value, whatever stands beside it (`mdp.forms.numbers`), and outcomes
+that come twice are added exactly. Where all numbers are doubles, and one at least was given as a
+float, the table holds them as floats; else as integers over one denominator for each row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from fractions import Fraction
-from functools import reduce
-from math import isfinite
 from operator import index, itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.components import completed
-from exact_mdp.mdp.errors import ModelError, ShapeError, located
+from exact_mdp.mdp.components import each_component, named_components, of_length
+from exact_mdp.mdp.errors import ModelError, ShapeError
 from exact_mdp.mdp.forms import listed
+from exact_mdp.mdp.forms.numbers import (
+    Grouped,
+    added,
+    array_of,
+    as_given,
+    dense,
+    exact_sum,
+    grouped,
+    picked,
+    whole_numbers,
+)
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
-    Floats,
     Given,
     Integers,
     Numbers,
     OutcomeTable,
-    as_float,
     by_outcome,
     exact,
-    given,
     integers,
     ones,
-    over_groups,
     rounding_of,
 )
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
@@ -70,12 +73,12 @@ def from_arrays(
         return _rewards_of_arrays(values, where, P, layout, (states, actions))
 
     reward = of_pairs(R, "R")
-    _each_component(names, of_pairs)
+    each_component(names, of_pairs)
     names.setdefault("actions", [str(number) for number in range(actions)])
     kept = _offered(reward, names)
     if kept is not None:
         state, action, stacked, reward = state[kept], action[kept], stacked[kept], reward[kept]
-        _each_component(names, lambda values, _: values[kept])
+        each_component(names, lambda values, _: values[kept])
     return _from_rows(state, action, stacked, reward, discount, start, names)
 
 
@@ -84,7 +87,7 @@ def _rewards_of_arrays(
 ) -> Any:
     """Return rewards as `from_arrays` takes them for each pair (L,) or transition (L, S)."""
     states, actions = shape
-    rewards = None if _is_sparse_list(R) else _dense(_numbers(R, where))
+    rewards = None if _is_sparse_list(R) else dense(array_of(R, where))
     if where != "R" and rewards is not None and rewards.shape == (states * actions,):
         return rewards  # a component's amounts, one for each pair
     if rewards is None or rewards.ndim == 3:
@@ -130,11 +133,14 @@ def from_pairs(
     **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_pairs` makes."""
-    state, action = _indices(pair_state, "pair_state"), _indices(pair_action, "pair_action")
+    state, action = (
+        whole_numbers(pair_state, "pair_state"),
+        whole_numbers(pair_action, "pair_action"),
+    )
     below = None
     if isinstance(transition, tuple) and len(transition) == 2 and sp.issparse(transition[0]):
-        transition, below = transition[0], _indices(transition[1], "denominators")
-    rows = _numbers(transition, "transition")
+        transition, below = transition[0], whole_numbers(transition[1], "denominators")
+    rows = array_of(transition, "transition")
     if below is not None and (
         rows.dtype != np.int64 or below.shape != rows.shape[:1] or (below < 1).any()
     ):
@@ -150,7 +156,7 @@ def from_pairs(
             fix="give one state, one action and one row of (L, S) for each pair",
         )
     rewards = _rewards_of_rows(reward, "reward", rows)
-    _each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
+    each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
     order = _offered(rewards, names)
     ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
     if not (ahead | (level & (action[1:] >= action[:-1]))).all():
@@ -158,16 +164,16 @@ def from_pairs(
         order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
     if order is not None:
         state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
-        _each_component(names, lambda values, _: values[order])
+        each_component(names, lambda values, _: values[order])
         below = None if below is None else below[order]
     return _from_rows(state, action, rows, rewards, discount, start, names, below)
 
 
 def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
     """Return rewards as `from_pairs` takes them: of pairs (L,) or transitions (L, S)."""
-    rewards = _numbers(reward, where)
+    rewards = array_of(reward, where)
     if rewards.shape != rows.shape:
-        rewards = _dense(rewards)
+        rewards = dense(rewards)
     if rewards.shape != rows.shape[:1] and rewards.shape != rows.shape:
         raise ShapeError(
             f"rewards have shape {rewards.shape}, not ({rows.shape[0]},)",
@@ -210,7 +216,7 @@ def from_outcomes(
     else:
         gain = grouped(owned, np.arange(len(merged) + 1))
     table = _table(offsets, following, weight, gain, of_pairs=owned is not None)
-    _each_component(names, lambda values, where: _of_length(values, where, len(listed))[order])
+    each_component(names, lambda values, where: of_length(values, where, len(listed))[order])
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -222,11 +228,11 @@ def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
     """
     row: Outcomes = {}
     for probability, then, reward in outcomes:
-        earned, chance = _number(reward), _number(probability)
+        earned, chance = as_given(reward), as_given(probability)
         key, known = (index(then), earned, rounding_of(earned) > 0), len(row)
         before = row.setdefault(key, chance)  # one look-up: fractions are slow to hash
         if len(row) == known:
-            row[key] = _sum(before, chance)
+            row[key] = exact_sum(before, chance)
     return {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}
 
 
@@ -262,15 +268,6 @@ def _total(row: Outcomes) -> Fraction:
     return sum(map(exact, row.values()), Fraction(0))
 
 
-def _sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
-    """Return the exact sum of two numbers, of which each may be off by its rounding."""
-    for value in (left, right):
-        if isinstance(value, float) and not isfinite(value):
-            return value  # no model: it is refused by its place
-    total, off = exact(left) + exact(right), rounding_of(left) + rounding_of(right)
-    return Given(total, rounding=off) if off else total
-
-
 def _from_rows(
     state: Integers,
     action: Integers,
@@ -290,12 +287,12 @@ def _from_rows(
             rows.eliminate_zeros()
         rising = True
         offsets, following = rows.indptr.astype(np.int64), rows.indices
-        weight = _Grouped(rows.data, ones(len(state)))
+        weight = Grouped(rows.data, ones(len(state)))
     elif sp.issparse(rows):
-        offsets, following, values = _added(rows)
+        offsets, following, values = added(rows)
         weight = grouped(values, offsets)
         if below is not None:
-            weight = _Grouped(integers(map(int, values)), below)
+            weight = Grouped(integers(map(int, values)), below)
     else:
         kept = rows.astype(bool)
         pair, following = np.nonzero(kept)
@@ -306,7 +303,7 @@ def _from_rows(
         gain = grouped(np.array(reward), np.arange(len(state) + 1))
     else:
         pair = np.repeat(np.arange(len(state)), np.diff(offsets))
-        gain = grouped(_picked(reward, pair, following), offsets)
+        gain = grouped(picked(reward, pair, following), offsets)
     following = following if size < 2**31 else following.astype(np.int64)
     table = _table(offsets, following, weight, gain, of_pairs=reward.ndim == 1)
     if rising and len(table.next) == len(following):
@@ -314,77 +311,8 @@ def _from_rows(
     return _assemble(state, action, table, size, discount, start, names)
 
 
-def _each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> None:
-    """Replace what is given for each component of the reward by what a function makes of it."""
-    given = names.get("components")
-    if given is None:
-        return
-    if not isinstance(given, Mapping):
-        columns = _numbers(given, "components")
-        words = tuple(names.get("component_names", ()))
-        if columns.ndim != 2 or columns.shape[1] != len(words):
-            raise ModelError(
-                f"components have shape {columns.shape} for {len(words)} names",
-                where="components",
-                fix="give {name: amounts}",
-            )
-        given = dict(zip(words, columns.T, strict=True))
-    found = {str(name): change(values, f"component {name}") for name, values in given.items()}
-    if not found:
-        raise ModelError("no component is given", where="components", fix="name one, or none")
-    names["components"] = found
-
-
-def _of_length(values: Any, where: str, pairs: int) -> Any:
-    """Return amounts (L,) for L pairs."""
-    amounts = _numbers(values, where)
-    if amounts.shape != (pairs,):
-        raise ShapeError(
-            f"amounts have shape {amounts.shape}, not ({pairs},)",
-            where=where,
-            fix="give one amount for each pair",
-        )
-    return amounts
-
-
-def named_components(parts: Parts, table: OutcomeTable) -> Parts:
-    """Take `components` out of parts; return names and table of them, the rest of the reward too.
-
-    Amounts are those of the table's pairs (L,), or of transitions (L, S).
-    """
-    if parts.get("components") is None:
-        parts.pop("components", None)
-        return {}
-    _each_component(
-        parts, lambda values, where: _of_length(values, where, table.pairs)
-        if len(np.shape(values)) < 2 else values,
-    )  # fmt: skip
-    columns = {}
-    for name, values in parts.pop("components").items():
-        if values.ndim == 1:
-            found = grouped(np.array(values), np.arange(table.pairs + 1))
-            top, bottom = found.top, found.bottom
-        else:
-            found = grouped(_picked(values, table.pair, table.next), table.offsets)
-            earning = replace(table, gain=found.top, gain_denominator=found.bottom)
-            top, bottom = by_outcome(earning).expected_gain_exact()
-        _check_finite(top, name)
-        columns[name] = top, bottom
-    names, known = completed(columns, table)
-    return {"component_names": names, "component_table": known}
-
-
-def _check_finite(values: Numbers, name: str) -> None:
-    if values.dtype == np.float64 and not np.isfinite(values).all():
-        raise ModelError(
-            f"an amount is {values[~np.isfinite(values)][0]}",
-            where=f"component {name}",
-            fix="give a finite number",
-        )
-
-
 def _table(
-    offsets: Integers, following: Numbers, weight: _Grouped, gain: _Grouped, *, of_pairs: bool
+    offsets: Integers, following: Numbers, weight: Grouped, gain: Grouped, *, of_pairs: bool
 ) -> OutcomeTable:
     table = OutcomeTable(
         offsets=offsets,
@@ -413,51 +341,6 @@ def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:
 
     run_blocks(ends, work)
     return sp.csr_array((data, indices, indptr), shape=rows.shape, copy=False), lowest.min()
-
-
-def _added(matrix: sp.csr_array) -> tuple[Integers, Numbers, Any]:
-    """Return where rows begin, columns in rising order, and values, equal places added exactly."""
-    matrix = matrix.copy()
-    matrix.sort_indices()
-    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-    fresh = np.ones(len(row), dtype=bool)
-    fresh[1:] = (np.diff(row) != 0) | (np.diff(matrix.indices) != 0)
-    values: Any = matrix.data
-    if not fresh.all():
-        first = np.flatnonzero(fresh)
-        parts = [_number(value) for value in matrix.data]
-        values = np.empty(len(first), dtype=object)
-        ends = [*first[1:].tolist(), len(parts)]
-        values[:] = [
-            reduce(_sum, parts[begin:end]) for begin, end in zip(first.tolist(), ends, strict=True)
-        ]
-        row = row[first]
-    kept = np.asarray(values != 0, dtype=bool)
-    counts = np.bincount(row[kept], minlength=matrix.shape[0])
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return offsets, matrix.indices[fresh][kept], values[kept]
-
-
-def _picked(rewards: Any, row: Integers, column: Numbers) -> Any:
-    """Return the entries of a dense or sparse (L, S) array of rewards at some places."""
-    if not sp.issparse(rewards):
-        return np.asarray(rewards[row, column])
-    offsets, following, values = _added(rewards)
-    places = np.arange(1, len(following) + 1)
-    lookup = sp.csr_array((places, following, offsets), shape=rewards.shape)
-    return np.append(values, values.dtype.type(0) if values.dtype != object else 0)[
-        np.asarray(lookup[row, column]) - 1
-    ]
-
-
-def _dense(values: Any) -> Any:
-    """Return a sparse array as a dense one; others as they are."""
-    if not sp.issparse(values):
-        return values
-    offsets, following, found = _added(values)
-    array = np.zeros(values.shape, dtype=found.dtype)
-    array[np.repeat(np.arange(values.shape[0]), np.diff(offsets)), following] = found
-    return array
 
 
 def _assemble(
@@ -530,7 +413,7 @@ def _stacked(
             )
         array, shape, what = values, (len(values), *values[0].shape), f"matrices of {what}"
     else:
-        array = values if sp.issparse(values) else _numbers(values, where)
+        array = values if sp.issparse(values) else array_of(values, where)
         shape = array.shape
     flat = sp.issparse(array) or len(shape) != 3 or 0 in shape
     fits = [] if flat else [name for name, at in LAYOUTS.items() if shape[at] == shape[2]]
@@ -549,169 +432,7 @@ def _stacked(
     sizes = (shape[0], shape[1]) if layout == "sas" else (shape[1], shape[0])
     rows = sizes[0] * sizes[1]
     if not isinstance(array, np.ndarray):
-        stacked = sp.csr_array(sp.vstack([_numbers(matrix, where) for matrix in values], "csr"))
+        stacked = sp.csr_array(sp.vstack([array_of(matrix, where) for matrix in values], "csr"))
         order = np.arange(rows).reshape(shape[:2]).T.reshape(-1)
         return stacked if layout == "sas" else stacked[order], sizes, layout
     return (array if layout == "sas" else array.transpose(1, 0, 2)).reshape(rows, -1), sizes, layout
-
-
-def _numbers(values: object, where: str) -> Any:
-    """Return a sparse matrix as a CSR array, others as an array of one kind or of objects.
-
-    Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s.
-    """
-    with located(where):
-        return _sparse(values) if sp.issparse(values) else _array(values)
-
-
-def _sparse(values: Any) -> sp.csr_array:
-    """Return a sparse matrix as a CSR array; places that come twice still do."""
-    if values.dtype.kind not in "fiub":
-        raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
-    if values.ndim != 2:
-        raise ModelError(
-            f"a sparse array of {values.ndim} dimensions", fix="give a sparse matrix, or np.array"
-        )
-    if values.format in ("csr", "csc", "coo"):
-        _check_places(values)
-    found = sp.csr_array(values)
-    if values.format == "coo" and found.nnz != values.nnz:
-        # SciPy added up what comes twice, in floats: here it stays.
-        order = np.lexsort((values.col, values.row))
-        counts = np.bincount(values.row, minlength=values.shape[0])
-        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(values.col.dtype)
-        parts = (values.data[order], values.col[order], indptr)
-        found = sp.csr_array(parts, shape=values.shape)
-    whole = found.dtype.kind in "iub" and found.dtype != np.uint64
-    return found.astype(np.int64) if whole else found
-
-
-def _check_places(matrix: Any) -> None:
-    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
-    sizes = dict(zip(("row", "column"), matrix.shape, strict=True))
-    if matrix.format == "coo":
-        named = {"row": matrix.row, "column": matrix.col}
-    else:
-        named = {"column" if matrix.format == "csr" else "row": matrix.indices}
-        ends = matrix.indptr
-        if ends[0] != 0 or ends[-1] != len(matrix.indices) or (np.diff(ends) < 0).any():
-            raise ModelError(
-                "a sparse matrix whose indptr does not run from 0 to its number of entries",
-                fix="build it anew, from coordinates for example",
-            )
-    for what, numbers in named.items():
-        if len(numbers) and not 0 <= numbers.min() <= numbers.max() < sizes[what]:
-            worst = numbers.min() if numbers.min() < 0 else numbers.max()
-            raise ModelError(
-                f"a sparse matrix of shape {matrix.shape} has an entry in {what} {worst}",
-                fix=f"number its {what}s from 0 to {sizes[what] - 1}",
-            )
-
-
-def _array(values: Any) -> Any:
-    kinds = _kinds(values)
-    try:
-        if len(kinds) == 1 or kinds <= {float, np.float64} or kinds <= {int, bool}:
-            array = np.asarray(values)
-        else:
-            array = np.array(_leaves(values), dtype=object)
-            if any(isinstance(value, list) for value in array.flat):
-                raise ValueError
-    except ValueError as error:
-        raise ModelError("rows of different lengths", fix="make the array rectangular") from error
-    if array.dtype.kind in "iub" and array.dtype != np.uint64:
-        return array.astype(np.int64)
-    if array.dtype.kind == "f" and int not in kinds:
-        return array
-    if array.dtype.kind not in "OUSuf":
-        raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
-    if array.dtype != object:
-        array = np.array(_leaves(values), dtype=object)
-    flat = np.empty(array.size, dtype=object)
-    zero = Fraction(0)  # one for all: rows are mostly zeros
-    flat[:] = [zero if type(value) is int and not value else _number(value) for value in array.flat]
-    return flat.reshape(array.shape)
-
-
-def _kinds(values: Any) -> set[Any]:
-    """Return the types of the numbers in an array, or in lists of lists."""
-    if isinstance(values, np.ndarray):
-        return {values.dtype.type}
-    if not isinstance(values, list | tuple):
-        return {type(values)}
-    kinds = set(map(type, values))
-    if any(issubclass(kind, list | tuple | np.ndarray) for kind in kinds):
-        return set().union(*map(_kinds, values))
-    return kinds
-
-
-def _leaves(values: Any) -> Any:
-    """Return lists of lists of the numbers as they were given, each of its own type."""
-    if isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim):
-        return [_leaves(value) for value in values]
-    return values
-
-
-def _number(value: object) -> Fraction | float:
-    """Return an exact number, or the double itself where one was given."""
-    if isinstance(value, Fraction) or type(value) is float:
-        return value
-    return float(value) if isinstance(value, float) else given(value)
-
-
-def _indices(values: ArrayLike, what: str) -> Integers:
-    array = np.asarray(values)
-    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
-        raise ModelError(
-            f"{what} is not a list of whole numbers", where=what, fix="give integers of shape (L,)"
-        )
-    return array.astype(np.int64)
-
-
-class _Grouped(NamedTuple):
-    """Numbers as the arrays of a table: top over one bottom for each group, and their roundings."""
-
-    top: Numbers
-    bottom: Numbers
-    doubt: Floats | None = None
-
-
-def grouped(values: Any, offsets: Integers) -> _Grouped:
-    """Return numbers as an array with one denominator for each group of them."""
-    groups = len(offsets) - 1
-    if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
-        return _Grouped(np.ascontiguousarray(values), ones(groups))
-    if isinstance(values, np.ndarray) and values.dtype != object:
-        with np.errstate(over="ignore"):
-            doubles = values.astype(np.float64)
-        if values.dtype.kind == "f" and not (doubles != values).any():
-            off = np.where(values == 0, 0, np.spacing(np.abs(values)).astype(np.float64) / 2)
-            return _Grouped(doubles, ones(groups), _doubt(doubles, off))
-        values = [_number(value) for value in values]
-    flat = list(values)
-    if set(map(type, flat)) == {float}:
-        return _Grouped(np.array(flat), ones(groups))
-    off = np.array([rounding_of(value) for value in flat])
-    if off.any() or any(isinstance(value, float) for value in flat):
-        if any(isinstance(value, float) and not isfinite(value) for value in flat):
-            # The model is refused, by the place of the number.
-            return _Grouped(np.array([as_float(value) for value in flat]), ones(groups))
-        if all(isinstance(value, float) or _is_double(value) for value in flat):
-            doubles = np.array([float(value) for value in flat])
-            return _Grouped(doubles, ones(groups), _doubt(doubles, off))
-    top, bottom = over_groups([exact(value) for value in flat], offsets)
-    return _Grouped(top, bottom, off if off.any() else None)
-
-
-def _doubt(doubles: Floats, off: Floats) -> Floats | None:
-    """Return the roundings of doubles, None where they are those of any doubles."""
-    usual = np.where(doubles == 0, 0.0, np.spacing(np.abs(doubles)) / 2)
-    return None if np.array_equal(usual, off) else np.asarray(off, dtype=np.float64)
-
-
-def _is_double(value: Fraction) -> bool:
-    """Return whether a double has exactly this value."""
-    try:
-        return float(value) == value
-    except OverflowError:
-        return False

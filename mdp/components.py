@@ -11,16 +11,19 @@ component like any other.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, ShapeError
+from exact_mdp.mdp.forms.numbers import array_of, grouped, picked
 from exact_mdp.mdp.table import (
     Floats,
     Numbers,
     OutcomeTable,
+    by_outcome,
     divide,
     dyadic,
     integers,
@@ -137,3 +140,72 @@ def wrong_rows(found: ComponentTable, reward: Floats) -> Numbers:
         scale = np.abs(floats).sum(axis=1) + np.abs(reward)
     lost = (floats.shape[1] + 1) * 2.0**-1074  # below the range, rounding is no longer relative
     return np.asarray(~(np.abs(total - reward) <= 1e-12 * scale + lost))
+
+
+def each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> None:
+    """Replace what is given for each component of the reward by what a function makes of it."""
+    given = names.get("components")
+    if given is None:
+        return
+    if not isinstance(given, Mapping):
+        columns = array_of(given, "components")
+        words = tuple(names.get("component_names", ()))
+        if columns.ndim != 2 or columns.shape[1] != len(words):
+            raise ModelError(
+                f"components have shape {columns.shape} for {len(words)} names",
+                where="components",
+                fix="give {name: amounts}",
+            )
+        given = dict(zip(words, columns.T, strict=True))
+    found = {str(name): change(values, f"component {name}") for name, values in given.items()}
+    if not found:
+        raise ModelError("no component is given", where="components", fix="name one, or none")
+    names["components"] = found
+
+
+def of_length(values: Any, where: str, pairs: int) -> Any:
+    """Return amounts (L,) for L pairs."""
+    amounts = array_of(values, where)
+    if amounts.shape != (pairs,):
+        raise ShapeError(
+            f"amounts have shape {amounts.shape}, not ({pairs},)",
+            where=where,
+            fix="give one amount for each pair",
+        )
+    return amounts
+
+
+def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, Any]:
+    """Take `components` out of parts; return names and table of them, the rest of the reward too.
+
+    Amounts are those of the table's pairs (L,), or of transitions (L, S).
+    """
+    if parts.get("components") is None:
+        parts.pop("components", None)
+        return {}
+    each_component(
+        parts, lambda values, where: of_length(values, where, table.pairs)
+        if len(np.shape(values)) < 2 else values,
+    )  # fmt: skip
+    columns = {}
+    for name, values in parts.pop("components").items():
+        if values.ndim == 1:
+            found = grouped(np.array(values), np.arange(table.pairs + 1))
+            top, bottom = found.top, found.bottom
+        else:
+            found = grouped(picked(values, table.pair, table.next), table.offsets)
+            earning = replace(table, gain=found.top, gain_denominator=found.bottom)
+            top, bottom = by_outcome(earning).expected_gain_exact()
+        _check_finite(top, name)
+        columns[name] = top, bottom
+    names, known = completed(columns, table)
+    return {"component_names": names, "component_table": known}
+
+
+def _check_finite(values: Numbers, name: str) -> None:
+    if values.dtype == np.float64 and not np.isfinite(values).all():
+        raise ModelError(
+            f"an amount is {values[~np.isfinite(values)][0]}",
+            where=f"component {name}",
+            fix="give a finite number",
+        )

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import build, lazy, questions
-from exact_mdp.mdp.components import wrong_rows
+from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.horizon import unrolled
@@ -405,7 +405,7 @@ class MDP(Parts):
             if not parts.keys() & {"components", "component_table"}:
                 parts |= questions.ONE_COMPONENT
         if "components" in parts:
-            parts |= build.named_components(parts, parts.get("table", self.table))
+            parts |= named_components(parts, parts.get("table", self.table))
         return replace(self, **parts)
 
     def negated(self) -> MDP:

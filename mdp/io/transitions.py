@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.mdp.build import grouped
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.forms.numbers import grouped
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import StateSpace

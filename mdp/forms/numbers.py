@@ -1,0 +1,252 @@
+"""Numbers as they are given: arrays, lists, sparse matrices, each number with its exact value.
+
+Fractions, integers and "p/q" strings are what they say, a float is the dyadic rational that it is.
+An array is of one kind, 64-bit integers or floats, where all its numbers are; else of objects, each
+a `Fraction` or a float. A table of outcomes has integers over one denominator for each row, or
+floats with 1 below: `grouped` makes these of numbers of any kind.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from functools import reduce
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.table import (
+    Floats,
+    Given,
+    Integers,
+    Numbers,
+    as_float,
+    exact,
+    given,
+    ones,
+    over_groups,
+    rounding_of,
+)
+
+
+def array_of(values: object, where: str) -> Any:
+    """Return a sparse matrix as a CSR array, others as an array of one kind or of objects.
+
+    Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s.
+    """
+    with located(where):
+        return _sparse(values) if sp.issparse(values) else _array(values)
+
+
+def as_given(value: object) -> Fraction | float:
+    """Return an exact number, or the double itself where one was given."""
+    if isinstance(value, Fraction) or type(value) is float:
+        return value
+    return float(value) if isinstance(value, float) else given(value)
+
+
+def whole_numbers(values: ArrayLike, what: str) -> Integers:
+    """Return a list of whole numbers (L,)."""
+    array = np.asarray(values)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise ModelError(
+            f"{what} is not a list of whole numbers", where=what, fix="give integers of shape (L,)"
+        )
+    return array.astype(np.int64)
+
+
+def _sparse(values: Any) -> sp.csr_array:
+    """Return a sparse matrix as a CSR array; places that come twice still do."""
+    if values.dtype.kind not in "fiub":
+        raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
+    if values.ndim != 2:
+        raise ModelError(
+            f"a sparse array of {values.ndim} dimensions", fix="give a sparse matrix, or np.array"
+        )
+    if values.format in ("csr", "csc", "coo"):
+        _check_places(values)
+    found = sp.csr_array(values)
+    if values.format == "coo" and found.nnz != values.nnz:
+        # SciPy added up what comes twice, in floats: here it stays.
+        order = np.lexsort((values.col, values.row))
+        counts = np.bincount(values.row, minlength=values.shape[0])
+        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(values.col.dtype)
+        parts = (values.data[order], values.col[order], indptr)
+        found = sp.csr_array(parts, shape=values.shape)
+    whole = found.dtype.kind in "iub" and found.dtype != np.uint64
+    return found.astype(np.int64) if whole else found
+
+
+def _check_places(matrix: Any) -> None:
+    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
+    sizes = dict(zip(("row", "column"), matrix.shape, strict=True))
+    if matrix.format == "coo":
+        named = {"row": matrix.row, "column": matrix.col}
+    else:
+        named = {"column" if matrix.format == "csr" else "row": matrix.indices}
+        ends = matrix.indptr
+        if ends[0] != 0 or ends[-1] != len(matrix.indices) or (np.diff(ends) < 0).any():
+            raise ModelError(
+                "a sparse matrix whose indptr does not run from 0 to its number of entries",
+                fix="build it anew, from coordinates for example",
+            )
+    for what, numbers in named.items():
+        if len(numbers) and not 0 <= numbers.min() <= numbers.max() < sizes[what]:
+            worst = numbers.min() if numbers.min() < 0 else numbers.max()
+            raise ModelError(
+                f"a sparse matrix of shape {matrix.shape} has an entry in {what} {worst}",
+                fix=f"number its {what}s from 0 to {sizes[what] - 1}",
+            )
+
+
+def _array(values: Any) -> Any:
+    kinds = _kinds(values)
+    try:
+        if len(kinds) == 1 or kinds <= {float, np.float64} or kinds <= {int, bool}:
+            array = np.asarray(values)
+        else:
+            array = np.array(_leaves(values), dtype=object)
+            if any(isinstance(value, list) for value in array.flat):
+                raise ValueError
+    except ValueError as error:
+        raise ModelError("rows of different lengths", fix="make the array rectangular") from error
+    if array.dtype.kind in "iub" and array.dtype != np.uint64:
+        return array.astype(np.int64)
+    if array.dtype.kind == "f" and int not in kinds:
+        return array
+    if array.dtype.kind not in "OUSuf":
+        raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
+    if array.dtype != object:
+        array = np.array(_leaves(values), dtype=object)
+    flat = np.empty(array.size, dtype=object)
+    zero = Fraction(0)  # one for all: rows are mostly zeros
+    flat[:] = [
+        zero if type(value) is int and not value else as_given(value) for value in array.flat
+    ]
+    return flat.reshape(array.shape)
+
+
+def _kinds(values: Any) -> set[Any]:
+    """Return the types of the numbers in an array, or in lists of lists."""
+    if isinstance(values, np.ndarray):
+        return {values.dtype.type}
+    if not isinstance(values, list | tuple):
+        return {type(values)}
+    kinds = set(map(type, values))
+    if any(issubclass(kind, list | tuple | np.ndarray) for kind in kinds):
+        return set().union(*map(_kinds, values))
+    return kinds
+
+
+def _leaves(values: Any) -> Any:
+    """Return lists of lists of the numbers as they were given, each of its own type."""
+    if isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim):
+        return [_leaves(value) for value in values]
+    return values
+
+
+def exact_sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
+    """Return the exact sum of two numbers, of which each may be off by its rounding."""
+    for value in (left, right):
+        if isinstance(value, float) and not isfinite(value):
+            return value  # no model: it is refused by its place
+    total, off = exact(left) + exact(right), rounding_of(left) + rounding_of(right)
+    return Given(total, rounding=off) if off else total
+
+
+def added(matrix: sp.csr_array) -> tuple[Integers, Numbers, Any]:
+    """Return where rows begin, columns in rising order, and values, equal places added exactly."""
+    matrix = matrix.copy()
+    matrix.sort_indices()
+    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    fresh = np.ones(len(row), dtype=bool)
+    fresh[1:] = (np.diff(row) != 0) | (np.diff(matrix.indices) != 0)
+    values: Any = matrix.data
+    if not fresh.all():
+        first = np.flatnonzero(fresh)
+        parts = [as_given(value) for value in matrix.data]
+        values = np.empty(len(first), dtype=object)
+        ends = [*first[1:].tolist(), len(parts)]
+        values[:] = [
+            reduce(exact_sum, parts[begin:end])
+            for begin, end in zip(first.tolist(), ends, strict=True)
+        ]
+        row = row[first]
+    kept = np.asarray(values != 0, dtype=bool)
+    counts = np.bincount(row[kept], minlength=matrix.shape[0])
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return offsets, matrix.indices[fresh][kept], values[kept]
+
+
+def picked(rewards: Any, row: Integers, column: Numbers) -> Any:
+    """Return the entries of a dense or sparse (L, S) array of rewards at some places."""
+    if not sp.issparse(rewards):
+        return np.asarray(rewards[row, column])
+    offsets, following, values = added(rewards)
+    places = np.arange(1, len(following) + 1)
+    lookup = sp.csr_array((places, following, offsets), shape=rewards.shape)
+    return np.append(values, values.dtype.type(0) if values.dtype != object else 0)[
+        np.asarray(lookup[row, column]) - 1
+    ]
+
+
+def dense(values: Any) -> Any:
+    """Return a sparse array as a dense one; others as they are."""
+    if not sp.issparse(values):
+        return values
+    offsets, following, found = added(values)
+    array = np.zeros(values.shape, dtype=found.dtype)
+    array[np.repeat(np.arange(values.shape[0]), np.diff(offsets)), following] = found
+    return array
+
+
+class Grouped(NamedTuple):
+    """Numbers as the arrays of a table: top over one bottom for each group, and their roundings."""
+
+    top: Numbers
+    bottom: Numbers
+    doubt: Floats | None = None
+
+
+def grouped(values: Any, offsets: Integers) -> Grouped:
+    """Return numbers as an array with one denominator for each group of them."""
+    groups = len(offsets) - 1
+    if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
+        return Grouped(np.ascontiguousarray(values), ones(groups))
+    if isinstance(values, np.ndarray) and values.dtype != object:
+        with np.errstate(over="ignore"):
+            doubles = values.astype(np.float64)
+        if values.dtype.kind == "f" and not (doubles != values).any():
+            off = np.where(values == 0, 0, np.spacing(np.abs(values)).astype(np.float64) / 2)
+            return Grouped(doubles, ones(groups), _doubt(doubles, off))
+        values = [as_given(value) for value in values]
+    flat = list(values)
+    if set(map(type, flat)) == {float}:
+        return Grouped(np.array(flat), ones(groups))
+    off = np.array([rounding_of(value) for value in flat])
+    if off.any() or any(isinstance(value, float) for value in flat):
+        if any(isinstance(value, float) and not isfinite(value) for value in flat):
+            # The model is refused, by the place of the number.
+            return Grouped(np.array([as_float(value) for value in flat]), ones(groups))
+        if all(isinstance(value, float) or _is_double(value) for value in flat):
+            doubles = np.array([float(value) for value in flat])
+            return Grouped(doubles, ones(groups), _doubt(doubles, off))
+    top, bottom = over_groups([exact(value) for value in flat], offsets)
+    return Grouped(top, bottom, off if off.any() else None)
+
+
+def _doubt(doubles: Floats, off: Floats) -> Floats | None:
+    """Return the roundings of doubles, None where they are those of any doubles."""
+    usual = np.where(doubles == 0, 0.0, np.spacing(np.abs(doubles)) / 2)
+    return None if np.array_equal(usual, off) else np.asarray(off, dtype=np.float64)
+
+
+def _is_double(value: Fraction) -> bool:
+    """Return whether a double has exactly this value."""
+    try:
+        return float(value) == value
+    except OverflowError:
+        return False
