@@ -85,7 +85,7 @@ class Notebook:
         ModelError
             Where it holds something and `resume` is not asked for, or other settings.
         """
-        make(out)
+        recording.make(out)
         path, self.header = out / "labelled.jsonl", {"kind": "header", **header}
         data = read_bytes(path) if path.exists() else b""
         if data and not resume:
@@ -136,19 +136,9 @@ class Notebook:
         self._recorder.__exit__(*error)
 
 
-def make(out: Path) -> None:
-    """Make a folder; raises ModelError where that fails."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ModelError(
-            f"cannot make the folder: {error.strerror}", where=str(out), fix="name another --out"
-        ) from error
-
-
 def write(out: Path, confusion: Floats, result: Mapping[str, Any], mdp: MDP, scenario: str) -> None:
     """Write confusion.csv, perception.json and run.json."""
-    make(out)
+    recording.make(out)
     write_atomically(out / "confusion.csv", to_csv(confusion))
     text = json.dumps({"disclaimer": DISCLAIMER, **result}, indent=1, ensure_ascii=False)
     write_atomically(out / "perception.json", text + "\n")

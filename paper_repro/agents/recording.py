@@ -75,6 +75,16 @@ def step_schema(header: Mapping[str, Any]) -> dict[str, Any]:
     )
 
 
+def make(out: Path) -> None:
+    """Make a folder; raises ModelError where that fails."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(
+            f"cannot make the folder: {error.strerror}", where=str(out), fix="name another --out"
+        ) from error
+
+
 @dataclass(frozen=True, kw_only=True)
 class Recording:
     """What a file holds: the header, the whole steps, the totals where it is finished."""

@@ -60,12 +60,7 @@ def hold(
         progress(held)
     if kept and kept.end:
         return kept
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ModelError(
-            f"cannot make the folder: {error.strerror}", where=str(out), fix="name another --out"
-        ) from error
+    recording.make(out)
     end = None
     try:
         with Recorder(path, keep=kept.whole if kept else 0) as recorder:
