@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.pages.explorer import explore
     from exact_mdp.analysis.sensitivity.curve import value_function
     from exact_mdp.analysis.tradeoffs.front import tradeoff
+    from exact_mdp.analysis.tradeoffs.rationalize import rationalize
 
 __all__ = [
     "Audit",
@@ -31,6 +32,7 @@ __all__ = [
     "compare",
     "dot",
     "explore",
+    "rationalize",
     "tradeoff",
     "value_function",
     "value_of_memory",
@@ -48,6 +50,7 @@ __getattr__, __dir__ = names_later(
         ],
         "exact_mdp.analysis.sensitivity.curve": ["value_function"],
         "exact_mdp.analysis.tradeoffs.front": ["tradeoff"],
+        "exact_mdp.analysis.tradeoffs.rationalize": ["rationalize"],
         "exact_mdp.analysis.gate.comparison": ["PolicyComparison", "compare"],
         "exact_mdp.analysis.graph": ["dot"],
         "exact_mdp.analysis.pages.explorer": ["explore"],

@@ -630,6 +630,24 @@ def tradeoff() -> None:
     """
 
 
+@command(
+    "tradeoff:rationalize",
+    "The least change of the weights that makes a policy optimal.",
+    epilog=POLICY_HELP,
+)
+@model
+@policy
+@of_policy
+@of_model
+def rationalize() -> None:
+    """Compute for which weights of the reward's components POLICY would be optimal in MODEL.
+
+    The least relative change of the weights, exactly, with its proof; and for each component the
+    interval of its weight that does it alone, the others unchanged. Multipliers are of today's
+    weights. A change of 1 drops all weights: then nothing less makes the policy optimal.
+    """
+
+
 COMMANDS = (
     new,
     lint,
@@ -647,4 +665,5 @@ COMMANDS = (
     explore,
     perception,
     tradeoff,
+    rationalize,
 )

@@ -1,4 +1,4 @@
-"""What `tradeoff` does: the exact front of two or three totals, and policies beside it."""
+"""What `tradeoff` and `rationalize` do: exact fronts, and weights for which a policy is right."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from exact_mdp.analysis.cli.options import given, policy_from
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.solve import policy_words
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
+from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.solution import Certified
 
 
 def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any) -> Report:
@@ -78,6 +80,43 @@ def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any
         ),
     ]
     return asked.report(result, facts, tables)
+
+
+def rationalize(**shared: Any) -> Report:
+    """Find the weights for which a policy is optimal."""
+    asked = given(**shared)
+    found = weights_for(asked.mdp, asked.policy)
+    result = {
+        "claim": found.claim,
+        "possible": found.possible,
+        "change": found.change,
+        "weights": found.weights,
+        "alone": {name: ends and list(ends) for name, ends in found.alone.items()},
+    }
+    rows = [
+        {
+            "component": name,
+            "multiplier": float(weight),
+            "alone": "none" if ends is None else f"{float(ends[0]):.6g} to {float(ends[1]):.6g}",
+        }
+        for (name, weight), ends in zip(found.weights.items(), found.alone.values(), strict=True)
+    ]
+    facts = {
+        "least change of the weights": Certified(value=found.change),
+        "optimal": "already"
+        if not found.change
+        else "with these weights"
+        if found.possible
+        else "with no weights short of dropping them all (proven)",
+    }
+    table = Table(
+        title="multipliers of the weights",
+        rows=rows,
+        columns={"component": "component", "multiplier": "multiplier:.6g", "alone": "alone"},
+        note="alone: the multipliers of this weight for which the policy is optimal, the others "
+        "unchanged",
+    )
+    return asked.report(result, facts, [table])
 
 
 def _named(names: tuple[str, ...], values: Any) -> dict[str, Fraction]:

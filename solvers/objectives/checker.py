@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -220,3 +221,113 @@ def _flows(of: Objectives, flow: Mapping[int, Fraction]) -> bool:
             then = int(rows.next[i])
             left[then] = left.get(then, Fraction(0)) + visits * Fraction(int(rows.weight[i]), unit)
     return not any(rest for s, rest in left.items() if not rows.terminal[s])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cut:
+    """A policy, by its visits, that is worth at most as much as another one; and a multiplier."""
+
+    flow: Flow
+    multiplier: Fraction
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Interval:
+    """Multipliers of one weight for which a policy is optimal, or None; and what proves it.
+
+    Attributes
+    ----------
+    low, high : Fraction, infinite, or None
+    at_low, at_high : Values, optional
+        What no policy exceeds at the ends; at infinity, of this component alone.
+    cuts : tuple of {pair: Fraction}
+        Visits of policies that are better beyond the ends.
+    """
+
+    low: Fraction | None
+    high: Fraction | float | None
+    at_low: Values | None
+    at_high: Values | None
+    cuts: tuple[Flow, ...]
+
+    @property
+    def ends(self) -> tuple[Fraction, Fraction | float] | None:
+        """Both ends, or None."""
+        return None if self.low is None or self.high is None else (self.low, self.high)
+
+
+def allowed(
+    lines: Sequence[tuple[Flow, Fraction, Fraction]],
+) -> tuple[Fraction, Fraction | float, tuple[Flow, ...]]:
+    """Return the least and the greatest x ≥ 0 with slope x + rest ≤ 0 on all lines, and which bind.
+
+    The least is above the greatest where there are none.
+    """
+    low: Fraction = Fraction(0)
+    high: Fraction | float = inf
+    below, above = list[Flow](), list[Flow]()
+    for flow, slope, rest in lines:
+        if slope < 0 and rest / -slope > low:
+            low, below = rest / -slope, [flow]
+        elif slope > 0 and -rest / slope < high:
+            high, above = -rest / slope, [flow]
+        elif slope == 0 < rest:
+            return Fraction(1), Fraction(0), (flow,)
+    return low, high, (*below, *above)
+
+
+def rationalization_violations(
+    of: Objectives,
+    proof: Proof,
+    flow: Flow,
+    weights: Sequence[Fraction],
+    change: Fraction,
+    dual: Values,
+    cuts: Sequence[Cut],
+    intervals: Sequence[Interval],
+) -> list[str]:
+    """Return what does not hold of the least change of weights that makes a policy optimal.
+
+    For multipliers x ≥ 0 of other policies, D = Σ x (v(ρ) - v(π)) satisfies w D ≤ 0 for all weights
+    under which π is optimal, so that |w - 1| ≤ t needs t ≥ Σ D / Σ |D|.
+    """
+    wrong = sound(of, proof)
+    flows = [flow, *(cut.flow for cut in cuts), *(own for each in intervals for own in each.cuts)]
+    if not all(_flows(of, own) for own in flows):
+        return [*wrong, "visits are not those of a policy"]
+    totals = totals_of(of, flow)
+
+    def lead(other: Flow) -> list[Fraction]:
+        return [a - b for a, b in zip(totals_of(of, other), totals, strict=True)]
+
+    def beaten(at: Sequence[Fraction], values: Values | None) -> bool:
+        worth = sum((w * v for w, v in zip(at, totals, strict=True)), Fraction(0))
+        return values is None or wrong_bound(of, at, values, worth)
+
+    if len(weights) != len(totals) or max(abs(w - 1) for w in weights) != change:
+        wrong.append("the weights are not changed by that much")
+    if beaten(weights, dual):
+        wrong.append("the values do not prove the policy optimal for the weights")
+    leads = [[cut.multiplier * x for x in lead(cut.flow)] for cut in cuts]
+    total = [sum(column, Fraction(0)) for column in zip(*leads, strict=True)]
+    least = max(Fraction(0), sum(total, Fraction(0)))
+    if any(c.multiplier < 0 for c in cuts) or least != change * sum(map(abs, total)):
+        wrong.append("nothing proves that a smaller change does not do")
+    if not total and change:
+        wrong.append("nothing proves that the weights have to change")
+    for k, (name, own) in enumerate(zip(of.names, intervals, strict=True)):
+        lines = [(cut, step[k], sum(step) - step[k]) for cut in own.cuts for step in [lead(cut)]]
+        low, high, _ = allowed(lines)
+        if own.ends is None:
+            good = low > high
+        else:
+            first, last = (
+                [Fraction(j == k) if x == inf else Fraction(x) if j == k else Fraction(1)
+                 for j in range(len(totals))]
+                for x in own.ends
+            )  # fmt: skip
+            good = own.ends == (low, high)
+            good &= not (beaten(first, own.at_low) or beaten(last, own.at_high))
+        if not good:
+            wrong.append(f"the interval of {name} alone is not proven")
+    return wrong

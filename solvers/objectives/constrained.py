@@ -30,13 +30,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Integers, Numbers, exact
+from exact_mdp.mdp.table import Numbers, exact
 from exact_mdp.solvers.objectives.amounts import REWARD, Objectives
 from exact_mdp.solvers.objectives.checker import (
     Attained,
@@ -48,7 +47,7 @@ from exact_mdp.solvers.objectives.checker import (
     constrained_violations,
     totals_of,
 )
-from exact_mdp.solvers.objectives.occupancy import flow
+from exact_mdp.solvers.objectives.occupancy import visits
 from exact_mdp.solvers.objectives.optima import extreme, optimum, proof
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.solution import Certified, Claim
@@ -155,10 +154,10 @@ class ConstrainedSolution(Result):
     def chances(self) -> dict[int, dict[int, Fraction]]:
         """The probability of each pair {state: {pair: probability}} in the states visited."""
         found: dict[int, dict[int, Fraction]] = {}
-        for pair, visits in sorted(self.flow.items()):
-            found.setdefault(int(self.mdp.pair_state[pair]), {})[pair] = visits
+        for pair, amount in sorted(self.flow.items()):
+            found.setdefault(int(self.mdp.pair_state[pair]), {})[pair] = amount
         return {
-            state: {pair: visits / sum(own.values()) for pair, visits in own.items()}
+            state: {pair: amount / sum(own.values()) for pair, amount in own.items()}
             for state, own in found.items()
         }
 
@@ -338,18 +337,6 @@ def combined(
     for limit, own in zip(limits, price, strict=True):
         weights[limit.name] += of.sign * limit.sign * own
     return list(weights.values())
-
-
-def visits(of: Objectives, pairs: Integers) -> Flow:
-    """Return the expected visits of the pairs (S,) of a policy from the start, exactly."""
-    mdp, ends = of.ending, of.ending.terminal
-    states = np.flatnonzero(reachable(mdp, pairs=pairs) & ~ends)
-    rows = of.restricted(pairs, of.rows.constant)
-    _, found = flow(mdp, rows, states)
-    below = found.denominator
-    return {
-        int(pairs[s]): Fraction(found.numerator[s], below[found.group[s]]) for s in states.tolist()
-    }
 
 
 def _add_to(total: Flow, other: Mapping[int, Fraction], share: Fraction) -> None:

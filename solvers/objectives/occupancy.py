@@ -14,9 +14,11 @@ from math import lcm
 
 import numpy as np
 
+from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, integers
+from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.proof.rationals import fraction
 
@@ -53,3 +55,15 @@ def flow(mdp: MDP, rows: BellmanRows, states: Integers) -> tuple[BellmanRows, Ex
         weight=integers(int(row[s] * unit) for unit, row in every for s in sorted(row)),
     )
     return equations, solve_exactly(equations)
+
+
+def visits(of: Objectives, pairs: Integers) -> dict[int, Fraction]:
+    """Return the expected visits of the pairs (S,) of a policy from the start, exactly."""
+    mdp, ends = of.ending, of.ending.terminal
+    states = np.flatnonzero(reachable(mdp, pairs=pairs) & ~ends)
+    rows = of.restricted(pairs, of.rows.constant)
+    _, found = flow(mdp, rows, states)
+    below = found.denominator
+    return {
+        int(pairs[s]): Fraction(found.numerator[s], below[found.group[s]]) for s in states.tolist()
+    }

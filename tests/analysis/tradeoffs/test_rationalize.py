@@ -1,0 +1,115 @@
+"""Weights that make a policy optimal, against all policies of small models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from math import inf
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from objective_models import totals, with_components
+from scipy.optimize import linprog
+
+from exact_mdp import Scenario
+from exact_mdp.analysis import rationalize
+from exact_mdp.mdp import MDP
+from exact_mdp.solvers.objectives.checker import Values
+
+F = Fraction
+
+
+@settings(max_examples=60)
+@given(mdp=with_components(2), data=st.data())
+def test_the_change_is_the_least_over_all_policies(mdp: MDP, data: Any) -> None:
+    """HiGHS on the rows of all deterministic policies; the intervals from these rows, exactly."""
+    sign = 1 if mdp.sense == "max" else -1
+    names = list(mdp.component_names)
+    every = [[sign * v for v in point] for point in totals(mdp, names)]
+    number = data.draw(st.integers(0, len(every) - 1))
+    choice = list(product(*(mdp.pairs_of(s) for s in range(mdp.n_states))))[number]
+    found = rationalize(mdp, mdp.pair_action[list(choice)])
+    assert found.violations() == []
+    leads = [[a - b for a, b in zip(p, every[number], strict=True)] for p in every]
+    weights = [found.weights[name] for name in names]
+    assert all(dot(weights, lead) <= 0 for lead in leads)
+    assert max(abs(w - 1) for w in weights) == found.change <= 1
+    size = len(names)
+    scaled = [[float(x / (max(map(abs, lead)) or 1)) for x in lead] + [0.0] for lead in leads]
+    near = [[*(s * np.eye(size)[k]), -1.0] for k in range(size) for s in (1, -1)]
+    least = linprog(
+        [0.0] * size + [1.0], np.array(scaled + near),
+        [0.0] * len(scaled) + [1.0, -1.0] * size, bounds=[(None, None)] * (size + 1),
+    )  # fmt: skip
+    assert float(found.change) == pytest.approx(least.fun, abs=1e-7)
+    for k, name in enumerate(names):
+        assert found.alone[name] == interval(leads, k)
+
+
+def dot(left: Any, right: Any) -> F:
+    return sum((a * b for a, b in zip(left, right, strict=True)), F(0))
+
+
+def interval(leads: list[list[F]], k: int) -> tuple[F, F | float] | None:
+    """All x ≥ 0 with x lead[k] + the rest ≤ 0 on every row."""
+    ends = [(lead[k], sum(lead, F(0)) - lead[k]) for lead in leads]
+    low = max([F(0), *(rest / -slope for slope, rest in ends if slope < 0)])
+    high = min([inf, *(-rest / slope for slope, rest in ends if slope > 0)])
+    closed = any(slope == 0 < rest for slope, rest in ends)
+    return None if closed or low > high else (low, high)
+
+
+def test_a_mixed_policy_and_one_that_is_never_right() -> None:
+    """Drawing between a good and a worse action is right where both are equally good."""
+    rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (0, 2, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
+    parts = {"gain": [6, 3, 2, 0], "effort": [-1, 0, 0, 0]}
+    mdp = MDP.from_outcomes(rows, components=parts)
+    drawn = rationalize(mdp, {"0": {"0": "1/2", "1": "1/2"}, "1": "0"})
+    assert (drawn.possible, drawn.change) == (True, F(1, 2))
+    never = rationalize(mdp, {"0": "2", "1": "0"})
+    assert (never.possible, never.change) == (False, 1)
+    assert set(never.weights.values()) == {F(0)} or never.weights["gain"] == 0
+    assert "no change below 1" in repr(never)
+    assert never.violations() == drawn.violations() == []
+
+
+def test_the_checker_notices() -> None:
+    scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    found = rationalize(scenario, "always:directive")
+    assert found.violations() == []
+    assert 0 < found.change < 1
+    best = rationalize(scenario, "optimal")
+    name, own = next((name, own) for name, own in best.intervals.items() if own.low)
+    assert own.low is not None
+    for broken in (
+        replace(found, change=found.change / 2),
+        replace(found, weights=dict.fromkeys(found.weights, F(1))),
+        replace(found, cuts=()),
+        replace(found, cuts=found.cuts[:-1]),
+        replace(found, dual=Values([v - 1 for v in found.dual.top], found.dual.below)),
+        replace(found, flow=best.flow),
+        replace(best, intervals={**best.intervals, name: replace(own, low=own.low / 2)}),
+        replace(best, intervals={**best.intervals, name: replace(own, low=None)}),
+        replace(best, intervals={**best.intervals, name: replace(own, cuts=())}),
+    ):
+        assert broken.violations()
+
+
+def test_the_command() -> None:
+    words = ("yuan2025", "always:directive", "--set", "tasks=[1]", "--set", "max_trial=2")
+    found = run("rationalize", *words, "--json").result
+    wanted = rationalize(
+        Scenario.load("yuan2025").with_(tasks=[1], max_trial=2), "always:directive"
+    )
+    assert (found["possible"], Fraction(found["change"])) == (wanted.possible, wanted.change)
+    assert {n: Fraction(w) for n, w in found["weights"].items()} == wanted.weights
+    assert found["alone"].keys() == wanted.alone.keys()
+    best = run("rationalize", "yuan2025", "optimal", *words[2:], "--json").result
+    assert best["change"] == "0"
+    assert best["alone"]["task-complete"] == ["0", "inf"]
+    assert "already" in run("rationalize", "yuan2025", "optimal", *words[2:]).out
