@@ -65,7 +65,7 @@ def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> 
     probabilities or action values, for all of them.
     """
     if "status" not in model.space.names:
-        return _from_states(model, entries, kind)
+        return from_states(model, entries, kind)
     space = StateSpace(columns=(model.space.column("status"),))
     rows: Rows = {}
     for label, choice in entries.items():
@@ -100,10 +100,10 @@ def from_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> 
                 fix="return an action, {action: probability}, or a row of A numbers",
             )
         asked[thing] = answer
-    return _from_states(model, asked, kind)
+    return from_states(model, asked, kind)
 
 
-def _from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> Parts:
+def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> Parts:
     """Return what is said of states: by number, name, column values, or the object itself."""
     space = model.space.untimed or model.space
     given: dict[int, Any] = {}

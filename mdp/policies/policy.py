@@ -368,8 +368,8 @@ class Policy(NDArrayOperatorsMixin):
             A policy; "random", "always:ACTION" or a file; {status: action}, or {state: action},
             {action: probability} or a row of A numbers in place of an action; a function of a
             state that returns one of these; an agent with `predict`, asked for its action in each
-            state by number; (S,) action numbers; a two-dimensional array of probabilities or
-            action values; anything with a `policy`.
+            state by number; (S,) action numbers or names; a two-dimensional array of probabilities
+            or action values; anything with a `policy`.
             Where the model stops after N steps (`MDP.within`), S may be the states without their
             time, and (N, S) and (N, S, A) depend on time.
         kind : "auto", "q" or "policy"
@@ -418,6 +418,9 @@ class Policy(NDArrayOperatorsMixin):
                 found = cls(**read(model, given, kind))
                 found.weights(model)
                 return found
+        if isinstance(given, list | tuple) and given and all(isinstance(x, str) for x in given):
+            with located("policy"):
+                return cls(**files.from_states(model, dict(enumerate(given)), kind))
         words = isinstance(given, str | Path)
         if not words and not isinstance(given, Policy):
             return cls(**_of_array(model, numbers_of(given), kind))

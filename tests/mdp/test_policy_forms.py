@@ -48,6 +48,7 @@ def test_every_form_of_a_policy_over_states(numbers: list[int]) -> None:
     rows = len(seen)
     forms = {
         "column": np.array(numbers)[:, None],
+        "names": names,
         "agent": Agent(numbers),
         "function to numbers": lambda s: numbers[s],
         "function to names": lambda s: names[s],
@@ -124,6 +125,8 @@ BAD: dict[str, tuple[Any, str]] = {
     "no number": (lambda s: 7, "unknown action 7"),
     "short rows": (lambda s: [1, 0], "a row of 2 numbers"),
     "no state": ({99: "DOWN"}, "state 99 is outside"),
+    "names missing": (["DOWN"] * 3, "rows are missing"),
+    "names of more": (["DOWN"] * 17, "state 16 is outside"),
     "states missing": ({0: "DOWN"}, "rows are missing"),
     "twice": ({0: "DOWN", "0": "UP"}, "appears twice"),
     "no agent": (Agent(np.full((16, 2), 1)), "predict answers"),
