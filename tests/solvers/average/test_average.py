@@ -98,6 +98,15 @@ def test_howards_taxicab() -> None:
     assert float(found.gain[0]) == pytest.approx(13.34454, abs=5e-6)
 
 
+def test_gain_and_bias_of_putermans_two_classes() -> None:
+    """Puterman, example 8.2.2, pages 345 and 346: its recurrent states."""
+    rows = [[1, 0, 0], [0, F(2, 5), F(3, 5)], [0, F(7, 10), F(3, 10)]]
+    found = proven(MDP.from_arrays([rows], [[2], [5], [4]]))
+    assert found.gain.tolist() == [2, F(59, 13), F(59, 13)]  # 4.538
+    assert found.bias.tolist() == [0, F(60, 169), F(-70, 169)]  # 0.354 and -0.416 from 4.538
+    assert [float(x) for x in found.bias] == pytest.approx([0, 0.354, -0.416], abs=2e-3)
+
+
 def test_periodic_chains_average_out() -> None:
     """Two states in turn, of rewards 0 and 4; from a third, a third of the runs earn 9 for ever."""
     rows = [[0, 1, 0, 0], [1, 0, 0, 0], ["2/3", 0, 0, "1/3"], [0, 0, 0, 1]]
