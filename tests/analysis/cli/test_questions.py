@@ -1,0 +1,153 @@
+"""The questions that every command takes: one model by hand, each answer worked out by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from cli_runner import run
+
+from exact_mdp.analysis.sensitivity import gradient, thresholds, tornado
+from exact_mdp.mdp import MDP, ModelError, moving
+from exact_mdp.solvers.learning.q_learning import QLearning
+
+# From `here`, walk gets home with chance 1/2 and else stays, at cost 1; fly is home at once, at
+# cost 3; swim costs 5 and drowns with chance 1/4. Home and the sea end it.
+LAND = MDP.from_outcomes(
+    [
+        (0, 0, [("1/2", 1, 1), ("1/2", 0, 1)]),
+        (0, 1, [(1, 1, 3)]),
+        (0, 2, [("3/4", 1, 5), ("1/4", 2, 5)]),
+        (1, 0, [(1, 1, 0)]),
+        (2, 0, [(1, 2, 0)]),
+        (3, 0, [("1/5", 0, 0), ("4/5", 2, 0)]),
+    ],
+    actions=["walk", "fly", "swim"],
+    states=["here", "home", "sea", "beach"],
+    labels={
+        "home": [False, True, False, False],
+        "over": [False, True, True, False],
+        "dry": [True, True, False, True],
+        "beach": [False, False, False, True],
+    },
+)
+HOME, OVER = ("--until", "home", "--minimize"), ("--until", "over", "--minimize")
+
+
+@pytest.fixture
+def land(tmp_path: Path) -> str:
+    LAND.save(tmp_path / "land.npz")
+    return str(tmp_path / "land.npz")
+
+
+@pytest.mark.parametrize(
+    ("words", "exact", "policy"),
+    [
+        (["--reach", "home"], "1", "walk"),
+        (["--reach", "home", "--minimize"], "3/4", "swim"),
+        (["--reach", "home", "--start", "beach"], "1/5", "walk"),
+        (["--reach", "home", "--allowed", "dry", "--start", "3", "--minimize"], "3/20", "swim"),
+        (HOME, "2", "walk"),
+        (["--until", "home"], "inf", "swim"),  # those who drown never arrive
+        ([*HOME, "--start", "beach"], "inf", None),
+        (OVER, "2", "walk"),
+        (["--until", "over"], "5", "swim"),
+        ([*HOME, "--discount", "1/2"], "4/3", "walk"),
+        (["--minimize", "--horizon", "3"], "7/4", None),
+    ],
+)
+def test_solve(land: str, words: list[str], exact: str, policy: str | None) -> None:
+    found = run("solve", land, *words, "--certify", "--json").result
+    assert found["exact_start_value"] == exact
+    assert found["sense"] == ("min" if "--minimize" in words else "max")
+    if policy:
+        assert found["policy_by_state"]["here"] == policy
+
+
+def test_other_commands(land: str) -> None:
+    """One policy against the question: its value, its returns, what it loses."""
+    mean = run("evaluate", land, "always:fly", *OVER, "--json").result["mean"]
+    assert mean == 3
+    returns = run("returns", land, "always:fly", *OVER, "--json").result["distribution"]
+    assert {float(value): chance for value, chance in returns.items()} == {3: 1}
+    lost = run("check", land, "always:fly", *OVER, "--start", "here", "--json")
+    assert (lost.status, lost.result["exact_regret"]) == (1, "1")
+    assert (lost.result["optimal_value"], lost.result["learned_value"]) == (2, 3)
+    assert lost.result["disagreements"][0]["optimal_actions"] == ["walk"]
+    drowned = run("check", land, "always:swim", "--reach", "home", "--json").result
+    assert drowned["exact_regret"] == "1/4"
+    info = run("info", land, "--json").result
+    assert info["labels"] == {"home": 1, "over": 2, "dry": 3, "beach": 1}
+    assert "home (1), over (2)" in run("info", land).out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--reach", "hom"], "did you mean home"),
+        (["--reach", "home", "--allowed", "beach"], "is not among the allowed states"),
+        (["--reach", "home", "--until", "home"], "two questions"),
+        (["--until", "home", "--reward", "time"], "no reward component 'time'"),
+        (["--reward", "time"], "--until LABEL"),
+        (["--allowed", "dry"], "--reach LABEL"),
+        (["--start", "nowhere"], "unknown state 'nowhere'"),
+    ],
+)
+def test_bad_questions(land: str, words: list[str], said: str) -> None:
+    done = run("solve", land, *words, "--json")
+    assert (done.status, done.out) == (2, "")
+    assert said in done.err
+
+
+# ---- sensitivity ---------------------------------------------------------------------------------
+
+
+def test_sensitivity_of_what_is_asked() -> None:
+    """The least probability of home falls by 1/4 · d/dp as the chance of drowning rises."""
+    words = ("--reach", "anger", "--minimize", "--parameter", "base.anger", "--json")
+    small = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=1")
+    most = run("sensitivity", small[0], "gradient", *small[1:], "--reach", "anger", *words[3:])
+    low = run("solve", *small, "--reach", "anger", "--set", "base.anger=499/10000", "--json")
+    high = run("solve", *small, "--reach", "anger", "--set", "base.anger=501/10000", "--json")
+    slope = (high.result["start_value"] - low.result["start_value"]) * 5000
+    assert most.result["derivatives"]["base.anger"] == pytest.approx(slope, rel=1e-4)
+    least = run("sensitivity", small[0], "gradient", *small[1:], *words).result
+    assert least["sense"] == "min"
+    assert least["start_value"] <= most.result["start_value"]
+
+
+def test_costs_vary_like_rewards_times_minus_one() -> None:
+    """Cost c of fly: 2 is optimal by walk up to c = 2, whose value is c below and 2 above."""
+    costs = LAND.with_(sense="min").until("over")
+    family = moving(costs, {}, {"fare": 3, "step": 1})
+    today = gradient(family, names=["fare", "step"])
+    assert (today.start.value, today["step"].value.value) == (2, 2)
+    assert today["fare"].value.value == 0
+    (switch,) = thresholds(family, "fare", (1, 4)).found
+    assert switch.value == pytest.approx(2)
+    assert [s.label for s in switch.switches] == ["state here"]
+    (bar,) = tornado(family, names=["fare"], ranges={"fare": (1, 4)}).bars
+    assert [end.optimal.value for end in (bar.low, bar.high)] == pytest.approx([1, 2])
+    assert [end.regret.value for end in (bar.low, bar.high)] == pytest.approx([1, 0])
+
+
+@pytest.mark.parametrize("kind", ["psa", "sobol", "morris"])
+def test_draws_take_rewards_alone(kind: str) -> None:
+    words = ("yuan2025", kind, "--set", "tasks=[1]", "--reach", "anger", "--minimize", "--json")
+    done = run("sensitivity", *words)
+    assert (done.status, done.out) == (2, "")
+    assert "costs" in done.err
+
+
+def test_robust_values_of_costs() -> None:
+    small = ("yuan2025", "robust", "--set", "tasks=[1]", "--reach", "anger", "--radius", "1/10")
+    least = run("sensitivity", *small, "--minimize", "--policy", "always:none", "--json").result
+    assert least["worst_case"]["value"] >= least["best_case"]["value"]
+    assert least["worst_case_gain"]["value"] >= 0
+    assert least["price_of_robustness"]["value"] <= 0  # held: a policy that is not the best
+
+
+def test_learners_take_rewards_alone() -> None:
+    costs = LAND.with_(sense="min")
+    with pytest.raises(ModelError, match="takes rewards to maximise"):
+        QLearning().train(costs, 0)
