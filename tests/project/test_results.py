@@ -16,7 +16,14 @@ import pytest
 from matplotlib.axes import Axes
 
 from exact_mdp import analysis, paper_repro, solvers
-from exact_mdp.analysis import best_policy, check, compare, tradeoff, value_function
+from exact_mdp.analysis import (
+    best_policy,
+    check,
+    compare,
+    rationalize,
+    tradeoff,
+    value_function,
+)
 from exact_mdp.analysis.learning import instability
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
@@ -113,6 +120,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Prediction": lambda: instability.predict(care(), LEARNER, episodes=50, n=4),
     "PriceOfPerception": lambda: price_of_perception(care(), ROUGH, tol=1),
     "ReturnDistribution": lambda: return_distribution(care(), "random"),
+    "Rationalization": lambda: rationalize(care(), "always:directive"),
     "Robust": lambda: robust(care()),
     "RobustCurve": lambda: robust_curve(care(), "l1", [0, 0.1]),
     "RobustSolution": lambda: solve_robust(care(), Intervals.relative(care(), 0.1)),
