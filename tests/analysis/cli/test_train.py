@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cli_runner import run, strict
 
-from exact_mdp.mdp import Policy, Scenario
+from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.sampler import child
@@ -166,9 +166,13 @@ def test_bad_options_are_refused(words: tuple[str, ...], message: str) -> None:
     assert "fix:" in done.err
 
 
-def test_a_model_that_cannot_be_judged_is_refused_before_the_work() -> None:
-    done = run("train", "gymnasium:CliffWalking-v1", "--epochs", 10**6, "--json")
+def test_a_model_that_cannot_be_judged_is_refused_before_the_work(tmp_path: Path) -> None:
+    """Going to and fro for ever earns 1, 0, 1, 0, …: there is no total to compare with."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 2, -5)]), (1, 0, [(1, 0, -1)]), (2, 0, [(1, 2, 0)])]
+    MDP.from_outcomes(rows).save(tmp_path / "swing.npz")
+    done = run("train", tmp_path / "swing.npz", "--epochs", 10**6, "--json")
     assert (done.status, done.out) == (2, "")
+    assert "no limit" in done.err
 
 
 def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path) -> None:
