@@ -404,33 +404,37 @@ class Policy(NDArrayOperatorsMixin):
                 return cls(**_of_array(model, array, kind))
         given: Any = policy
         if not isinstance(given, Policy) and callable(getattr(given, "predict", None)):
-            return cls(**_of_array(model, _predicted(model, given.predict), "auto"))
-        if not isinstance(given, Policy) and hasattr(given, "policy"):
+            given = _predicted(model, given.predict)
+        elif not isinstance(given, Policy) and hasattr(given, "policy"):
             if hasattr(given, "q") and callable(given.policy):
                 kind = "q" if kind == "auto" else kind
                 return cls(**_of_array(model, numbers_of(given.q), kind))
             given = given.policy if isinstance(given.policy, np.ndarray | Policy) else given
-        if isinstance(given, Mapping) or (callable(given) and not isinstance(given, Policy)):
-            with located("policy"):
-                read: Any = (
-                    files.from_mapping if isinstance(given, Mapping) else files.from_function
-                )
-                found = cls(**read(model, given, kind))
-                found.weights(model)
-                return found
-        if isinstance(given, list | tuple) and given and all(isinstance(x, str) for x in given):
-            with located("policy"):
-                return cls(**files.from_states(model, dict(enumerate(given)), kind))
-        words = isinstance(given, str | Path)
-        if not words and not isinstance(given, Policy):
+        if isinstance(given, Policy):
+            found = given
+        elif isinstance(given, str | Path):
+            found = cls._of_words(model, given, kind)
+        elif isinstance(given, Mapping):
+            found = cls._of_states(model, files.from_mapping, given, kind)
+        elif callable(given):
+            found = cls._of_states(model, files.from_function, given, kind)
+        elif isinstance(given, list | tuple) and given and all(isinstance(x, str) for x in given):
+            found = cls._of_states(model, files.from_states, dict(enumerate(given)), kind)
+        else:
             return cls(**_of_array(model, numbers_of(given), kind))
-        found = cls._of_words(model, given, kind) if words else given
         if kind == "q" and found.read_as != "q":
             raise ModelError(
                 "this is a policy, not a Q-table",
                 where="policy",
                 fix="leave kind out, or give an array of action values, or a file of one",
             )
+        return found
+
+    @classmethod
+    def _of_states(cls, model: MDP, read: Callable[..., Parts], given: Any, kind: str) -> Policy:
+        with located("policy"):
+            found = cls(**read(model, given, kind))
+            found.weights(model)
         return found
 
     @classmethod

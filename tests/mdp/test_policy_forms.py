@@ -144,6 +144,12 @@ def test_what_is_no_policy(name: str) -> None:
     assert caught.value.fix
 
 
+@pytest.mark.parametrize("form", [Agent([0] * 16), lambda s: 0, ["UP"] * 16, {0: 1}])
+def test_what_is_no_q_table(form: Any) -> None:
+    with pytest.raises(ModelError):
+        Policy.of(LAKE, form, kind="q")
+
+
 def test_an_agent_of_the_environment_itself() -> None:
     """Directions by name are those that the environment moves in."""
     env = gymnasium.make("FrozenLake-v1", is_slippery=False).unwrapped
