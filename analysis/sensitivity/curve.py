@@ -34,6 +34,7 @@ from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
+from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 pandas = later("pandas")
 Bracket = tuple[Fraction, Fraction]
+DISCOUNT, NEARLY_ONE = "discount", 1 - Fraction(1, 2**40)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +122,8 @@ class ValueFunction(Pictured):
         In rising order; each begins in the bracket in which the one before ends.
     mdp : MDP
         The model today.
+    family : Parametric
+        The models at all values; those that maximise, of a model of costs.
     chain : PolicyChain or None
         The policy held fixed, in the model today.
     checked : int or None
@@ -130,6 +134,7 @@ class ValueFunction(Pictured):
     range: Range
     pieces: tuple[CurvePiece, ...]
     mdp: MDP
+    family: Parametric
     chain: PolicyChain | None = None
     checked: int | None = None
 
@@ -180,6 +185,28 @@ class ValueFunction(Pictured):
         chain = None if self.chain is None else replace(self.chain, mdp=mdp)
         return replace(self, pieces=pieces, mdp=mdp, chain=chain)
 
+    def violations(self) -> list[str]:
+        """Return what does not hold of the function, in words: nothing where it is sound.
+
+        Each piece is held against certificates of the model at both its ends and in the middle,
+        which a checker reads that knows no solver: the value, and that the pairs are optimal.
+        """
+        wrong, end = list[str](), self.range.low
+        sign = 1 if self.mdp.sense == self.family.at({}).sense else -1
+        for piece in self.pieces:
+            low, high = piece.low[1], piece.high[0]
+            if piece.low[0] > end or high < low:
+                wrong.append(f"no piece covers {shown(end)}")
+            end = piece.high[1]
+            for at in (low, (low + high) / 2, high):
+                proof = certify(self.family.at({self.parameter.name: at}))
+                wrong += proof.violations()
+                if sign * piece.value.at(at) != proof.start_value:
+                    wrong.append(f"the value at {shown(at)} is another one")
+                if (piece.optimal & ~proof.optimal_pairs).any():
+                    wrong.append(f"a pair is not optimal at {shown(at)}")
+        return wrong if end >= self.range.high else [*wrong, f"no piece covers {shown(end)}"]
+
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
         return pandas.DataFrame(
@@ -212,9 +239,10 @@ def value_function(
     name : str
         The parameter; the others are held.
     ranges : (low, high) or {name: (low, high)}, optional
-        Today's value ± 20 % unless given, within what the model admits.
+        Everything that the parameter may be unless given; where that is open, today's value
+        ± 100 %. A discount goes up to 1 - 2^-40 where there are no values at 1.
     relative : number, optional
-        Another share than 20 %.
+        Today's value ± this share instead.
     policy : PolicyLike, optional
         A policy held fixed, whose value is followed, too.
 
@@ -240,7 +268,9 @@ def value_function(
         given = None if policy is None else held
         found = value_function(rewards, name, ranges, relative=relative, policy=given)
         return found.negated(family.at({}))
-    span = range_of(family, name, ranges, relative)
+    span = range_of(family, name, ranges, "whole" if relative is None else relative)
+    if name == DISCOUNT and ranges is None and relative is None and span.high < 1:
+        span = Range(low=span.low, high=NEARLY_ONE)
     mdp, sections = family.at({}), sections_of(family, name, span)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
     return ValueFunction(
@@ -248,6 +278,7 @@ def value_function(
         range=span,
         pieces=tuple(piece for section in sections for piece in _pieces(section, chain)),
         mdp=mdp,
+        family=family,
         chain=chain,
         checked=next((c for e in sections if (c := e.rows.change.checked) is not None), None),
     )

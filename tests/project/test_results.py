@@ -42,6 +42,7 @@ from exact_mdp.analysis.sensitivity import (
     tornado,
     two_way,
 )
+from exact_mdp.analysis.sensitivity.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
@@ -99,6 +100,7 @@ MADE: dict[str, Callable[[], object]] = {
     "BoxExtreme": lambda: box_extreme(SMALL, "optimal", {"base.anger": ("1/25", "3/50")}),
     "BoxOptimum": lambda: box_optimum(SMALL, {"base.anger": ("1/25", "3/50")}),
     "Certificate": lambda: certify(care()),
+    "Blackwell": lambda: blackwell(SMALL),
     "Comparison": lambda: instability.compare(np.array([0.5, 0.5]), np.array([3, 5])),
     "ConstrainedSolution": lambda: solve(care(), subject_to={"anger": ">= -50"}),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),

@@ -70,6 +70,11 @@ KINDS = MappingProxyType(
             about="thresholds are those of the optimal policy, re-optimised knowing the status; "
             "a perception makes another policy of one held fixed",
         ),
+        "curve": Kind(
+            does="curve:curve_report",
+            uses=RANGES,
+            about="it follows the optimum over all that one parameter may be, unless given a range",
+        ),
         "psa": Kind(
             does="psa:psa_report",
             uses=NAMES | HELD | DRAWN | {"range_file", "effective_sample_size"},

@@ -1,0 +1,91 @@
+"""The kind curve: the optimal value at the start as an exact function of one parameter."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.analysis.cli.render import Report, Table
+from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, stated_ranges
+from exact_mdp.analysis.cli.solve import policy_words
+from exact_mdp.analysis.sensitivity.blackwell import blackwell
+from exact_mdp.analysis.sensitivity.curve import Bracket, CurvePiece, value_function
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+
+
+def curve_report(asked: Asked) -> Report:
+    """Return the pieces of the function, and the Blackwell optimal policy for the discount."""
+    names: tuple[str, ...] = asked["parameters"] or ()
+    if len(names) != 1:
+        raise ModelError(
+            f"{len(names)} parameters", where="sensitivity curve", fix="name one: --parameter NAME"
+        )
+    (name,) = names
+    stated = any(asked[option] for option in STATED)
+    ranges = stated_ranges(asked.model, asked.options) if stated else None
+    found = value_function(asked.model, name, ranges)
+    mdp = found.mdp
+    pieces = [_piece(mdp, piece) for piece in found.pieces]
+    result: dict[str, Any] = {"parameter": name, "claim": found.claim, "pieces": pieces}
+    facts: dict[str, Any] = {
+        "parameter": name,
+        "today": float(found.parameter.value),
+        "pieces": len(pieces),
+        "claim": found.claim,
+    }
+    if name == "discount":
+        last = blackwell(asked.model)
+        start = _point((last.low, last.high))
+        result["blackwell"] = {
+            "from": start,
+            "bracket": [last.low, last.high],
+            **_policy(mdp, last.optimal),
+        }
+        facts["Blackwell optimal policy"] = f"optimal for all discounts from {float(start):.10g} on"
+    table = Table(
+        title="pieces of the optimal value at the start",
+        rows=found.frame(),
+        columns={
+            "from": "low:.10g",
+            "to": "high:.10g",
+            "value from": "value_low:.10g",
+            "value to": "value_high:.10g",
+            "degree": "degree",
+        },
+        note="each is a ratio of polynomials, whose exact coefficients --json prints",
+    )
+    return Report(result=result, facts=facts, tables=[table])
+
+
+def _piece(mdp: MDP, piece: CurvePiece) -> dict[str, Any]:
+    return {
+        "from": _point(piece.low),
+        "to": _point(piece.high),
+        "from_bracket": list(piece.low),
+        "to_bracket": list(piece.high),
+        "numerator": list(piece.value.numerator),
+        "denominator": list(piece.value.denominator),
+        **_policy(mdp, piece.optimal),
+    }
+
+
+def _point(bracket: Bracket) -> Fraction:
+    """Return a fraction of small denominator between two ends; the end, where they are equal."""
+    low, high = bracket
+    middle, most = (low + high) / 2, 1
+    while True:
+        near = middle.limit_denominator(most)
+        if low <= near <= high:
+            return near
+        most *= 10
+
+
+def _policy(mdp: MDP, optimal: Any) -> dict[str, Any]:
+    """Return the first optimal action of each state, by status where there are such."""
+    marked = np.flatnonzero(optimal)
+    first = marked[np.flatnonzero(np.diff(mdp.pair_state[marked], prepend=-1))]
+    words = policy_words(mdp, [mdp.actions[action] for action in mdp.pair_action[first]])
+    return {"policy": words["policy"] or words["policy_by_state"]}
