@@ -147,7 +147,9 @@ class Audit(Pictured):
     @property
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
-        best = self.regret.optimal
+        best, lost = self.regret.optimal, float(self.value.value)
+        if not (np.isfinite(float(best.value)) and np.isfinite(lost)):
+            return lost if np.isfinite(float(best.value)) and best.value else None
         low, high = (best.value, best.value) if isinstance(best, Certified) else best.interval
         if low <= 0 <= high:
             return None
@@ -256,14 +258,15 @@ class Audit(Pictured):
     def representation(self) -> Representation | None:
         """What the policy's columns cannot express.
 
-        None where it reads the whole state, or where floating point cannot bound the values that
-        the search needs (`unexplained`); the verdict does not depend on it.
+        None where it reads the whole state, where some policy never ends at discount 1, or where
+        floating point cannot bound the values that the search needs (`unexplained`). The verdict
+        does not depend on it.
         """
         if self._reads_all:
             return None
         try:
             return representation(self.mdp, self.policy, self.regret)
-        except SolverError:
+        except (SolverError, ModelError):
             return None
 
     @property

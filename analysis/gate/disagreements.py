@@ -80,10 +80,14 @@ class Disagreement:
 def own_visits(chain: PolicyChain, *, exact: bool) -> tuple[Floats, bool]:
     """Return the visits (S,) of a policy from the start, and whether they are from floats.
 
-    They are exactly 0 in states that are not reached. Rational arithmetic takes over where floats
+    They are exactly 0 in states that are not reached, and infinite where the policy stays for ever
+    at discount 1, the end left out. Rational arithmetic takes over where floats
     cannot bound them, if `exact` allows it: where the regret is certified, it is quick enough.
     Otherwise this raises SolverError.
     """
+    if chain.mdp.discount_exact == 1 and not chain.ends_from_start:
+        found = np.where(chain.reached, visits(chain.mdp, chain.undiscounted).value, 0.0)
+        return np.where(chain.reached & chain.stuck, np.inf, found), False
     try:
         found = visits(chain.mdp, chain.discounted).value
     except SolverError:
@@ -107,14 +111,16 @@ def disagreements(
     states = np.flatnonzero(wrong & ~mdp.terminal)
     if not len(states):
         return ()
-    cost = visited * gap
+    cost = np.where(gap > 0, visited, 0.0) * np.where(visited > 0, gap, 0.0)
     states = states[np.lexsort((states, -gap[states], -cost[states]))]
     best = policy_taking(mdp, found.optimal_pairs)
     cheap = levels(mdp) is not None or mdp.n_states <= LARGE
     changed = states if cheap else states[:PRICED]
-    others, floats = own_visits(best, exact=isinstance(found.at_start, Certified))
     prices: Iterator[tuple[float, float]] = iter(())
-    if priced and floats:
+    others, floats = visited, False
+    if priced:
+        others, floats = own_visits(best, exact=isinstance(found.at_start, Certified))
+    if floats:
         corrected = _changes(chain, found.learned_value, visited, best, changed)
         losses = -_changes(best, found.optimal_value, others, chain, changed)
         prices = zip(corrected.tolist(), losses.tolist(), strict=True)

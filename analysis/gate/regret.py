@@ -53,11 +53,13 @@ from exact_mdp.solvers.bounds.bounds import Bounds, bounds
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.policy_iteration import improved
+from exact_mdp.solvers.endless.total import endless
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.unending import model_of
 
 
 def proven(mdp: MDP) -> Certificate:
@@ -174,6 +176,8 @@ def regret(
 
     The model is one of rewards: of costs give `mdp.maximised`, and negate what comes back.
     """
+    if endless(mdp):
+        exact = True  # bounds are of models in which every policy ends
     if exact is None:
         exact = cheap(mdp) if optimum is None else isinstance(optimum, Certificate)
     if not exact:
@@ -192,6 +196,8 @@ def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
 
 
 def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
+    if endless(mdp):
+        return _without_end(mdp, chain, best)
     own = best if best.optimal_pairs[chain.pairs].all() else exact_policy(chain)
     optimal, gap = _gaps(mdp, best)
     return Regret(
@@ -206,6 +212,45 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         gap=gap,
         optimum=best,
         forgiveness=exact_forgiveness(mdp, chain, own, best),
+    )
+
+
+def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
+    """Return the regret at discount 1 where some policy never ends; nothing is forgiven.
+
+    A pair that keeps the value of a state need not attain it, so that the policy is judged by its
+    own model, in which it is the only one.
+    """
+    own = proven(model_of(chain))
+    value, mine = best.value_float, own.value_float
+    same = best.value == own.value  # infinite ones, too
+    with np.errstate(invalid="ignore"):
+        by_state = np.where(same, 0.0, value - mine)
+        known = np.where(np.isfinite(value), value, 0.0)
+        gap = -gains(mdp, known).value
+        # A pair that may lead to an infinite value is optimal, or loses all.
+        gap[mdp.transition @ ~np.isfinite(value) > 0] = inf
+    lost: Fraction | float = Fraction(0)
+    if best.start_value != own.start_value:
+        lost = inf
+        if isinstance(best.start_value, Fraction) and isinstance(own.start_value, Fraction):
+            lost = best.start_value - own.start_value
+    # What keeps a value without attaining it is found where the policy stays for ever.
+    optimal = np.array(best.optimal_pairs)
+    others = np.add.reduceat(optimal.astype(np.int64), mdp.pair_offsets[:-1]) > 1
+    optimal[(chain.stuck & (by_state > 0) & others)[mdp.pair_state] & (chain.chosen > 0)] = False
+    return Regret(
+        optimal=best.start,
+        learned=own.start,
+        at_start=Certified(value=lost),
+        optimal_value=value,
+        learned_value=mine,
+        by_state=by_state,
+        optimal_pairs=optimal,
+        unclear=np.zeros(mdp.n_pairs, dtype=bool),
+        gap=np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0)),
+        optimum=best,
+        forgiveness=Forgiveness(low=Fraction(0), high=Fraction(0)),
     )
 
 

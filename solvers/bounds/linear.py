@@ -215,6 +215,8 @@ def at_start(mdp: MDP, found: FixedPoint) -> Bounded:
     states = np.flatnonzero(mdp.start_distribution)
     weights = mdp.start_distribution[states]
     value, error = found.value[states], found.error[states]
+    if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
+        return Bounded(value=float(weights @ value), error=0.0)
     rounding = 0.0 if weights.tolist() == [1.0] else float(gamma(len(states) + 3))
     bound = float(weights @ (error + rounding * np.abs(value))) * SLACK
     return Bounded(value=float(weights @ value), error=bound)

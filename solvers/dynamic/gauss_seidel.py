@@ -57,4 +57,5 @@ class GaussSeidel:
         for found in run:
             run.values.take(found)
             run.values.relax(backward=run.iteration % 2 == 0)
+            run.hurry()
         return run.solution

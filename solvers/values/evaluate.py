@@ -36,6 +36,7 @@ from exact_mdp.solvers.solution import Bounded, Claim, SolverError
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution, times
+from exact_mdp.solvers.values.unending import arrives, model_of, rested
 from exact_mdp.solvers.values.visits import ever, pair_visits, steps, visits
 
 if TYPE_CHECKING:
@@ -56,8 +57,13 @@ class Evaluation(Pictured):
     chain : PolicyChain
         The model under the policy.
     value, error : (S,)
-        Mean return from every state, and how far it may be from the exact one. NaN and infinity at
-        discount 1 in states from which the policy may not end; no episode comes there.
+        Mean return from every state, and how far it may be from the exact one. Where every episode
+        ends at discount 1, NaN and infinity in states from which the policy may not end; no episode
+        comes there. Else the total reward, which may be infinite.
+    ends : bool
+        True where every episode ends with probability 1.
+    settled : bool
+        False where an episode may go on for ever and earn: then only the mean is known.
 
     Examples
     --------
@@ -72,6 +78,8 @@ class Evaluation(Pictured):
     chain: PolicyChain
     value: Floats
     error: Floats
+    ends: bool = True
+    settled: bool = True
 
     claim: ClassVar[Claim] = Claim.BOUNDED
     picture = "exact_mdp.analysis.plots.states:plot_evaluation"
@@ -144,7 +152,7 @@ class Evaluation(Pictured):
             return {mdp.component_names[0]: self.start}
         try:
             found = self._discounted
-        except SolverError:
+        except (SolverError, ModelError):
             return dict.fromkeys(mdp.component_names, UNKNOWN)
         share = np.where(mdp.terminal[mdp.pair_state], 0.0, chain.weights)
         used, doubt = found.value[mdp.pair_state] * share, found.error[mdp.pair_state] * share
@@ -227,6 +235,8 @@ class Evaluation(Pictured):
         return _known(self._variance_at_start)
 
     def _variance_at_start(self) -> Bounded:
+        if not self.settled:
+            return UNKNOWN
         within = at_start(self.mdp, self._variance)
         if np.count_nonzero(self.mdp.start_distribution) == 1:
             return within
@@ -278,11 +288,6 @@ class Evaluation(Pictured):
     # ---- visits ------------------------------------------------------------------------------
 
     @property
-    def ends(self) -> bool:
-        """True where every episode ends with probability 1."""
-        return self.chain.ends_from_start
-
-    @property
     def steps(self) -> float:
         """Expected number of timesteps until a terminal state; infinite where it may not come.
 
@@ -322,6 +327,12 @@ class Evaluation(Pictured):
 
     @cached_property
     def _discounted(self) -> FixedPoint:
+        if not self.settled:
+            raise ModelError(
+                "the policy goes on for ever, so that visits have no number",
+                where="visits",
+                fix='choose a discount below 1, a horizon, or criterion="average"',
+            )
         return visits(self.mdp, self.chain.discounted)
 
     # ---- events ------------------------------------------------------------------------------
@@ -412,7 +423,8 @@ def evaluate(
     Raises
     ------
     ModelError
-        At discount 1 where an episode may never end. Policies that are not evaluated may well.
+        At discount 1 where a policy goes on for ever and its total has no limit
+        (`solvers.endless.structure`).
     SolverError
         Where double precision cannot bound the error.
 
@@ -434,9 +446,18 @@ def evaluate(
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
+    ends = chain.ends_from_start
+    if mdp.discount_exact == 1 and not arrives(chain):
+        try:
+            chain = rested(chain)
+        except ModelError:
+            alone = solve(model_of(chain))
+            return Evaluation(
+                chain=chain, value=alone.value, error=alone.state_error, ends=ends, settled=False
+            )
+        mdp = chain.mdp
     live = ~mdp.terminal
     if mdp.discount_exact == 1:
-        chain.require_end()
         live &= chain.ends
     with np.errstate(over="ignore"):  # what is beyond the floats is refused as it is solved for
         reward = np.add.reduceat(chain.weights * mdp.reward, mdp.pair_offsets[:-1])
@@ -448,4 +469,4 @@ def evaluate(
     value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)
     value.setflags(write=False)
     bound.setflags(write=False)
-    return Evaluation(chain=chain, value=value, error=bound)
+    return Evaluation(chain=chain, value=value, error=bound, ends=ends)

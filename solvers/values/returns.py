@@ -36,6 +36,7 @@ from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
+from exact_mdp.solvers.values.unending import rested
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -196,8 +197,8 @@ def return_distribution(
     Raises
     ------
     ModelError
-        Below discount 1; where an episode may never end; where there are too many different
-        returns; where `max_sweeps` do not suffice.
+        Below discount 1; where an episode may go on for ever and earn; where there are too many
+        different returns; where `max_sweeps` do not suffice.
 
     Examples
     --------
@@ -218,7 +219,7 @@ def return_distribution(
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
-    chain.require_end()
+    chain = rested(chain)
     gain, unit = _lattice(chain)
     flow = Flow.of(chain, gain)
     if exact:

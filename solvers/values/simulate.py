@@ -29,6 +29,7 @@ from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.returns import times
+from exact_mdp.solvers.values.unending import rested
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -153,7 +154,8 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 where an episode may never end, or takes longer.
+        For no episodes or no seed; at discount 1 where an episode may go on for ever and earn, or
+        takes longer.
 
     Examples
     --------
@@ -166,7 +168,8 @@ def simulate(
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
     endless = mdp_of(model)
     mdp = endless if horizon is None else endless.within(horizon)
-    chain = PolicyChain.of(mdp, policy, kind=kind)
+    chain = rested(PolicyChain.of(mdp, policy, kind=kind))
+    mdp = chain.mdp
     limit, size = _longest(chain, horizon if max_steps is None else max_steps)
     first, cumulative = _cumulative(chain)
     following, gain, event = chain.table.next, chain.gain, chain.table.event
@@ -215,7 +218,6 @@ def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
     if mdp.discount_exact == 1:
-        chain.require_end()
         return (inf if max_steps is None else max_steps), size
     if max_steps is not None:
         return max_steps, size

@@ -94,6 +94,27 @@ def models(draw: st.DrawFn, *, discounts: Sequence[Fraction] = (*DISCOUNTS, F(1)
     return Rows(n_states=n_states, pairs=tuple(pairs), discount=discount)
 
 
+ENDLESS_REWARDS = ([0, 0, 1], [0, 0, -1], [0, 1, -1], [0], [-2, -1, 0, 1, F(1, 2)], [1, -1])
+Pairs = tuple[int, tuple[Row, ...]]  # the number of states, and rows
+
+
+@st.composite
+def any_models(draw: st.DrawFn, most: int = 6) -> Pairs:
+    """Draw a model of any kind: end components, rewards of either sign, absorbing states."""
+    size = draw(st.integers(1, most))
+    rewards = draw(st.sampled_from(ENDLESS_REWARDS))
+    pairs: list[Row] = []
+    for s in range(size):
+        for a in range(draw(st.integers(1, 2 if size > 4 else 3))):
+            reward = F(draw(st.sampled_from(rewards)))
+            one = draw(st.booleans())
+            row = (
+                {draw(st.integers(0, size - 1)): F(1)} if one else draw(distributions(range(size)))
+            )
+            pairs.append((s, a, reward, row))
+    return size, tuple(pairs)
+
+
 def exact_values(value: np.ndarray) -> list[Fraction]:
     return [F(float(x)) for x in value]
 

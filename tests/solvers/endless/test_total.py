@@ -2,38 +2,21 @@
 
 from dataclasses import replace
 from fractions import Fraction as F
+from itertools import product
 from math import inf
 
 import numpy as np
 import pytest
+from cases import BY_NAME
 from endless_oracle import best, reaching, total
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from strategies import Row, distributions, model_of
+from strategies import Pairs, Row, any_models, model_of
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers import certify, solve
 from exact_mdp.solvers.proof.certificate import Certificate
-
-REWARDS = ([0, 0, 1], [0, 0, -1], [0, 1, -1], [0], [-2, -1, 0, 1, F(1, 2)], [1, -1])
-Pairs = tuple[int, tuple[Row, ...]]
-
-
-@st.composite
-def any_models(draw: st.DrawFn, most: int = 6) -> Pairs:
-    """Draw a model of any kind: end components, rewards of either sign, absorbing states."""
-    size = draw(st.integers(1, most))
-    rewards = draw(st.sampled_from(REWARDS))
-    pairs: list[Row] = []
-    for s in range(size):
-        for a in range(draw(st.integers(1, 2 if size > 4 else 3))):
-            reward = F(draw(st.sampled_from(rewards)))
-            one = draw(st.booleans())
-            row = (
-                {draw(st.integers(0, size - 1)): F(1)} if one else draw(distributions(range(size)))
-            )
-            pairs.append((s, a, reward, row))
-    return size, tuple(pairs)
+from exact_mdp.solvers.solution import PrecisionWarning
 
 
 def chain_of(size: int, pairs: tuple[Row, ...], policy: np.ndarray) -> tuple:
@@ -138,6 +121,38 @@ def test_the_policy_does_not_rest_where_resting_is_worth_less(tmp_path) -> None:
         again = Certificate.load(tmp_path / "proof.json")
         assert again.violations(mdp) == []
         assert again.value.tolist() == found.value.tolist()
+
+
+def test_a_bandit_with_dead_ends() -> None:
+    # Ghallab, Nau and Traverso, Automated Planning and Acting, figure 6.1, as in markkho/msdm,
+    # tests/domains, DeadEndBandit: pull the odd one of three letters; bbb and ccc end it, aaa not.
+    states = ["".join(word) for word in product("abc", repeat=3)]
+    number = {word: i for i, word in enumerate(states)}
+    rows = []
+    for word, s in number.items():
+        if len({*word}) == 1:
+            rows.append((s, 0, [(1, s, -1 if word == "aaa" else 0)]))
+            continue
+        for place in range(3):
+            if word.count(word[place]) == 1:
+                after = [word[:place] + letter + word[place + 1 :] for letter in "abc"]
+                rows.append((s, place, [(F(1, 3), number[each], -1) for each in after]))
+    mdp = MDP.from_outcomes(rows, start={number["abc"]: 1}, states=states)
+    found, floats = certify(mdp), solve(mdp)
+    known = {"abc": F(-9, 2), "bab": -3, "ccb": -3, "bbb": 0, "aaa": -inf, "aab": -inf}
+    assert {word: found.value[number[word]] for word in known} == known
+    assert found.violations() == []
+    close(mdp, found.value, floats)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["auto", "value-iteration", "gauss-seidel"])
+def test_a_chain_that_falls_back_again_and_again_is_solved(solver: str) -> None:
+    case = BY_NAME["reset-chain-20-1/2-goal"]
+    mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
+    with pytest.warns(PrecisionWarning):
+        found = solve(mdp, solver)
+    assert abs(found.start_value - 0.5) <= found.start.error < 1e-8
 
 
 @pytest.mark.parametrize(

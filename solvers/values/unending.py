@@ -1,0 +1,131 @@
+"""Policies that never end, at discount 1: those that come to rest, and the model of any other.
+
+A policy has come to rest in states that it never leaves and in which nothing is earned, nor any
+event happens. These count as ends for its return, of which nothing else is changed; only its steps
+have no end. What any other policy is worth, finite or not, is the optimum of the model in which
+there is nothing else to do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from exact_mdp.mdp.components import ComponentTable
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Numbers
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure
+
+csgraph = later("scipy.sparse.csgraph")
+SILENT = ("gain", "gain_doubt")
+
+
+def arrives(chain: PolicyChain) -> bool:
+    """Return whether every episode ends, and not beside a goal."""
+    mdp = chain.mdp
+    beside = mdp.goal is not None and bool((chain.reached & mdp.terminal & ~mdp.goal).any())
+    return chain.ends_from_start and not beside
+
+
+def rested(chain: PolicyChain) -> PolicyChain:
+    """Return the chain with an end where it comes to rest, or itself where every episode ends.
+
+    Raises ModelError where an episode may neither end nor come to rest, or misses a goal.
+    """
+    mdp = chain.mdp
+    if mdp.discount_exact != 1 or arrives(chain):
+        return chain
+    rest = _resting(chain)
+    if mdp.goal is not None or (chain.reached & chain.stuck & ~_surely(chain, rest)).any():
+        raise ModelError(
+            "the policy may go on for ever, and what it earns has no distribution",
+            where=_where(chain),
+            fix="choose a discount below 1, stop after N steps (--horizon "
+            f"{mdp.time_limit or 'N'}); evaluate() gives the mean, which may be infinite",
+        )
+    return PolicyChain(mdp=_ended(mdp, rest), chosen=chain.chosen, policy=chain.policy)
+
+
+def model_of(chain: PolicyChain) -> MDP:
+    """Return the model in which the policy's choices are the only ones."""
+    mdp = chain.mdp
+    if len(chain.pairs) == mdp.n_states:
+        return mdp.with_(
+            table=mdp.table.of_pairs(chain.pairs),
+            pair_state=mdp.pair_state[chain.pairs],
+            pair_action=mdp.pair_action[chain.pairs],
+        )
+    rows = []
+    for state in range(mdp.n_states):
+        taken = chain.exact_weights(state).items()
+        outcomes = [(w * p, t, r) for pair, w in taken for p, t, r in mdp.table.row(pair)]
+        rows.append((state, 0, outcomes))
+    return replace(
+        MDP.from_outcomes(rows, start=dict(mdp.start), actions=["mixed"]),
+        space=mdp.space,
+        sense=mdp.sense,
+        goal=mdp.goal,
+        unreached=mdp.unreached,
+    )
+
+
+def _resting(chain: PolicyChain) -> Mask:
+    """Return (S,) True in recurrent classes without any reward or event."""
+    graph = chain.graph
+    _, label = csgraph.connected_components(graph, directed=True, connection="strong")
+    busy = (chain.gain != 0) & ~chain.mdp.terminal[chain.source]
+    if chain.table.event is not None:
+        busy |= chain.table.event != 0
+    source, target = chain.source, chain.table.next
+    out = np.zeros(int(label.max()) + 1, dtype=bool)
+    out[label[source[busy | (label[source] != label[target])]]] = True
+    return np.asarray(~out[label])
+
+
+def _surely(chain: PolicyChain, rest: Mask) -> Mask:
+    """Return (S,) True where the policy comes to rest, or an end, with probability 1."""
+    back = chain.graph.T.tocsr()
+    lost = ~closure(back, rest | chain.mdp.terminal)
+    return ~closure(back, lost) if lost.any() else ~lost
+
+
+def _where(chain: PolicyChain) -> str:
+    state = int(np.flatnonzero(chain.reached & chain.stuck)[0])
+    return f"policy, state ({chain.mdp.space.label(state)})"
+
+
+def _ended(mdp: MDP, rest: Mask) -> MDP:
+    """Return the model with some states (S,) made terminal."""
+    table, still = mdp.table, rest[mdp.pair_state]
+    lengths = np.where(still, 1, np.diff(table.offsets))
+    begin = np.cumsum(lengths) - lengths
+    first = np.repeat(table.offsets[:-1], lengths)
+    chosen = first + np.arange(int(lengths.sum())) - np.repeat(begin, lengths)
+    inside = np.repeat(still, lengths)
+
+    def of_outcome(name: str, values: Numbers) -> Numbers:
+        kept: Numbers = values[chosen].copy()
+        kept[inside] = 0
+        if name == "weight":
+            kept[inside] = np.broadcast_to(table.denominator, len(still))[still]
+        return kept
+
+    def of_pair(name: str, values: Numbers) -> Numbers:
+        found: Numbers = np.where(still, 0, values) if name in SILENT else values
+        return found
+
+    following = table.next[chosen]
+    following[inside] = mdp.pair_state[still]
+    changed = replace(
+        table.mapped(of_pair, of_outcome),
+        offsets=np.concatenate([[0], np.cumsum(lengths)]),
+        next=following,
+    )
+    parts = mdp.component_table
+    if parts is not None:
+        amount = np.where(still[:, None], 0, parts.amount)
+        parts = ComponentTable(amount=amount, denominator=parts.denominator)
+    return replace(mdp, table=changed, component_table=parts)

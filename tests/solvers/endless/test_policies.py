@@ -1,0 +1,88 @@
+"""Policies that never end at discount 1: what they are worth, and what the gate says of them."""
+
+from fractions import Fraction as F
+from math import inf, isnan
+
+import numpy as np
+import pytest
+from endless_oracle import policies, total
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import Pairs, any_models, model_of
+
+from analysis import check
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.solvers import evaluate, return_distribution, simulate
+
+
+@given(model=any_models(5), data=st.data())
+def test_values_of_policies(model: Pairs, data: st.DataObject) -> None:
+    size, pairs = model
+    mdp = model_of(size, pairs, F(1))
+    chain, reward = data.draw(st.sampled_from(list(policies(pairs, size))[:20]))
+    chosen = [
+        next(a for t, a, r, row in pairs if t == s and r == reward[s] and row == _row(chain[s]))
+        for s in range(size)
+    ]
+    value = total(chain, reward)
+    try:
+        found = evaluate(mdp, np.array(chosen))
+    except ModelError as error:
+        assert "no limit" in str(error)  # noqa: PT017
+        return
+    assert found.mean == value[0] or abs(F(found.mean) - value[0]) <= F(found.start.error)
+    for number, exact in zip(found.value, value, strict=True):
+        assert isnan(number) or number == exact or abs(number - exact) < 1e-9
+
+
+def _row(line: list[F]) -> dict[int, F]:
+    return {t: p for t, p in enumerate(line) if p}
+
+
+def resting() -> MDP:
+    """A coin until tails, at 1 a toss; then to and fro for ever between two states, for nothing."""
+    toss = [("1/2", 0, 1), ("1/2", 1, 1)]
+    around = [(1, 0, [(1, 2, 0)]), (2, 0, [(1, 1, 0)]), (2, 1, [(1, 2, -1)]), (2, 2, [(1, 2, 1)])]
+    return MDP.from_outcomes([(0, 0, toss), *around])
+
+
+def test_a_policy_comes_to_rest() -> None:
+    mdp = resting()
+    found = evaluate(mdp, [0, 0, 0])
+    assert found.mean == pytest.approx(2)
+    assert found.sd == pytest.approx(2**0.5)
+    assert (found.ends, found.steps, found.quantiles[0.5]) == (False, inf, 1)
+    listed = return_distribution(mdp, [0, 0, 0])
+    assert listed.cdf(3) == pytest.approx(7 / 8)
+    assert listed.remaining < 1e-11
+    drawn = simulate(mdp, [0, 0, 0], n=2000, rng=1)
+    assert abs(drawn.mean - 2) < 5 * drawn.standard_error
+
+
+@pytest.mark.parametrize(("action", "mean"), [(1, -inf), (2, inf)])
+def test_a_policy_goes_on_for_ever(action: int, mean: float) -> None:
+    mdp, policy = resting(), [0, 0, action]
+    found = evaluate(mdp, policy)
+    assert found.mean == mean
+    assert found.components == {"reward": mean}
+    assert isnan(found.sd)
+    assert found.quantiles is None
+    for other in (return_distribution, lambda *given: simulate(*given, n=3, rng=0)):
+        with pytest.raises(ModelError, match="for ever"):
+            other(mdp, policy)
+
+
+def test_the_gate_tells_a_trap_from_the_way_out() -> None:
+    # Waiting keeps the value 5, which only leaving earns.
+    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    assert check(mdp, [1, 0]).passed
+    trapped = check(mdp, [0, 0])
+    assert not trapped.passed
+    assert trapped.regret.at_start.value == 5
+    assert [each.optimal for each in trapped.disagreements] == [("1",)]
+    costs = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), *rows[1:]], sense="min")
+    lost = check(costs, [0, 0])
+    assert not lost.passed
+    assert float(lost.regret.at_start.value) == inf
+    assert float(lost.regret.learned.value) == inf
