@@ -97,7 +97,7 @@ def _optimum(whole: Derived) -> _Optimum:
         optimal[others] = [number == 0 for number in gain]
         better: dict[int, tuple[object, int]] = {}
         for pair, number in zip(others.tolist(), gain, strict=True):
-            state = int(rows.pair_state[pair])
+            state = int(whole.mdp.pair_state[pair])
             if number > 0 and (state not in better or number > better[state][0]):
                 better[state] = number, pair
         if not better:

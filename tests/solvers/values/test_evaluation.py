@@ -18,7 +18,7 @@ from policy_cases import Case, care, careful, cases, directive, policy_of, unifo
 
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.solvers import Claim, PolicyIteration, certify, solve
+from exact_mdp.solvers import Claim, PolicyIteration, certify, return_distribution, solve
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.evaluate import evaluate
 
@@ -184,11 +184,11 @@ def test_a_policy_that_ends_may_be_evaluated_where_others_never_do() -> None:
     assert found.ends
 
 
-def test_a_policy_that_never_ends_is_refused_by_name() -> None:
+def test_a_policy_that_never_ends_loses_all_and_has_no_distribution() -> None:
+    assert evaluate(HALL, [0, 1, 0]).mean == -inf
     with pytest.raises(ModelError) as caught:
-        evaluate(HALL, [0, 1, 0])
+        return_distribution(HALL, [0, 1, 0])
     assert "hall" in caught.value.where
-    assert "wait" in caught.value.where
     assert "discount below 1" in caught.value.fix
     assert evaluate(HALL.with_(discount="1/2"), [0, 1, 0]).mean == -2.0
 
