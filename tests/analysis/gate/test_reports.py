@@ -94,6 +94,21 @@ def test_shares_sum_to_one_and_values_lost_to_the_regret(nasty: Path) -> None:
     assert "yours: what the policy does" in text
 
 
+def test_a_policy_that_never_ends_is_shown_with_its_infinite_loss(tmp_path: Path) -> None:
+    stays = MDP.from_outcomes(
+        [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, -3)]), (1, 0, [(1, 1, 0)])], discount=1
+    )
+    save_model(stays, tmp_path / "m.npz")
+    (tmp_path / "p.csv").write_text("state,action\n0,0\n1,0\n")
+    done = run(
+        "check", tmp_path / "m.npz", tmp_path / "p.csv", "--html", tmp_path / "p.html", "--json"
+    )
+    (wrong,) = done.result["disagreements"]
+    assert (done.status, wrong["cost"], wrong["share"]) == (1, "inf", None)
+    assert "loses inf" in (tmp_path / "p.html").read_text("utf-8")
+    check(stays, [0, 0]).plot().figure.canvas.draw()
+
+
 def test_markdown_shows_names_as_they_are(nasty: Path) -> None:
     out = checked("--markdown").out
     rows = [line for line in out.splitlines() if line.startswith("| state")]
