@@ -39,7 +39,7 @@ from exact_mdp.solvers.objectives.checker import (
     Values,
     front_violations,
 )
-from exact_mdp.solvers.objectives.optima import extreme, optimum, proof
+from exact_mdp.solvers.objectives.optima import extreme, known_optimum, optimum, proof
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -266,6 +266,11 @@ class _Search:
 
     def look(self, weights: Weights) -> None:
         """Solve for weights: keep what bounds all policies, and a vertex where one is new."""
+        if self.vertices:
+            best = max(self.vertices, key=lambda a: _worth(weights, a.total))
+            if known := known_optimum(self.of, weights, best):
+                self.duals[weights] = known
+                return
         found = optimum(self.of, weights)
         self.duals[weights] = found.values
         if all(_worth(weights, a.total) < found.total for a in self.vertices):

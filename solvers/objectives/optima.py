@@ -20,7 +20,7 @@ import numpy as np
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.checker import Attained, Proof, Values
+from exact_mdp.solvers.objectives.checker import Attained, Proof, Values, slack
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.proof.uniqueness import uniqueness
 
@@ -78,6 +78,12 @@ def extreme(of: Objectives, weights: Weights, first: Optimum) -> Attained:
         values=values,
         total=tuple(of.at_start(*own) for own in values),
     )
+
+
+def known_optimum(of: Objectives, weights: Sequence[int], policy: Attained) -> Values | None:
+    """Return the weighted values of a policy where no pair gains on them: then they are optimal."""
+    values = _mixed(policy.values, [flint.fmpq(w) for w in weights])
+    return None if (slack(of, of.weighted(weights), values) < 0).any() else values
 
 
 def _mixed(values: Sequence[Values], factors: Sequence[fmpq]) -> Values:
