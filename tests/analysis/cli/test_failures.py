@@ -352,8 +352,9 @@ def test_bad_input_is_refused_with_what_where_and_fix(line: str) -> None:
 @pytest.mark.usefixtures("bad")
 def test_what_was_refused_leaves_no_file(bad: Path) -> None:
     before = sorted(bad.iterdir())
-    run("solve", "gymnasium:FrozenLake-v1", "--out", "x.npz", "--policy-out", "x.csv")
-    run("convert", "yuan2025", "x.npz", "--set", "base.anger=2")
+    words = ("--out", "x.npz", "--policy-out", "x.csv", "--method", "backward-induction")
+    assert run("solve", "gymnasium:FrozenLake-v1", "--discount", "0.9", *words).status == 2
+    assert run("convert", "yuan2025", "x.npz", "--set", "base.anger=2").status == 2
     assert sorted(bad.iterdir()) == before
 
 
