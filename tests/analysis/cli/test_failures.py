@@ -386,8 +386,8 @@ def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.Mon
 
     solve = solvers.solve
 
-    def wrong(*words: Any) -> solvers.Solution:
-        found = solve(*words)
+    def wrong(*words: Any, **settings: Any) -> solvers.Solution:
+        found = solve(*words, **settings)
         return replace(found, value=found.value + 1e-6)
 
     monkeypatch.setattr("exact_mdp.solvers.solve", wrong)
