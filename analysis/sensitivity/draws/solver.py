@@ -109,7 +109,7 @@ class ModelSolver:
         for d, drawn in models(self.model, names, draws):
             solution = solve(drawn)
             start[d], error[d] = solution.start.value, solution.start.error
-            gap = solution.value[mdp.pair_state] - mdp.backup(solution.value)
+            gap = solution.value[mdp.pair_state] - drawn.backup(solution.value)
             error_there = solution.state_error
             doubt = error_there[mdp.pair_state] + drawn.discount * (drawn.transition @ error_there)
             near = gap <= doubt + gains(drawn, solution.value).noise

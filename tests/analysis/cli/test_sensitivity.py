@@ -11,6 +11,7 @@ import pytest
 from cli_runner import run
 
 from exact_mdp.analysis.cli import commands
+from exact_mdp.analysis.cli.options import Question
 from exact_mdp.analysis.cli.sensitivity import KINDS
 from exact_mdp.analysis.sensitivity.draws.global_ import sobol
 from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
@@ -166,7 +167,7 @@ def test_a_cluster_changes_nothing() -> None:
 
 def test_every_option_that_a_kind_does_not_use_is_refused() -> None:
     """All kinds and all options; a new kind or option is in the loop without being named here."""
-    shared = {"model", "kind", "sets", "discount", "as_json"}
+    shared = {"model", "kind", "sets", "discount", "as_json", *Question.__dataclass_fields__}
     options = [each for each in commands.sensitivity.params if each.name not in shared]
     assert {each.name for each in options} >= set().union(*(k.uses for k in KINDS.values()))
     refused = 0
@@ -238,7 +239,7 @@ def test_a_radius_of_0_is_the_tables_as_they_are(kind: str) -> None:
 def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
     done = run("sensitivity", "gymnasium:FrozenLake-v1", "robust", "--discount", "1")
     assert done.status == 2
-    assert "every policy to end" in done.err
+    assert "every episode to end" in done.err
     found = run(
         "sensitivity", "gymnasium:FrozenLake-v1", "robust", "--discount", "0.9", "--json"
     ).result
