@@ -97,6 +97,11 @@ class AverageEvaluation(Result):
         return at_start(self.mdp, FixedPoint(value=self.gain, error=self.gain_error))
 
     @property
+    def mean(self) -> float:
+        """The gain from the start."""
+        return self.start.value
+
+    @property
     def start_value(self) -> float:
         """The gain from the start."""
         return self.start.value
