@@ -5,12 +5,14 @@
                those, in d(w) - h, with d(x) = Σ P(l, s') x(s') - x(s)
 
 Puterman, Markov Decision Processes, 1994, section 9.2.1; the third level makes the bias the
-greatest (section 10.3). A pair is kept unless another beats it by more than rounding. A policy that
-comes back differs from the last by rounding errors alone.
+greatest (section 10.3). A pair is kept unless another beats it by more than rounding. It ends with
+a policy that comes back, or whose gain and bias have risen nowhere: changes were rounding errors.
 """
 
 from __future__ import annotations
 
+import warnings
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +22,12 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.evaluate import averages_of, bounded_gain
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
+from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE
+from exact_mdp.solvers.solution import PrecisionWarning, SolverError, Status
 
 MOST = 1000  # policies
+NEARNESS = Fraction(1, 2**12)  # 1 - γ of the policy to begin with
 
 
 class Improved(NamedTuple):
@@ -35,15 +40,14 @@ class Improved(NamedTuple):
 
 
 def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Improved:
-    """Return a policy that is optimal up to rounding, from `pairs` (S,) or from the first ones.
+    """Return a policy that is optimal up to rounding, from `pairs` (S,) or from a patient policy.
 
     `step` is a model at discount 1 with rows that sum to 1.
     """
-    still, first = np.zeros(step.n_states), step.pair_offsets[:-1]
     if pairs is None:
-        none = FixedPoint(value=still, error=still)
-        pairs = _greatest(step, none, still, still, first)
+        pairs = _patient(step)
     seen: set[bytes] = set()
+    before: tuple[Floats, Floats] | None = None
     for iteration in range(1, most + 1):
         seen.add(pairs.tobytes())
         taken = np.zeros(step.n_pairs)
@@ -52,10 +56,30 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Impr
         _, bias, second = averages.expansion(step.reward[pairs])
         added = gains(step, bias)
         own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
-        pairs = _greatest(step, bounded_gain(averages, own), bias, second, pairs)
+        gain = bounded_gain(averages, own)
+        if before is not None:
+            least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
+            risen = (gain.value - before[0] > gain.error).any() or (bias - before[1] > least).any()
+            if not risen:
+                return Improved(pairs, bias, iteration)
+        before = gain.value, bias
+        pairs = _greatest(step, gain, bias, second, pairs)
         if pairs.tobytes() in seen:
             return Improved(pairs, bias, iteration)
     raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
+
+
+def _patient(step: MDP) -> Integers:
+    """Return the pairs (S,) that are best with a discount near 1: few are left to improve.
+
+    From any other policy, news of a better class may travel one step in each iteration.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        try:
+            return ModifiedPolicyIteration().solve(step.with_(discount=1 - NEARNESS)).pairs
+        except SolverError:  # any policy does to begin with
+            return step.pair_offsets[:-1]
 
 
 def _greatest(

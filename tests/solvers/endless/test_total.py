@@ -15,6 +15,9 @@ from strategies import Pairs, Row, any_models, model_of
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers import certify, solve
+from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.endless.merged import without_losing
+from exact_mdp.solvers.endless.structure import finite, structure
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import PrecisionWarning
 
@@ -86,6 +89,32 @@ def test_totals_without_a_limit_are_refused_by_name(way: str) -> None:
     }[way]
     with pytest.raises(ModelError, match="has no limit"):
         certify(MDP.from_outcomes(rows))
+
+
+def test_only_pairs_that_lose_much_are_left_out_of_the_float_model() -> None:
+    """A slippery grid, -1 a step: near ties stay in, whose loss loose bounds could not bear out."""
+    rows = []
+    for state in range(63):
+        for a, ahead in enumerate((-8, 1, 8, -1)):
+            moves = (
+                (ahead, F(4, 5)),
+                *((side, F(1, 10)) for side in ((1, -1) if a % 2 == 0 else (8, -8))),
+            )
+            onward: dict[int, F] = {}
+            for move, p in moves:
+                there = state + move
+                inside = 0 <= there < 64 and (abs(move) == 8 or there // 8 == state // 8)
+                onward[there if inside else state] = (
+                    onward.get(there if inside else state, F(0)) + p
+                )
+            rows.append((state, a, F(-1), onward))
+    mdp = model_of(64, [*rows, (63, 0, F(0), {63: F(1)})], F(1))
+    whole, _ = finite(structure(mdp))
+    value = np.zeros(whole.mdp.n_states)
+    value[whole.label] = solve(mdp).value
+    left = ~np.isin(whole.source, without_losing(whole).source)
+    assert left.any()
+    assert gains(whole.mdp, value).value[left].max() < -0.1
 
 
 def test_a_total_that_settles_without_an_end() -> None:
