@@ -215,6 +215,7 @@ def _as_operator(
     loaded = Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
     facts = {"model": scenario.name, "discount": mdp.discount}
     head = facts | {"horizon": None, "sense": mdp.sense, "question": None, "start": None}
+    head |= {"criterion": "total"}
     return Given(endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=())
 
 

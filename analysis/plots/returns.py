@@ -36,6 +36,7 @@ def plot_return_distribution(
 
     Examples
     --------
+    >>> from exact_mdp import MDP
     >>> from exact_mdp.solvers import return_distribution
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0])
     >>> plot_return_distribution(return_distribution(mdp, "optimal"), label="step").get_title()
