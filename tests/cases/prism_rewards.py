@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf
+from typing import TypeAlias
 
 from exact_mdp.mdp import MDP
 
@@ -27,9 +28,13 @@ class Asked:
     start: int = 0
 
 
+Key: TypeAlias = tuple[int, str]  # state, action
+Amount: TypeAlias = int | Fraction
+
+
 def _model(
     moves: list[tuple[int, str, dict[int, str]]],
-    rewards: dict[str, dict[tuple[int, str], object]],
+    rewards: dict[str, dict[Key, Amount]],
     labels: dict[str, set[int]],
 ) -> MDP:
     """Rows (state, action, law); rewards by component, then by state and action."""
@@ -51,7 +56,7 @@ def _model(
 
 
 def _walk() -> MDP:
-    moves, a, b = [], dict[tuple[int, str], object](), dict[tuple[int, str], object]()
+    moves, a, b = [], dict[Key, Amount](), dict[Key, Amount]()
     for s, (here, more) in enumerate(((2, 3), (5, 7), (11, 0))):
         moves += [(s, "go", {s + 1: "1"}), (s, "mix", {s + 1: "1/2", s: "1/2"})]
         a |= {(s, "go"): here + more, (s, "mix"): here}
@@ -72,14 +77,14 @@ def _policy_iteration() -> MDP:
         (4, "a", {4: "1"}), (5, "a", {5: "1"}),  # deadlocks, which stay
     ]  # fmt: skip
     # A deadlock earns nothing there; before the target is reached it goes on for ever.
-    earned = {(s, a): cost[a] for s, a, _ in moves if s < 4}
+    earned: dict[Key, Amount] = {(s, a): cost[a] for s, a, _ in moves if s < 4}
     return _model(moves, {"cost": earned}, {"s=5": {5}})
 
 
 def _thirds(second: dict[int, str]) -> MDP:
     third = {0: "1/3", 1: "1/3", 2: "1/3"}
     moves = [(0, "a", third), (0, "b", second), (1, "a", {1: "1"}), (2, "a", {2: "1"})]
-    rewards = {
+    rewards: dict[str, dict[Key, Amount]] = {
         "steps": {(0, "a"): 1, (0, "b"): 1, (1, "a"): 1, (2, "a"): 1},
         "s0": {(0, "a"): 1, (0, "b"): 1},
         "s0_a": {(0, "a"): 2},

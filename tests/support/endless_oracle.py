@@ -155,7 +155,7 @@ def reaching(pairs: Sequence[Row], size: int, missed: float, sign: int) -> list[
         sure = limit(chain)
         ends = [sure[i][0] == 1 for i in range(size)]
         inner = [i for i in range(size) if ends[i] and i]
-        own = [missed] * size
+        own: list[Fraction | float] = [missed] * size
         own[0] = F(0)
         if inner:
             matrix = [[F(i == j) - chain[i][j] for j in inner] for i in inner]

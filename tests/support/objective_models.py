@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 
@@ -25,9 +26,9 @@ def with_components(draw: st.DrawFn, count: int) -> MDP:
     parts = {
         f"c{k}": [F(0) if end else draw(AMOUNTS) for end in ends.tolist()] for k in range(count)
     }
-    start = draw(st.sampled_from([{0: 1}, {mdp.n_states - 1: 1}, None]))
-    if start is None:
-        start = {s: F(1, mdp.n_states) for s in range(mdp.n_states)}
+    all_ = range(mdp.n_states)
+    spread = {s: F(1, mdp.n_states) for s in all_}
+    start = draw(st.sampled_from([{0: F(1)}, {all_[-1]: F(1)}, spread]))
     return mdp.with_(
         components=parts, start=start, sense=draw(st.sampled_from(["max", "max", "min"]))
     )
@@ -52,8 +53,9 @@ def totals(mdp: MDP, names: list[str]) -> list[tuple[Fraction, ...]]:
 
 
 def value_at_start(mdp: MDP, choice: tuple[int, ...]) -> Fraction:
-    if mdp.discount_exact < 1:
-        value = enumerated.discounted(mdp, choice)
-    else:
-        value = enumerated.until(mdp, choice, mdp.terminal.tolist())
-    return sum((weight * value[state] for state, weight in mdp.start), F(0))
+    value: Sequence[Fraction | float] = (
+        enumerated.discounted(mdp, choice)
+        if mdp.discount_exact < 1
+        else enumerated.until(mdp, choice, mdp.terminal.tolist())
+    )
+    return sum((weight * F(value[state]) for state, weight in mdp.start), F(0))

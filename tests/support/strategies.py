@@ -94,7 +94,14 @@ def models(draw: st.DrawFn, *, discounts: Sequence[Fraction] = (*DISCOUNTS, F(1)
     return Rows(n_states=n_states, pairs=tuple(pairs), discount=discount)
 
 
-ENDLESS_REWARDS = ([0, 0, 1], [0, 0, -1], [0, 1, -1], [0], [-2, -1, 0, 1, F(1, 2)], [1, -1])
+ENDLESS_REWARDS: tuple[list[int | F], ...] = (
+    [0, 0, 1],
+    [0, 0, -1],
+    [0, 1, -1],
+    [0],
+    [-2, -1, 0, 1, F(1, 2)],
+    [1, -1],
+)
 Pairs = tuple[int, tuple[Row, ...]]  # the number of states, and rows
 
 
