@@ -251,7 +251,8 @@ class Audit(Pictured):
         said = pair_values(self.mdp, self.policy, self.policy.values)
         gap = self.regret.gap if self.mdp.sense == "max" else -self.regret.gap
         optimal = self.regret.optimal_value[self.mdp.pair_state] - gap
-        used = self.visits[self.mdp.pair_state] * self.chain.weights
+        visited = np.where(self.chain.weights > 0, self.visits[self.mdp.pair_state], 0.0)
+        used = visited * self.chain.weights
         return q_error(self.mdp, said, optimal, used)
 
     @cached_property

@@ -37,6 +37,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits
 
 PRICED = 50  # states in which changes are priced, in large models with cycles
+NEARLY_CERTAIN = 2.0**-40  # chances of leaving a state for good that have no price
 LARGE = 500  # states
 
 
@@ -63,7 +64,8 @@ class Disagreement:
     loss_if_alone : float or None
         What the optimal value at the start loses if this state alone is wrong.
         Both are None beyond the 50 costliest states of a model with cycles and over 500 states,
-        and in models where floating point cannot bound the visits.
+        in models where floating point cannot bound the visits, and where the changed policy would
+        never end, or nearly never.
     """
 
     state: int
@@ -106,7 +108,7 @@ def disagreements(
     these are from floats, with which changes can be priced.
     """
     first = mdp.pair_offsets[:-1]
-    gap = np.add.reduceat(chain.weights * found.gap, first)
+    gap = np.add.reduceat(chain.weights * np.where(chain.weights > 0, found.gap, 0.0), first)
     wrong = np.add.reduceat(chain.weights * ~found.optimal_pairs, first) > 0
     states = np.flatnonzero(wrong & ~mdp.terminal)
     if not len(states):
@@ -126,7 +128,10 @@ def disagreements(
         prices = zip(corrected.tolist(), losses.tolist(), strict=True)
     listed = []
     for state in states.tolist():
-        gain, loss = next(prices, (None, None))
+        gain, loss = (
+            None if price is None or np.isnan(price) else price
+            for price in next(prices, (None, None))
+        )
         pairs = mdp.pairs_of(state)
         listed.append(
             Disagreement(
@@ -156,19 +161,25 @@ def _changes(
     The policy of `chain` has the values (S,) and visits (S,) given.
     """
     mdp = chain.mdp
-    known, used = np.nan_to_num(value), other.pairs
+    finite, used = np.isfinite(value), other.pairs
+    known = np.where(finite, value, 0.0)
     shape = (mdp.n_states, mdp.n_pairs)
     mixing = sp.csr_array((other.weights[used], (mdp.pair_state[used], used)), shape)[states]
     gain = mixing @ gains(mdp, known).value  # Q - V without taking the difference of large numbers
     change = np.where(visited[states] > 0, visited[states] * gain, 0.0)
+    # Where the change leads to states that the policy never leaves, it has no price.
+    lost = (mixing @ (mdp.transition @ ~finite) > 0) & (visited[states] > 0)
+    change[lost] = np.nan
     if levels(mdp) is not None:
         return change
     after = mixing @ mdp.transition - chain.transition[states]
-    for place in np.flatnonzero(change).tolist():
+    for place in np.flatnonzero((change != 0) & ~lost).tolist():
         unit = np.zeros(mdp.n_states)
         unit[states[place]] = 1.0
         returns = chain.discounted.approximate(unit)
-        change[place] /= 1 - mdp.discount * float((after[[place]] @ returns)[0])
+        leaving = 1 - mdp.discount * float((after[[place]] @ returns)[0])
+        # Floats cannot tell a return that is nearly certain from one that is.
+        change[place] = change[place] / leaving if leaving > NEARLY_CERTAIN else np.nan
     return change
 
 

@@ -229,14 +229,16 @@ def _float(value: float | Fraction) -> float:
 def q_error(mdp: MDP, said: Floats, optimal: Floats, used: Floats) -> QError | None:
     """Return the errors of action values, or None where no state with a choice can be reached.
 
-    `said` and `optimal` are (L,) action values; `used` (L,) the expected uses of pairs.
+    `said` and `optimal` are (L,) action values; `used` (L,) the expected uses of pairs. Where some
+    are used for ever, only these have a weight, each the same.
     """
-    asked = (reachable(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state] & np.isfinite(said)
+    asked = (reachable(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state]
+    asked &= np.isfinite(said) & np.isfinite(optimal)
     if not asked.any():
         return None
-    error = np.where(asked, np.where(asked, said, 0.0) - optimal, 0.0)
+    error = np.where(asked, said, 0.0) - np.where(asked, optimal, 0.0)
     worst = int(np.argmax(np.abs(error)))
-    weight = np.where(asked, used, 0.0)
+    weight = np.where(asked, np.isinf(used) if np.isinf(used).any() else used, 0.0)
     total = float(weight.sum())
     better = np.fmax if mdp.sense == "max" else np.fmin
     best = better.reduceat(said, mdp.pair_offsets[:-1])

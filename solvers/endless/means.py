@@ -27,6 +27,7 @@ from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
 from exact_mdp.solvers.endless.derived import Derived, derived
 from exact_mdp.solvers.endless.graph import Mask
+from exact_mdp.solvers.proof.checker import policy_pairs
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError
 
 NEARNESS = (Fraction(1, 2**8), Fraction(1, 2**16), Fraction(1, 2**26))  # 1 - γ
@@ -130,8 +131,10 @@ def nearly(own: Derived, nearness: Fraction) -> Solution | None:
 def exact_mean(own: Derived) -> Mean:
     """Return the best mean reward of an end component, given as a model of its own."""
     found = certify_average(own.mdp)
-    pairs = own.mdp.pair_offsets[:-2] + found.policy[:-1]
-    return Mean(mean=found.gain[0], potential=found.bias[:-1].tolist(), pairs=own.source[pairs])
+    pairs = policy_pairs(own.mdp, found.policy)
+    assert pairs is not None
+    potential = found.bias[:-1].tolist()
+    return Mean(mean=found.gain[0], potential=potential, pairs=own.source[pairs[:-1]])
 
 
 def surplus(rows: BellmanRows, value: Sequence[Any], pairs: Integers | None = None) -> list[Any]:

@@ -21,6 +21,7 @@ from exact_mdp.solvers.dynamic.known import evaluated
 from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.endless.structure import Structure
+from exact_mdp.solvers.proof.checker import policy_pairs
 from exact_mdp.solvers.solution import SolverError, Status
 
 LIMIT = 1000  # policies
@@ -102,7 +103,9 @@ def lifted(found: Structure, whole: Derived, chosen: Integers) -> tuple[Integers
     every = np.ones(mdp.n_pairs, dtype=bool)
     if found.drift is not None:
         drifting = found.sign != 0
-        pairs[drifting] = (mdp.pair_offsets[:-1] + found.drift.policy)[drifting]
+        drifted = policy_pairs(mdp, found.drift.policy)
+        assert drifted is not None
+        pairs[drifting] = drifted[drifting]
     elif found.missing.any():
         _first(mdp, np.flatnonzero(graph.every(found.missing)), pairs)
         toward(graph, graph.distance(found.missing, every), every, pairs)

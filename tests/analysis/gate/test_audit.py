@@ -1,6 +1,9 @@
 """The audit of a policy: its regret and the price of each state, against rational arithmetic."""
 
 from fractions import Fraction as F
+from math import inf
+from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +13,10 @@ from forest import forest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import ACTIONS, acting, oracle_of
-from strategies import Rows, model_of, models
+from strategies import Pairs, Rows, any_models, model_of, models
 
 from exact_mdp.analysis import assert_policy_optimal, check
-from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.solvers import Bounded, Certified, Claim, certify
 
@@ -282,3 +285,45 @@ def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
     assert found.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
     assert found.promised == 6.5
     assert found.visited == pytest.approx(0.5)
+
+
+# ---- where a policy never ends -------------------------------------------------------------------
+
+
+def test_a_state_that_is_never_visited_may_keep_its_policy_for_ever() -> None:
+    """Waiting there costs nothing, and prices of changes that lead there are left out."""
+    rows: list[Any] = [(0, 0, [(1, 2, -1)]), (0, 1, [(1, 1, -1)]), (1, 0, [(1, 1, -1)])]
+    mdp = MDP.from_outcomes([*rows, (1, 1, [(1, 2, -1)]), (2, 0, [(1, 2, 0)])])
+    audit = check(mdp, [0, 0, 0])
+    assert (audit.passed, audit.regret.at_start.value) == (True, 0)
+    assert [(each.state, each.cost) for each in audit.disagreements] == [(1, 0.0)]
+    detour = MDP.from_outcomes([*rows, (1, 1, [(1, 2, 5)]), (2, 0, [(1, 2, 0)])])
+    first = check(detour, [0, 0, 0]).disagreements[0]
+    assert (first.state, first.gain_if_corrected, first.loss_if_alone) == (0, None, 5.0)
+
+
+def test_the_error_of_a_table_that_waits_for_ever_is_that_of_where_it_waits() -> None:
+    rows: list[Any] = [(2, 0, [(1, 2, 0)])]
+    for state in range(2):
+        rows += [(state, 0, [(1, state, -1)]), (state, 1, [(1, state + 1, -1)])]
+    audit = check(MDP.from_outcomes(rows), np.zeros((3, 2)))
+    assert audit.regret.at_start.value == inf
+    assert audit.q_error is not None
+    assert audit.q_error.visited == 3  # Q*(0, wait) = -1 + V*(0)
+
+
+@settings(max_examples=30)
+@given(any_models(4), st.randoms(use_true_random=False))
+def test_policies_of_models_without_end_are_judged(pairs: Pairs, rng: Random) -> None:
+    """Infinite values and visits are priced without a warning; what is proven optimal passes."""
+    rows = [(s, 2 * a + 1, [(p, t, r) for t, p in law.items()]) for s, a, r, law in pairs[1]]
+    try:
+        mdp = MDP.from_outcomes(rows, sense=rng.choice(["max", "min"]))
+        proof = certify(mdp)
+        chosen = [rng.choice(list(mdp.pairs_of(state))) for state in range(mdp.n_states)]
+        audit = check(mdp, mdp.pair_action[chosen])
+    except ModelError:  # totals that swing have no optimum
+        return
+    assert check(mdp, proof.policy).passed
+    assert audit.message()
+    assert len(audit.frame()) == len(audit.disagreements)
