@@ -80,17 +80,23 @@ class _File:
     def __post_init__(self) -> None:
         self.lines = self.text.split("\n")
         self.table: tuple[str, ...] = ()
+        sound = list(self.lines)
         for number, statement in _statements(self.lines):
+            before = len(self.found)
             if header := HEADER.match(statement):
                 self._open(number, header[1])
-            else:
-                self._state(number, statement)
-        if not self.found:  # what only the whole text shows
-            try:
-                toml_of(self.text, "file")
-            except ModelError as error:
-                at = re.search(r"at line (\d+)", error.what)
-                self._add(int(at[1]) if at else None, error.what, error.fix)
+                continue
+            self._state(number, statement)
+            if len(self.found) > before:
+                last = number + statement.count("\n")
+                sound[number - 1 : last] = [""] * (last - number + 1)
+        try:  # what only the whole text shows
+            toml_of("\n".join(sound), "file")
+        except ModelError as error:
+            found = re.search(r"at line (\d+)", error.what)
+            at = int(found[1]) if found else None
+            if not self.found or (at and at not in {each.line for each in self.found}):
+                self._add(at, error.what, error.fix)
 
     def problems(self, name: str) -> tuple[Problem, ...]:
         """Return what is wrong with the whole."""

@@ -186,11 +186,14 @@ class Reader:
             for name in wanted
             if name not in flat and not name.startswith("influence.") and name not in self.unread
         ]
+        told = {key for key, _ in self.problems}
         for name in flat:
-            table = name.partition(".")[0]
-            if not self.take(name, known, name, wanted, "number", table, otherwise=""):
-                for meant in _meant(name, missing):
-                    missing.remove(meant)
+            table, *parts = name.split(".")
+            if self.take(name, known, name, wanted, "number", table, otherwise=""):
+                continue
+            above = {".".join((table, *parts[:count])) for count in range(3)}
+            for meant in [] if above & told else _slip(name, missing):
+                missing.remove(meant)
         for name in missing:
             table = name.partition(".")[0]
             self._add(name, f"the number {name} is missing", "state it", table)
@@ -299,8 +302,25 @@ class Reader:
 
 
 def _meant(name: str, missing: Collection[str]) -> list[str]:
-    """Return the missing name that an unknown one is a slip for, if any."""
+    """Return the missing word that an unknown one is a slip for, if any."""
     return get_close_matches(name[:LONGEST], missing, n=1, cutoff=0.6)
+
+
+def _slip(name: str, missing: Collection[str]) -> list[str]:
+    """Return the missing number that an unknown one is a slip for: one part of its name is."""
+    parts = name.split(".")
+    for number, part in enumerate(parts[1:], start=1):
+        here = ".".join(parts[:number]) + "."
+        end = "".join(f".{each}" for each in parts[number + 1 :])
+        least = len(here) + len(end)
+        options = {
+            each[len(here) : len(each) - len(end)]: each
+            for each in missing
+            if len(each) > least and each.startswith(here) and each.endswith(end)
+        }
+        if meant := _meant(part, [each for each in options if "." not in each]):
+            return [options[meant[0]]]
+    return []
 
 
 def _other(status: str, other: str, options: Collection[str]) -> str:

@@ -6,6 +6,7 @@ import json
 import re
 import warnings
 from importlib.resources import files
+from itertools import permutations
 from pathlib import Path
 
 import jsonschema
@@ -83,6 +84,37 @@ def test_all_faults_at_once() -> None:
     for _, _, what, fix in FAULTS:
         assert any(what in each and fix in each for each in found), (what, fix)
     assert len(found) <= len(FAULTS) + 3  # the trial weight of the broken line is missing, too
+
+
+MORE = [  # what only the whole file shows: names, numbers that are missing, tables
+    ("[assistance.prompt.forgetfulness]", "[assistance.pormpt.forgetfulness]"),
+    ("[reward]\n", "[assistance.pormpt.forgetfulness]\npersistence = 0.2\n[reward]\n"),
+    ("[reward]\n", "[skip.calm]\npersistence = 0.5\n[reward]\n"),
+    ("[skip.forgetfulness]\npersistence = 0.5\n", ""),
+    ("[skip.frustration]\npersistence = 0.5\n", ""),
+    ("subtask-skip = -8\n", ""),
+    ("source =", "sorce ="),
+    ("[base]\n", "[basis]\nforgetfulness = 0.1\n[base]\n"),
+    ("[readings]", "influence = {anger = {}}\n[readings]"),
+]
+RELATED = {("onset = -0.05", MORE[0][1])}  # the second one makes the first one's name unknown
+
+
+def said(text: str) -> set[str]:
+    return {re.sub(r"\d+", "N", each.what) for each in lint(text, "x")}
+
+
+def test_no_fault_hides_another_one() -> None:
+    faults = [*(each[:2] for each in FAULTS), *MORE]
+    alone = {fault: said(TEMPLATE.replace(*fault, 1)) for fault in faults}
+    assert all(alone.values())
+    pairs = 0
+    for fault, other in permutations(faults, 2):
+        text = TEMPLATE.replace(*fault, 1)
+        if other[0] in text and (fault[1], other[1]) not in RELATED:
+            assert alone[fault] <= said(text.replace(*other, 1)), (fault, other)
+            pairs += 1
+    assert pairs > 0.9 * len(faults) * (len(faults) - 1)
 
 
 def test_suspicions_are_warnings() -> None:
