@@ -211,15 +211,18 @@ class _File:
         value: Any = self.content
         for part in key.split("."):
             value = value.get(part) if isinstance(value, dict) else None
-        guess = None
-        if isinstance(value, str):
+        table, guess = key.partition(".")[0], None
+        chance = table == "discount" or (table in TABLES and table != "reward")
+        if isinstance(value, str) and (chance or table in ("reward", "max_trial")):
             guess = _meant(value)
-        elif isinstance(value, int | Fraction) and not isinstance(value, bool):
+            number = exact(guess.strip('"')) if guess else Fraction(1)
+            fits = 0 <= number <= 1 if chance else table == "reward" or _count(number)
+            guess = guess if fits else None
+        elif chance and isinstance(value, int | Fraction) and not isinstance(value, bool):
             number = Fraction(value)
-            within = key == "discount" or not key.startswith(("reward", "tasks", "max_trial"))
-            if within and 1 < number <= 100:
-                guess = _written(number / 100)
-            elif within and -1 <= number < 0:
+            if 2 <= number <= 100 and (key != "discount" or _count(number)):
+                guess = _written(number / 100)  # 1.5 is no percentage that anybody means
+            elif -1 <= number < 0:
                 guess = _written(-number)
         return f"did you mean {guess}? ({error.fix})" if guess else error.fix
 
@@ -291,6 +294,10 @@ def _meant(value: str, *, words: bool = False) -> str | None:
     except ValueError:
         return None
     return quoted if words else None
+
+
+def _count(number: Fraction) -> bool:
+    return number > 0 and number.denominator == 1
 
 
 def _written(number: Fraction) -> str:

@@ -86,6 +86,31 @@ def test_all_faults_at_once() -> None:
     assert len(found) <= len(FAULTS) + 3  # the trial weight of the broken line is missing, too
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "guess"),
+    [
+        ("discount = 1", "discount = 1.5", None),
+        ("discount = 1", "discount = 12.5", None),
+        ("discount = 1", "discount = 2", "0.02"),
+        ("discount = 1", "discount = 101", None),
+        ("discount = 1", "discount = -0.95", "0.95"),
+        ("discount = 1", "discount = '150 %'", None),
+        ("onset = 0.05", "onset = 1.5", None),
+        ("onset = 0.05", "onset = 12.5", "0.125"),
+        ("onset = 0.05", "onset = '-5 %'", None),
+        ("max_trial = 3", "max_trial = '50 %'", None),
+        ("[readings]", "[readings]\nskip_onset = '2'", None),
+        ("wait = 0", "wait = '-300 %'", "-3"),
+    ],
+)
+def test_only_numbers_that_may_stand_there_are_guessed(
+    old: str, new: str, guess: str | None
+) -> None:
+    (found,) = lint(TEMPLATE.replace(old, new, 1), "x")
+    numbers = re.findall(r"^did you mean (-?[\d.]+)\?", found.fix)
+    assert numbers == ([guess] if guess else [])
+
+
 MORE = [  # what only the whole file shows: names, numbers that are missing, tables
     ("[assistance.prompt.forgetfulness]", "[assistance.pormpt.forgetfulness]"),
     ("[reward]\n", "[assistance.pormpt.forgetfulness]\npersistence = 0.2\n[reward]\n"),
