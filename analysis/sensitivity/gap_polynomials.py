@@ -75,7 +75,13 @@ class Rows:
                 self.following[pair].append((state, p * rate))
         self.order = self._order()
         live = len(self.live)
-        if self.order is None and (live > LARGEST or self.degree > CYCLIC_DEGREE):
+        if self.order is None and live > LARGEST:
+            raise ModelError(
+                f"{live} states with cycles among them",
+                where=f"parameter {change.name}",
+                fix=f"with cycles, use at most {LARGEST} states that are not terminal",
+            )
+        if self.order is None and self.degree > CYCLIC_DEGREE:
             raise ModelError(
                 f"{live} states on cycles give rational functions of degree {self.degree}",
                 where=f"parameter {change.name}",

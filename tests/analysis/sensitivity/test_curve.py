@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.sensitivity import thresholds, value_function
+from exact_mdp.analysis.sensitivity import gap_polynomials, thresholds, value_function
 from exact_mdp.analysis.sensitivity.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp import MDP, ModelError, Scenario
@@ -84,6 +84,24 @@ def test_random_models_with_cycles(
         assert left.high == right.low
         for end in left.high:
             agrees(found, family, end, "random")
+
+
+@pytest.mark.parametrize(
+    ("limit", "name", "message"),
+    [
+        ("LARGEST", "gain", "2 states with cycles among them(.|\n)*at most 1 state"),
+        ("CYCLIC_DEGREE", "p", "2 states on cycles(.|\n)*degree 3(.|\n)*up to degree 1;"),
+    ],
+)
+def test_the_limit_that_was_hit_is_named(
+    limit: str, name: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [(s, a, [("1/2", 0, 1), ("1/2", 1, a)]) for s in (0, 1) for a in (0, 1)]
+    family = moving(MDP.from_outcomes(rows, "9/10"), {"p": [(0, 1)]}, {"gain": 1})
+    assert value_function(family, name).pieces
+    monkeypatch.setattr(gap_polynomials, limit, 1)
+    with pytest.raises(ModelError, match=message):
+        value_function(family, name)
 
 
 @pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
