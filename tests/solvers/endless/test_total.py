@@ -287,3 +287,20 @@ def test_faults_in_a_drift_are_caught() -> None:
         assert replace(mixed_only, endless=fault).violations()
     other = [x + F(i) for i, x in enumerate(bias)]
     assert replace(mixed_only, endless=replace(claims, drift=(mean, other))).violations()
+
+
+def test_actions_need_not_be_numbered_from_0() -> None:
+    """A chain, as a policy leaves it, has one action in each state, of any number."""
+    half = F(1, 2)
+    mdp = MDP.from_outcomes(
+        [
+            (0, 1, [(half, 0, 0), (half, 3, -1)]),
+            (1, 2, [(1, 1, -1)]),
+            (2, 0, [(half, 1, 0), (half, 3, 0)]),
+            (3, 1, [(F(3, 4), 0, 2), (F(1, 4), 3, 0)]),
+        ]
+    )
+    proof = certify(mdp)
+    assert proof.value.tolist() == [inf, -inf, -inf, inf]
+    assert proof.violations() == []
+    assert proof.policy.tolist() == [1, 2, 0, 1]
