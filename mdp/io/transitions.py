@@ -15,6 +15,7 @@ each different outcome (s, a, s', r). Rewards that hardly ever repeat should be 
 
 from __future__ import annotations
 
+import csv
 import warnings
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -54,7 +55,8 @@ def from_transitions(
     **names: Any,
 ) -> dict[str, Any]:
     """Return the parts of the model that `MDP.from_transitions` makes."""
-    return counted(frame, columns, progress=progress).parts(discount, unseen) | names
+    record = counted(frame, columns, progress=progress)
+    return record.parts(discount, unseen, costs=names.get("sense") == "min") | names
 
 
 def counted(
@@ -85,13 +87,29 @@ def _named(columns: Mapping[str, str] | None) -> dict[str, str]:
             raise ModelError(
                 f"unknown column {name!r}", where="columns", fix=suggest(str(name), COLUMNS)
             )
-    return dict(zip(COLUMNS, COLUMNS, strict=True)) | dict(columns or {})
+    found = dict(zip(COLUMNS, COLUMNS, strict=True)) | dict(columns or {})
+    twice = [name for name, column in found.items() if list(found.values()).count(column) > 1]
+    if twice:
+        raise ModelError(
+            f"the column {found[twice[0]]!r} stands for {' and '.join(twice)}",
+            where="columns",
+            fix="name one column for each",
+        )
+    return found
 
 
 def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
     """Yield tables of rows: of a file by the million, of everything else as they come."""
     if not isinstance(frame, str | Path):
-        yield from [frame] if isinstance(frame, pandas.DataFrame) else frame
+        tables = [frame] if isinstance(frame, pandas.DataFrame) else frame
+        for table in tables if isinstance(tables, Iterable) else [tables]:
+            if not isinstance(table, pandas.DataFrame):
+                raise ModelError(
+                    f"a {type(table).__name__} is no table of transitions",
+                    where="transitions",
+                    fix="give a DataFrame, several of them, or the path of a .csv or .parquet file",
+                )
+            yield table
         return
     path, used = str(frame), list(wanted)
     with opened(path, most=LARGEST_FILE) as file:
@@ -103,6 +121,14 @@ def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
 
 def _csv(file: Any, path: str) -> Generator[DataFrame]:
     errors = pandas.errors
+    header = next(csv.reader([file.readline().decode("utf-8-sig", "replace")]), [])
+    file.seek(0)
+    if twice := sorted({name for name in header if header.count(name) > 1}):
+        raise ModelError(
+            f"the column {twice[0]!r} stands twice in the header",
+            where=f"{path}, line 1",
+            fix="give each column a name of its own",
+        )
     try:
         with warnings.catch_warnings(action="error", category=errors.ParserWarning):
             # Text is kept as it is written: "0.1" is 1/10, and 007 is not 7.
@@ -149,7 +175,14 @@ class _Names:
 
     def of(self, column: Series) -> Integers:
         """Return the number of each value; -1 where there is none."""
-        codes, values = pandas.factorize(column)
+        try:
+            codes, values = pandas.factorize(column)
+        except TypeError as error:
+            raise ModelError(
+                f"a value cannot be a name: {error}",
+                where=f"column {column.name}",
+                fix="give numbers or text",
+            ) from error
         known = [self.numbers.setdefault(value, len(self.numbers)) for value in values]
         found: Integers = np.array([*known, -1], dtype=np.int64)[codes]
         return found
@@ -182,6 +215,12 @@ class Record:
     def add(self, chunk: DataFrame) -> None:
         """Count the rows of a chunk."""
         for name, column in self.columns.items():
+            if list(chunk.columns).count(column) > 1:
+                raise ModelError(
+                    f"the column {column!r} stands twice in the table",
+                    where=self.where,
+                    fix="give each column a name of its own",
+                )
             if column not in chunk:
                 near = suggest(column, map(str, chunk.columns))
                 fix = f"{near}; name it by columns={{{name!r}: …}}"
@@ -247,7 +286,7 @@ class Record:
         """Number of episodes."""
         return sum(self.starts.values())
 
-    def parts(self, discount: object, unseen: object) -> dict[str, Any]:
+    def parts(self, discount: object, unseen: object, *, costs: bool = False) -> dict[str, Any]:
         """Return the parts of the estimated model."""
         rate = as_discount(discount)
         if not self.rows:
@@ -255,7 +294,7 @@ class Record:
         keys, count = _merged(self.counts)
         place, states = _sorted(self.states.numbers)
         choice, actions = _sorted(self.actions.numbers)
-        worst = self._worst(unseen, rate)
+        worst = self._worst(unseen, rate, costs=costs)
         extra = (END,) * bool((keys[:, 2] < 0).any()) + (UNSEEN,) * (worst is not None)
         for name in extra:
             if name in states:
@@ -299,7 +338,7 @@ class Record:
             ),
         }
 
-    def _worst(self, unseen: object, discount: Fraction) -> Fraction | None:
+    def _worst(self, unseen: object, discount: Fraction, *, costs: bool) -> Fraction | None:
         """Return what an action that nobody took is worth; None where it is not available."""
         if unseen == UNAVAILABLE:
             return None
@@ -318,7 +357,8 @@ class Record:
                 where="unseen",
                 fix="give a number: what an action that nobody took is worth",
             )
-        return min(Fraction(0), *map(exact, self.values)) / (1 - discount)
+        worst = max if costs else min
+        return worst(Fraction(0), *map(exact, self.values)) / (1 - discount)
 
 
 def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:

@@ -17,6 +17,7 @@ from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.load import load_model, save_model
+from exact_mdp.solvers import certify
 
 NAMES = list(transitions.COLUMNS)
 Step = tuple[str, int, int]  # action, reward in tenths, next state
@@ -113,6 +114,9 @@ def test_what_nobody_tried_is_left_out_or_worth_what_is_said() -> None:
     low = MDP.from_transitions(table(rows), discount="3/4", unseen="pessimistic")
     assert low.table.row(low.pair(0, "y")) == [(F(1), 2, F(-4))]
     assert low.space.label(2) == "unseen"
+    dear = MDP.from_transitions(table(rows), discount="3/4", unseen="pessimistic", sense="min")
+    assert dear.table.row(dear.pair(0, "y")) == [(F(1), 2, F(12))]  # costs of 3 for ever
+    assert certify(dear).policy[0] == dear.action("x")
     said = MDP.from_transitions(table(rows), unseen="1/3")
     assert said.table.row(said.pair(1, "x")) == [(F(1), 2, F(1, 3))]
     assert said.observations.tolist() == [1, 0, 0, 1, 0]  # type: ignore[union-attr]
@@ -151,6 +155,19 @@ def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
         MDP.from_transitions(table([GOOD]).rename(columns={"next_state": "next_stat"}))
     with pytest.raises(ModelError, match="unknown column 'sate'"):
         MDP.from_transitions(table([GOOD]), columns={"sate": "s"})
+    with pytest.raises(ModelError, match="stands for state and next_state"):
+        MDP.from_transitions(table([GOOD]), columns={"state": "next_state"})
+    double = table([GOOD]).rename(columns={"reward": "state"})
+    with pytest.raises(ModelError, match="'state' stands twice"):
+        MDP.from_transitions(double, columns={"reward": "x"})
+    double.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(ModelError, match="'state' stands twice"):
+        MDP.from_transitions(tmp_path / "log.csv")
+    for other in (5, [1, 2], [GOOD], {"state": [1]}):
+        with pytest.raises(ModelError, match="no table of transitions"):
+            MDP.from_transitions(other)  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="cannot be a name"):
+        MDP.from_transitions(table([(1, [0], "x", 0, [1])]))
     with pytest.raises(ModelError, match="no transitions"):
         MDP.from_transitions(table([]))
     with pytest.raises(ModelError, match="called 'end'"):
