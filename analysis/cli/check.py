@@ -15,7 +15,7 @@ from exact_mdp.analysis.cli.options import check_outputs, given
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate import github
-from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit
+from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit, share_of
 from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
@@ -102,6 +102,7 @@ def _page(report: Report, audit: Audit, model: str, learned: str) -> str:
             }
             for each in listed
         ],
+        notes=report.notes,
         rerun=shlex.join(["exact-mdp", *words]),
     )
 
@@ -111,9 +112,7 @@ def _junit(
 ) -> None:
     text = audit.message(explain=explain)
     cases = [
-        Case(name=each.name)
-        if each.passed
-        else Case(name=each.name, failure=f"{each.name}; {each.text}", text=text)
+        Case(name=each.name) if each.passed else Case(name=each.name, failure=each.told, text=text)
         for each in audit.verdicts
     ]
     properties = {
@@ -171,7 +170,7 @@ def _disagreement(mdp: MDP, each: Disagreement, lost: float) -> dict[str, Any]:
         "gap": each.gap,
         "expected_visits": each.expected_visits,
         "cost": each.cost,
-        "share": each.cost / lost if 0 < lost < inf else None,
+        "share": share_of(each.cost, lost),
         "gain_if_corrected": each.gain_if_corrected,
         "loss_if_alone": each.loss_if_alone,
     }

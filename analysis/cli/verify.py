@@ -9,7 +9,8 @@ from typing import Any
 
 from exact_mdp.analysis.cli.options import given
 from exact_mdp.analysis.cli.render import Report, Table
-from exact_mdp.mdp.io.files import LARGEST, read_text
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
@@ -58,7 +59,15 @@ KINDS: dict[object, type[Certificate | BoundedCertificate | AverageCertificate]]
 def _read(path: str) -> Certificate | BoundedCertificate | AverageCertificate:
     """Read a certificate of any kind."""
     try:
-        content = json.loads(read_text(path, most=LARGEST))
+        text = read_bytes(path, most=LARGEST).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ModelError(
+            "not a certificate, which is JSON text",
+            where=path,
+            fix="name the file that `exact-mdp solve MODEL --certificate F.json` wrote",
+        ) from error
+    try:
+        content = json.loads(text)
         kind = str(content.get("kind")) if isinstance(content, dict) else ""
     except (ValueError, RecursionError):  # integers of over 4,300 decimal digits among them
         kind = ""  # reading it as a certificate says what is wrong

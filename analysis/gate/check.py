@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 pandas = later("pandas")
 
 SHOWN = 5
+AT_A_GLANCE = 3  # of them in `print(audit)`
 UNEXPLAINED = "floating point cannot tell what the columns that the policy reads cost"
 
 
@@ -63,6 +65,20 @@ class Verdict:
     name: str
     passed: bool
     text: str
+
+    @property
+    def told(self) -> str:
+        """What was found, as a sentence: the name of a check that fails is not what was found.
+
+        Examples
+        --------
+        >>> Verdict(name="the regret is zero", passed=False, text="it is 2 (certified)").told
+        'the regret is not zero: it is 2 (certified)'
+        """
+        if self.passed:
+            return f"{self.name}: {self.text}"
+        words = "is not known to be" if self.text.endswith(UNDECIDED) else "is not"
+        return f"{self.name.replace(' is', f' {words}', 1)}: {self.text}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -114,10 +130,22 @@ class Audit(Pictured):
             f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements)"
         )
 
+    def __str__(self) -> str:
+        return "\n".join([repr(self), *self._costliest(AT_A_GLANCE)])
+
     def frame(self) -> DataFrame:
-        """Return the disagreements, one row for each state, the costliest first."""
-        rows = [vars(each) | {"optimal": " or ".join(each.optimal)} for each in self.disagreements]
-        return pandas.DataFrame(rows, columns=list(Disagreement.__dataclass_fields__))
+        """Return the disagreements, one row for each state, the costliest first.
+
+        `cost` is the value lost in the state, and `share` its share of all that is lost.
+        """
+        lost = sum(each.cost for each in self.disagreements)
+        rows = [
+            vars(each) | {"optimal": " or ".join(each.optimal), "share": share_of(each.cost, lost)}
+            for each in self.disagreements
+        ]
+        first = ["label", "learned", "optimal", "cost", "share"]
+        rest = [name for name in Disagreement.__dataclass_fields__ if name not in first]
+        return pandas.DataFrame(rows, columns=[*first, *rest])
 
     @property
     def value(self) -> Certified | Bounded:
@@ -295,10 +323,7 @@ class Audit(Pictured):
         """
         lost, listed, source = self.regret, self.disagreements, self.policy.source
         lines = [f"the array was read as {source}"] if source else []
-        lines += [
-            f"{'passed' if each.passed else 'failed'}: {each.name}; {each.text}"
-            for each in self.verdicts
-        ]
+        lines += [f"{'passed' if each.passed else 'failed'}: {each.told}" for each in self.verdicts]
         lines.append(
             f"optimal value {float(lost.optimal.value):.10g}, learned"
             f" {float(lost.learned.value):.10g}; not optimal in {len(listed)} of"
@@ -306,25 +331,36 @@ class Audit(Pictured):
         )
         if self.unclear:
             lines.append(f"in {self.unclear} more the bounds leave it open")
-        lines += [
-            f"  {each.label}: yours {each.learned}, optimal {' or '.join(each.optimal)};"
-            f" loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
-            for each in listed[:SHOWN]
-        ]
-        if len(listed) > SHOWN:
-            rest = sum(each.cost for each in listed[SHOWN:])
-            lines.append(f"  and {len(listed) - SHOWN} more, {rest:.6g} in all")
+        lines += self._costliest(SHOWN)
         if explain and self.representation is not None:
             lines.append(str(self.representation))
         elif explain and self.unexplained:
             lines.append(UNEXPLAINED)
         return "\n".join(lines)
 
+    def _costliest(self, most: int) -> list[str]:
+        """Return a line for each of the costliest states, and one for the others."""
+        listed = self.disagreements
+        lines = [
+            f"  {each.label}: yours {each.learned}, optimal {' or '.join(each.optimal)};"
+            f" loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
+            for each in listed[:most]
+        ]
+        if len(listed) > most:
+            rest = sum(each.cost for each in listed[most:])
+            lines.append(f"  and {len(listed) - most} more, {rest:.6g} in all")
+        return lines
+
 
 UNDECIDED = (
     "which the bounds do not decide: give a limit that they keep (--max-regret,"
     " max_regret=…), or ask for exact values (--certify, exact_values=True)"
 )
+
+
+def share_of(cost: float, lost: float) -> float | None:
+    """Return a cost as a share of all that is lost; None where that is 0 or infinite."""
+    return cost / lost if 0 < lost < inf else None
 
 
 def _number(value: Certified | Bounded) -> str:
@@ -391,7 +427,9 @@ def check(
     ------
     ModelError
         For a policy that does not fit the model, an array that may be read in two ways, or a limit
-        that is not a number of at least 0; at discount 1 where not every policy ends.
+        that is not a number of at least 0; where a total swings for ever at discount 1.
+    SolverError
+        Where floats cannot bound the answer in a model too large for rational arithmetic.
 
     Examples
     --------
@@ -494,7 +532,7 @@ def assert_policy_optimal(
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
     >>> assert_policy_optimal(mdp, [0, 0])
     Traceback (most recent call last):
-    AssertionError: failed: the regret is zero; it is 2 (certified)
+    AssertionError: failed: the regret is not zero: it is 2 (certified)
     optimal value 3, learned 1; not optimal in 1 of 1 states with a choice
       state 0: yours 0, optimal 1; loses 2 x 1 visits = 2
     """

@@ -117,6 +117,11 @@ class Regret(Brief):
         default_factory=lambda: Forgiveness(low=Fraction(0), high=Fraction(0))
     )
 
+    def __repr__(self) -> str:
+        optimal, learned = float(self.optimal.value), float(self.learned.value)
+        lost = f"{float(self.at_start.value):.6g} ({self.claim})"
+        return f"Regret({lost}: optimal {optimal:.6g}, learned {learned:.6g})"
+
     def negated(self) -> Regret:
         """Return the same of costs, where this is of rewards that are the costs times -1.
 

@@ -20,6 +20,7 @@ def audit_page(
     policy: str,
     facts: Mapping[str, str],
     tables: Sequence[Mapping[str, Any]],
+    notes: Sequence[str],
     rerun: str,
 ) -> str:
     """Return the page; facts and tables are texts, `model` and `policy` what the user named."""
@@ -32,13 +33,13 @@ def audit_page(
         policy=policy,
         passed=audit.passed,
         verdict="; ".join(
-            f"{'passed' if each.passed else 'failed'}: {each.name}; {each.text}"
-            for each in audit.verdicts
+            f"{'passed' if each.passed else 'failed'}: {each.told}" for each in audit.verdicts
         ),
         facts=facts.items(),
         layout=layout,
         cells=cells(audit, layout) if drawn else [],
         legend=legend,
         tables=tables,
+        notes=notes,
         rerun=rerun,
     )

@@ -107,7 +107,7 @@ def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project
     assert told.splitlines()[-1] == str(ROOT)
     (told,) = (line for line in said.splitlines() if line.startswith("::"))
     assert told.startswith("::error title=q_table.npy in tea%3A failed::")
-    assert "%0Afailed: the regret is at most 0.5; it is " in told
+    assert "%0Afailed: the regret is not at most 0.5: it is " in told
     assert "| state | yours | optimal |" in (project.parent / "summary.md").read_text("utf-8")
     root = ElementTree.parse(project / "policy-report.xml").getroot()
     assert (root.get("failures"), root.get("errors")) == ("1", "0")

@@ -303,12 +303,15 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_says_once_that_it_leaves_the_limit_out(command: str) -> None:
+def test_a_command_says_once_that_it_leaves_the_limit_out(command: str, tmp_path: Path) -> None:
     words = (command, f"gymnasium:{LAKE}", *COMMANDS[command], "--json")
     done = run(*words, "--discount", "9/10")
     assert done.err.count("the environment stops after 100 steps") == 1
     assert "--horizon 100" in done.err
     assert strict(done.out)["horizon"] is None
+    if command == "check":
+        run(*words, "--discount", "9/10", "--html", f"{tmp_path}/p.html")
+        assert "Note: the environment stops after 100 steps" in (tmp_path / "p.html").read_text()
     within = run(*words, "--horizon", "20")
     assert (within.err, strict(within.out)["horizon"]) == ("", 20)
 

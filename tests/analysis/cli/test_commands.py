@@ -325,6 +325,12 @@ def test_verify_tells_proofs_from_what_is_none(tmp_path: Path) -> None:
     done = run("verify", exact, "yuan2025", "--json")
     assert (done.status, done.result["passed"]) == (1, False)
 
+    np.savez(tmp_path / "solution.npz", value=np.zeros(3))
+    done = run("verify", tmp_path / "solution.npz", "yuan2025")
+    assert done.status == 2
+    assert "not a certificate" in done.err
+    assert "--certificate F.json" in done.err
+
 
 def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:
     """Here the best action of a status changes with the trial: bounds may not deny it."""

@@ -1,5 +1,6 @@
 """The audit of a policy: its regret and the price of each state, against rational arithmetic."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from math import inf
 from random import Random
@@ -16,6 +17,7 @@ from oracle import ACTIONS, acting, oracle_of
 from strategies import Pairs, Rows, any_models, model_of, models
 
 from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp.analysis.gate.check import UNDECIDED, Verdict
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.solvers import Bounded, Certified, Claim, certify
@@ -285,6 +287,30 @@ def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
     assert found.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
     assert found.promised == 6.5
     assert found.visited == pytest.approx(0.5)
+
+
+def test_its_text_names_the_costliest_states_and_its_table_begins_with_what_matters() -> None:
+    """A certificate in the regret is not spelled out."""
+    rows = [(s, a, [(1, s + 1, a * (s + 1))]) for s in range(5) for a in (0, 1)]
+    mdp = MDP.from_outcomes([*rows, (5, 0, [(1, 5, 0)])], discount=1)
+    audit = check(mdp, [0] * 6)
+    first, *states, rest = str(audit).splitlines()
+    assert first == repr(audit) == "Audit(failed: regret 15 (certified) of 15, 5 disagreements)"
+    assert [line.partition(":")[0] for line in states] == ["  state 4", "  state 3", "  state 2"]
+    assert rest == "  and 2 more, 3 in all"
+    table = audit.frame()
+    assert [*table.columns[:5]] == ["label", "learned", "optimal", "cost", "share"]
+    assert table["share"].sum() == pytest.approx(1)
+    assert repr(audit.regret) == "Regret(15 (certified): optimal 15, learned 0)"
+
+
+def test_what_fails_is_told_as_what_was_found() -> None:
+    """Not as the name of the check, which says the contrary; an open one is not told as false."""
+    zero = Verdict(name="the regret is zero", passed=False, text="it is 2 (certified)")
+    assert zero.told == "the regret is not zero: it is 2 (certified)"
+    assert replace(zero, passed=True).told == "the regret is zero: it is 2 (certified)"
+    undecided = replace(zero, text=f"it is 0 ± 1, {UNDECIDED}")
+    assert undecided.told.startswith("the regret is not known to be zero: it is 0 ± 1, which the")
 
 
 # ---- where a policy never ends -------------------------------------------------------------------

@@ -261,9 +261,9 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
     assert done.returncode == 1, done.stdout + done.stderr
     assert "3 passed" in done.stdout
     assert "2 failed" in done.stdout
-    assert "AssertionError: failed: the regret is zero" in done.stdout
+    assert "AssertionError: failed: the regret is not zero" in done.stdout
     assert "gate/check.py" not in done.stdout  # the test's own line is shown, none of ours
-    assert "failed: the regret is zero; it is" in done.stdout
+    assert "failed: the regret is not zero: it is" in done.stdout
     assert "subtask 0, trial 0, status 0000: yours none, optimal non-directive" in done.stdout
     assert "Traceback" not in done.stdout
     cases = {

@@ -73,7 +73,9 @@ def test_a_page_holds_verdict_table_picture_and_how_to_rerun(nasty: Path) -> Non
     assert "default-src 'none'" in page
     for name in NASTY[:-1]:
         assert f"state {name}" in seen.texts  # a cell that holds the name and nothing else
-    assert f"✗ failed: the regret is zero; it is {found['regret']:.10g} (certified)" in seen.texts
+    assert (
+        f"✗ failed: the regret is not zero: it is {found['regret']:.10g} (certified)" in seen.texts
+    )
     rerun = shlex.split(next(text for text in seen.texts if text.startswith("exact-mdp")))
     assert rerun == ["exact-mdp", "check", "m.npz", "lazy.npy", "--html", "p.html"]
     cells = [a for tag, a in seen.tags if tag == "td" and a.get("class") in ("wrong", "idle", "")]
@@ -143,10 +145,17 @@ def test_unsafe_characters_are_written_as_codes() -> None:
     assert "\x1b" not in page
     audit = check(corridor(["a", "b"]), [1, 0])
     shown = audit_page(
-        audit, model="m\x1b[31m\u202e", policy="p", facts={}, tables=[], rerun="x\ny"
+        audit,
+        model="m\x1b[31m\u202e",
+        policy="p",
+        facts={},
+        tables=[],
+        notes=["it stops"],
+        rerun="x\ny",
     )
     assert r"m\x1b[31m\u202e" in shown
     assert "x\ny" in shown
+    assert "Note: it stops" in shown
 
 
 # ---- places ------------------------------------------------------------------------------------
@@ -205,7 +214,7 @@ def test_a_failed_check_is_annotated_and_summed_up(
     done = checked()
     assert commands(done.out) == []
     (told,) = commands(done.err)
-    assert told.startswith("::error title=lazy.npy in m%3A failed::failed: the regret is zero")
+    assert told.startswith("::error title=lazy.npy in m%3A failed::failed: the regret is not zero")
     assert "%0A" in told
     summary = (nasty / "summary.md").read_text("utf-8")
     assert summary.startswith("## lazy.npy in m: failed\n")

@@ -118,6 +118,8 @@ def test_names_are_text(tmp_path: Path) -> None:
     assert done.result["written"] == str(html)
     page = html.read_text(encoding="utf-8")
     assert page.count("<script") == 2
+    assert "✗ and a frame: what the policy held fixed does is not optimal here." in page
+    assert "The optimal policy shown stays optimal from" in page
     assert "<img" not in page
     assert "<b>" not in page
     assert set(data_of(page)["labels"].values()) == {f"state {name}" for name in NASTY}
