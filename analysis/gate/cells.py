@@ -17,9 +17,11 @@ class Cell:
     ----------
     state : int
     kind : "wrong", "idle" or ""
-        Not optimal; without a choice or a visit; neither.
+        Not optimal, visited or not; else without a choice or a visit; neither.
     text, small : str
         What the policy does, with "✗" where that is wrong, and the optimal action then.
+    name : str
+        The state's number or name, where states are only listed; else "".
     title : str
         The state in full, with its numbers.
     shade : float
@@ -30,6 +32,7 @@ class Cell:
     kind: Literal["wrong", "idle", ""]
     text: str
     small: str
+    name: str
     title: str
     shade: float
 
@@ -59,7 +62,8 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
             state=state,
             kind="wrong" if each is not None else "idle" if idle[state] else "",
             text=text,
-            small=f"{best} {label.removeprefix('state ')}".strip() if layout.listed else best,
+            small=best,
+            name=label.removeprefix("state ") if layout.listed else "",
             title=f"{label}: {said}",
             shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,
         )

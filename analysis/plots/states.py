@@ -222,11 +222,13 @@ def plot_evaluation(
 def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what the policy does; wrong states have a cross, a frame and the optimal action below.
 
-    The fuller the colour, the more is lost there.
+    The fuller the colour, the more is lost there. States that are only listed have their number or
+    name in a corner.
     """
     layout = _placed(audit.mdp, place)
     ax, style, font = _map(layout, ax), action_styles(["-"])[0], _font(layout)
-    for each in (each for row in cells(audit, layout) for each in row if each is not None):
+    drawn = [each for row in cells(audit, layout) for each in row if each is not None]
+    for each in drawn:
         where = (int(layout.column[each.state]), int(layout.row[each.state]))
         wrong = each.kind == "wrong"
         fill = (0.84, 0.37, 0.0, 0.1 + 0.6 * each.shade) if wrong else "white"
@@ -235,7 +237,18 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
         ink = "0.55" if each.kind == "idle" else "black"
         frame: Look = {"edgecolor": edge, "linewidth": width, "zorder": 1 + wrong}
         cell(ax, *where, style, text=text, fill=fill, ink=ink, font=font, **frame)
-    _key(ax, audit.mdp, "✗ not optimal; below it the optimal action")
+        if each.name and font:
+            corner: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
+            name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"
+            ax.text(where[0] + 0.06, where[1] + 0.08, name, color=ink, **corner)
+    words = ["✗ not optimal; below it the optimal action; fuller: more is lost"]
+    if any(each.kind == "idle" for each in drawn):
+        words.append("grey: no choice, or not wrong and never visited")
+    if audit.mdp.terminal[layout.shown].any():
+        words.append("∎ an episode ends")
+    if layout.listed:
+        words.append("in the corner the state")
+    _key(ax, audit.mdp, *words)
     return ax
 
 

@@ -104,6 +104,24 @@ def test_an_audit_marks_exactly_what_is_wrong() -> None:
     assert "yours LEFT, optimal DOWN or RIGHT" in wrong.title
 
 
+def test_a_listed_state_is_named_apart_from_its_actions() -> None:
+    """Numbers of actions and of states do not stand side by side; a wrong state is never grey."""
+    moves = [(s, a, [(1, 3, a)]) for s in range(3) for a in (0, 1)] + [(3, 0, [(1, 3, 0)])]
+    audit = check(MDP.from_outcomes(moves, discount="1/2"), [0, 1, 0, 0])  # begins in state 0
+    layout = arrange(audit.mdp)
+    shown = [each for row in cells(audit, layout) for each in row if each is not None]
+    assert [(each.name, each.text, each.small, each.kind) for each in shown] == [
+        ("0", "✗ 0", "1", "wrong"),
+        ("1", "1", "", "idle"),
+        ("2", "✗ 0", "1", "wrong"),
+        ("3", "∎", "", "idle"),
+    ]
+    ax = audit.plot()
+    assert [text.get_text() for text in ax.texts[:2]] == ["✗ 0\n1", "0"]
+    for words in ("∎ an episode ends", "in the corner the state", "not wrong and never visited"):
+        assert words in " ".join(ax.get_title().split())
+
+
 def test_values_beyond_all_bounds_are_written() -> None:
     shown = texts(plot_states(grid(1, 3), [np.inf, -np.inf, np.nan], shape=(1, 3)))
     assert [shown[0, column] for column in range(3)] == ["inf", "-inf", "nan"]
