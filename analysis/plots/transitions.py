@@ -15,7 +15,7 @@ from exact_mdp.solvers.solver import mdp_of
 nx = later("networkx")
 
 MOST = 40  # states
-FEW = 8  # states up to which all actions are named, not only the policy's
+FEW = 8  # states up to which all actions are drawn beside the policy's
 CURVE = "arc3,rad=0.2"
 
 
@@ -28,9 +28,10 @@ def plot_transitions(
     Parameters
     ----------
     model : MDP or Scenario
-        Of at most 40 states; `exact_mdp.analysis.graph.dot` takes more.
+        Of at most 40 states; `exact_mdp.analysis.graph.dot` takes more, and suits models in which
+        every state leads to many others.
     policy : PolicyLike, optional
-        Its actions are black, others grey.
+        Its actions are black, others grey; of over 8 states its actions alone are drawn.
     ax : Axes, optional
 
     Returns
@@ -55,19 +56,22 @@ def plot_transitions(
     labels = dict[tuple[object, object], str]()
     graph.add_nodes_from(range(model.n_states))
     for number, move in enumerate(found):
-        point, known = f"a{number}", plain or move.taken or model.n_states <= FEW
+        point = f"a{number}"
         graph.add_edge(move.state, point, taken=move.taken)
-        labels[move.state, point] = move.action if known else ""
+        labels[move.state, point] = move.action
         for following, text in move.outcomes:
             graph.add_edge(point, following, taken=move.taken)
             before = labels.get((point, following))
-            both = text if before is None else f"{before}; {text}"
-            labels[point, following] = both if known else ""
-    if ax is None:
-        side = min(16.0, 3 + 0.8 * len(graph) ** 0.5)
-        ax = plt.subplots(figsize=(1.3 * side, side))[1]
-    states = range(model.n_states)
+            labels[point, following] = text if before is None else f"{before}; {text}"
     place = nx.kamada_kawai_layout(graph.to_undirected())
+    if not plain and model.n_states > FEW:  # where they stand does not depend on the policy
+        unused = [f"a{number}" for number, move in enumerate(found) if not move.taken]
+        graph.remove_nodes_from(unused)
+        labels = {edge: label for edge, label in labels.items() if graph.has_edge(*edge)}
+    if ax is None:
+        side = min(24.0, 2 + 1.4 * len(graph) ** 0.5)
+        ax = plt.subplots(figsize=(1.2 * side, side), layout="constrained")[1]
+    states = range(model.n_states)
     names = {state: model.space.label(state).removeprefix("state ") for state in states}
     wide = max(map(len, names.values()))
     size, font = 420 + 130 * min(wide, 12), 8 if model.n_states <= 20 else 6
@@ -85,12 +89,12 @@ def plot_transitions(
     nx.draw_networkx_edge_labels(
         graph,
         place,
-        {edge: label for edge, label in labels.items() if label},
+        labels,
         font_size=font - 1,
         rotate=False,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.85},
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
         **edges,
     )
-    ax.margins(0.12)
+    ax.margins(0.05)
     ax.set_axis_off()
     return ax

@@ -206,3 +206,14 @@ def test_dot_holds_every_transition_and_names_are_text() -> None:
         assert any(f"state {name}" in re.sub(r"\\(.)", r"\1", line) for line in lines)
     written = [text.get_text() for text in plot_transitions(mdp, "random").texts]
     assert set(NASTY) <= set(written)
+
+
+def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
+    """Of 16 states the arrows of every action would lie over each other's texts."""
+    ax = plot_transitions(grid(4, 4), [1] * 16)
+    written = [text.get_text() for text in ax.texts]
+    assert written.count("DOWN") == 15
+    assert not {"LEFT", "RIGHT", "UP"} & set(written)
+    assert all(box.get_alpha() is None for text in ax.texts if (box := text.get_bbox_patch()))
+    few = [text.get_text() for text in plot_transitions(grid(2, 2), [1] * 4).texts]
+    assert {"LEFT", "DOWN"} <= set(few)
