@@ -15,14 +15,15 @@ from exact_mdp.mdp.io.files import SMALL, read_text, write_atomically
 
 
 def new(*, file: str) -> Report:
-    """Write the template, its schema named by where it lies."""
+    """Write the template, and say which line names the schema; in the file it would not travel."""
     check_outputs((file, (".toml",)))
     if Path(file).exists():
         raise ModelError("the file is there already", where=file, fix="choose another name")
     template = (files("exact_mdp.mdp.care") / "template.toml").read_text(encoding="utf-8")
-    place = Path(str(schema.FILE)).resolve().as_uri()
-    write_atomically(file, template.replace("schema.json", place, 1))
-    return Report(result={"written": file}, facts={"written": file})
+    write_atomically(file, template.partition("\n")[2])  # less the line that names the schema
+    line = f"#:schema {Path(str(schema.FILE)).resolve().as_uri()}"
+    note = f"for completion in editors on this machine, put this line first: {line}"
+    return Report(result={"written": file}, facts={"written": file}, notes=[note])
 
 
 def lint(*, file: str) -> Report:

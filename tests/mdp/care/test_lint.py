@@ -8,6 +8,7 @@ import warnings
 from importlib.resources import files
 from itertools import permutations
 from pathlib import Path
+from urllib.request import url2pathname
 
 import jsonschema
 import pytest
@@ -204,9 +205,13 @@ def test_the_schema_takes_what_the_reader_takes(text: str) -> None:
 
 def test_commands(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
-    assert run("new", path, "--json").result == {"written": str(path)}
-    first = path.read_text(encoding="utf-8").partition("\n")[0]
-    assert Path(first.removeprefix("#:schema file://")).read_text("utf-8") == schema.text()
+    made = run("new", path, "--json")
+    assert made.result == {"written": str(path)}
+    shipped_line, _, rest = TEMPLATE.partition("\n")
+    assert shipped_line == "#:schema schema.json"
+    assert path.read_text("utf-8") == rest  # the same on all machines
+    (place,) = re.findall(r"first: #:schema file://(.*)\n", made.err)
+    assert Path(url2pathname(place)).read_text("utf-8") == schema.text()
     assert run("lint", path, "--json").result["problems"] == []
     again = run("new", path)
     assert (again.status, again.out) == (2, "")
