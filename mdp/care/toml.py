@@ -28,7 +28,7 @@ from exact_mdp.mdp.care.tables import (
     exact_at,
     known,
 )
-from exact_mdp.mdp.errors import LONGEST, ModelError, suggest
+from exact_mdp.mdp.errors import LONGEST, ModelError, check_names, shown_text, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parametric.parameter import Parameter
@@ -267,7 +267,10 @@ class Reader:
         for status in given:
             key = f"status_weight.{status}"
             self.take(key, known, status, statuses, "status", "status_weight", otherwise="")
-        weights = {status: str(given.get(status, status)) for status in statuses}
+        weights = {
+            status: self._plain(f"status_weight.{status}", str(given.get(status, status)))
+            for status in statuses
+        }
         taken = [*weights.values(), *SHARED_WEIGHTS, "assist"]
         if len(set(taken)) != len(taken) or any("." in weight for weight in taken):
             self._add(
@@ -286,7 +289,15 @@ class Reader:
             fix = 'write, for example, ["forgetfulness", "anger"], without dots'
             self._add(key, f"{key} is not a list of different names", fix)
             return ()
-        return tuple(words)
+        return tuple(dict.fromkeys(self._plain(key, word) for word in words))
+
+    def _plain(self, key: str, word: str) -> str:
+        """Return a name; of one that is unsafe or too long, which is a problem, its beginning."""
+        what = {"statuses": "status", "actions": "action"}.get(key, "weight")
+        check = partial(check_names, [word], what, where=key)
+        count = len(self.problems)
+        self.take(key, check, otherwise=None)
+        return word if len(self.problems) == count else shown_text(word)[:40]
 
     def _table(self, *path: str) -> dict[str, Any]:
         """Return the table at a path; one that is no table is a problem once, and then empty."""

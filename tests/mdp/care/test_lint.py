@@ -184,6 +184,35 @@ def test_an_error_is_found_exactly_where_the_reader_refuses(data: st.DataObject,
         assert each.line is None or each.text == lines[each.line - 1].strip()
 
 
+ODD = [*"[]=.'{}#\n\r0-\0\ufeff\u202e", "[[", "nan", "1e999999999", "1/0", "skip = 3\n", "9" * 999]
+SHIPPED = [
+    (files("exact_mdp.mdp") / "scenarios" / f"{name}.toml").read_text("utf-8") for name in shipped()
+]
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data(), text=st.sampled_from(SHIPPED))
+def test_lint_lists_what_is_wrong_with_any_text(data: st.DataObject, text: str) -> None:
+    for _ in range(data.draw(st.integers(1, 4))):
+        place, cut = data.draw(st.integers(0, len(text))), data.draw(st.integers(0, 30))
+        text = text[:place] + data.draw(st.sampled_from(ODD)) + text[place + cut :]
+    assert any(each.severity == "error" for each in lint(text, "x")) == refused(text)
+
+
+@pytest.mark.parametrize("odd", ["\\u0000", "\\uFEFF", "\\u202E", "x" * 1001])
+@pytest.mark.parametrize("name", ["forgetfulness", "soothe"])
+def test_unsafe_names_are_problems_among_others(name: str, odd: str, tmp_path: Path) -> None:
+    path = tmp_path / "odd.toml"
+    text = TEMPLATE.replace(f'"{name}"', f'"{odd}{name}"', 1).replace("timestep = 0\n", "")
+    path.write_text(text, encoding="utf-8")
+    done = run("lint", path, "--json")
+    assert done.status == 1
+    told = [each["what"] for each in done.result["problems"]]
+    assert any(each.startswith("the name of a") for each in told)
+    assert "the number reward.timestep is missing" in told
+    assert refused(text)
+
+
 # ---- schema and commands ---------------------------------------------------------------------
 
 
