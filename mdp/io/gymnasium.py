@@ -345,3 +345,9 @@ def _make(name: str) -> Any:
             where=f"gymnasium:{name}",
             fix=suggest(name, toy),
         ) from error
+    except Exception as error:  # whatever the environment's own code raises
+        raise ModelError(
+            f"the environment {name} raises {type(error).__name__}: {str(error)[:200]}",
+            where=f"gymnasium:{name}",
+            fix="correct the environment or its module, so that gymnasium.make can make it",
+        ) from error

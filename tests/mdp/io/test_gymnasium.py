@@ -11,6 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -338,6 +339,22 @@ def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.syspath_prepend(tmp_path)
     mdp = load("gymnasium:my_walk:Walk-v0", discount="1/2").mdp
     assert (mdp.reward.tolist(), mdp.space.extra) == ([-1, 5, 9, 0], ("end",))
+
+
+def test_an_environment_that_cannot_be_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its error is that of the input, and the command says so."""
+    (tmp_path / "my_boom.py").write_text(
+        "import gymnasium\n\n\nclass Boom(gymnasium.Env):\n"
+        '    def __init__(self): raise RuntimeError("no power")\n\n\n'
+        'gymnasium.register("Boom-v0", entry_point="my_boom:Boom")\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    done = run("info", "gymnasium:my_boom:Boom-v0")
+    assert (done.status, done.out) == (2, "")
+    assert "the environment my_boom:Boom-v0 raises RuntimeError: no power" in done.err
+    assert "where: gymnasium:my_boom:Boom-v0" in done.err
 
 
 @pytest.mark.parametrize(
