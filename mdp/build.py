@@ -391,7 +391,8 @@ def _offered(reward: Any, names: dict[str, Any]) -> Integers | None:
 
 
 def _is_sparse_list(values: Any) -> bool:
-    return isinstance(values, Sequence) and any(sp.issparse(matrix) for matrix in values)
+    row = isinstance(values, np.ndarray) and values.dtype == object and values.ndim == 1
+    return (row or isinstance(values, Sequence)) and any(map(sp.issparse, values))
 
 
 def _stacked(
@@ -411,7 +412,7 @@ def _stacked(
                 where=where,
                 fix="give A square matrices of the same size",
             )
-        array, shape, what = values, (len(values), *values[0].shape), f"matrices of {what}"
+        array, shape, what = list(values), (len(values), *values[0].shape), f"matrices of {what}"
     else:
         array = values if sp.issparse(values) else array_of(values, where)
         shape = array.shape

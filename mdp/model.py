@@ -567,7 +567,8 @@ class MDP(Parts):
             keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
             dictionaries and lists, or quadruples (s, a, t, p): see `mdp.forms.listed`.
         R : (S,), (S, A) or (A, S, S) array, a sparse (S, A) matrix, or A sparse (S, S) ones
-            Rewards of states, of pairs, or of transitions. An action with the reward -inf (inf
+            Rewards of states, of pairs, or of transitions; beside quadruples for P also triples
+            (s, a, r) or quadruples (s, a, t, r). An action with the reward -inf (inf
             where rewards are costs) is not available, whatever P says of it; all others are.
         discount : number or "p/q"
         layout : "ass" or "sas", optional

@@ -53,6 +53,11 @@ class Column:
         """The value of each object."""
         return {thing: value for value, thing in enumerate(self.objects)}
 
+    @cached_property
+    def numeric(self) -> bool:
+        """Whether a word could be taken for the number of a value."""
+        return any(str(value) in self._value for value in range(self.size))
+
     def label(self, value: int) -> str:
         """Return the printed form of one value."""
         if self.words:
@@ -184,6 +189,9 @@ class StateSpace:
         alone = self.columns[0] if len(self.columns) == 1 else Column(name="", size=0)
         if isinstance(state, Hashable) and state in alone.of_object:
             return alone.of_object[state]
+        named = self.named(state)
+        if named is not None:
+            return named
         if isinstance(state, tuple) and len(state) == len(self.columns):
             cells = zip(self.columns, state, strict=True)
             return self.index(
@@ -202,6 +210,23 @@ class StateSpace:
         if not whole or any(isinstance(thing, int) for thing in alone.objects):
             raise ModelError(f"{state!r} is not a state", fix="give its number, or its name")
         return self._inside(int(state))  # type: ignore[call-overload]
+
+    def named(self, state: object) -> int | None:
+        """Return the state that the text of an object names, where a file kept names alone.
+
+        Whole numbers are numbers of states wherever a name could be taken for one.
+
+        Examples
+        --------
+        >>> space = StateSpace(columns=(Column(name="state", size=2, words=("(0, 0)", "7")),))
+        >>> space.named((0, 0)), space.named(7), space.named(1)
+        (0, 1, None)
+        """
+        alone = self.columns[0] if len(self.columns) == 1 else None
+        if alone is None or not alone.words or alone.objects or isinstance(state, str):
+            return None
+        whole = isinstance(state, int | np.integer) and not isinstance(state, bool)
+        return None if whole and alone.numeric else alone._value.get(str(state))
 
     def _inside(self, state: int) -> int:
         if not 0 <= state < self.size:

@@ -231,7 +231,9 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
 def _is_state(given: object, space: StateSpace) -> bool:
     """Return whether a tuple is a state: column values, or the object that a state is."""
     many = len(space.columns) > 1 and len(given) == len(space.columns)  # type: ignore[arg-type]
-    return isinstance(given, tuple) and (many or any(column.objects for column in space.columns))
+    return isinstance(given, tuple) and (
+        many or any(column.objects for column in space.columns) or space.named(given) is not None
+    )
 
 
 def _check_pairs(model: Parts) -> None:
@@ -415,8 +417,24 @@ def _check_rows(model: Parts) -> None:
             f"transition probabilities sum to {near if abs(off) < 1e-9 else shown(total, 12)}, "
             "not 1",
             where=model.where(pair),
-            fix="add the missing outcome, or correct a probability in this row",
+            fix="these probabilities are of single precision or less, which misses 1 by so much: "
+            "convert them to float64 and normalise the rows there"
+            if _coarse(table, pair, abs(off))
+            else "add the missing outcome, or correct a probability in this row",
         )
+
+
+def _coarse(table: OutcomeTable, pair: int, off: Fraction) -> bool:
+    """Return whether probabilities rounded more than doubles are may miss 1 by `off`.
+
+    Of n numbers normalised in precision u, the sum is within n u of 1, to first order: n - 1 sums
+    and a division round. A rounding is at least u / 2 of its number.
+    """
+    if table.weight_doubt is None or table.weight.dtype != np.float64:
+        return False
+    here = slice(table.offsets[pair], table.offsets[pair + 1])
+    ratio = float(np.max(table.weight_doubt[here] / table.weight[here]))
+    return ratio > 2.0**-53 and off <= 2 * len(table.weight[here]) * ratio
 
 
 def _check_order(table: OutcomeTable) -> None:

@@ -8,7 +8,8 @@ reward may be a dictionary of amounts, whose sum it is: these are the components
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
@@ -16,9 +17,11 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
+from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import Given, exact, given, rounding_of
 
 MOST_STATES = 1_000_000
+OUTCOMES = "give a list of (probability, next state, reward)"
 
 
 def explored(
@@ -41,10 +44,11 @@ def explored(
     waiting = deque(states.number)
     while waiting:
         state = waiting.popleft()
-        for action in actions(state) or ():
+        for action in _answer(actions, state, where=f"state {state}", fix="give a list of actions"):
             where = f"state {state}, action {action}"
+            answer = _answer(outcomes, state, action, where=where, fix=OUTCOMES)
             with located(where):
-                row = [each for each in map(_outcome, outcomes(state, action)) if exact(each[0])]
+                row = [each for each in map(_outcome, answer) if exact(each[0])]
             rows.append((state, action, row))
             for _, following, _ in row:
                 known = len(states.number)
@@ -69,6 +73,28 @@ def explored(
         names["components"] = {name: amounts + ends for name, amounts in named.items()}
         found = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in found]
     return found, names | {"start": start, "labels": flags}
+
+
+def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
+    """Return what a function of the user lists; of actions, None is an empty list."""
+    with _noted(where):
+        answer = ask(*of)
+    if answer is None and len(of) == 1:
+        return []
+    if not isinstance(answer, Iterable):
+        raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
+    with _noted(where):  # a generator runs only now
+        return list(answer)
+
+
+@contextmanager
+def _noted(where: str) -> Iterator[None]:
+    """Note the place on an error of the user's own function, which stays what it is."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"raised by the model's own function, for {where}")
+        raise
 
 
 def _components(rows: list[list[Any]]) -> dict[str, list[Fraction]]:
@@ -101,4 +127,6 @@ def _outcome(given: Any) -> tuple[Any, Hashable, Any]:
         raise ModelError(
             f"an outcome is {given!r}", fix="give (probability, next state, reward)"
         ) from error
+    for amount in reward.values() if isinstance(reward, Mapping) else (reward,):
+        as_given(amount)  # refused here, where the state and the action are known
     return probability, following, reward

@@ -6,8 +6,10 @@
 
 An action that P does not list for a state, or lists with None or nothing, is not available there,
 nor is one of infinite loss: -inf, or inf where rewards are costs. Rewards are of states, of pairs
-or of transitions, in dictionaries, lists or arrays by the same keys. A state that P lists without
-any action is an end. Other lists are arrays: see `mdp.build`.
+or of transitions, in dictionaries, lists or arrays by the same keys; a list has one entry for each
+state, and for each action, that P knows. Beside quadruples, rewards may also be triples (s, a, r)
+or quadruples (s, a, t, r) of pairs that P lists. A state that P lists without any action is an end.
+Other lists are arrays: see `mdp.build`.
 """
 
 from __future__ import annotations
@@ -65,14 +67,112 @@ def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str
         with located(f"P, state {state}, action {action}, next state {following}"):
             row = pairs.setdefault((state, action), [])
             row += [(chance, following)] if exact(chance) else []
-    rewards = {_path(path, states): reward for path, reward in _leaves(R)}
     rows, never = [], inf if costs else -inf
+    rewards = _rewards(R, P, states, pairs, never)
     for (state, action), row in pairs.items():
         if rewards.get((state, action), rewards.get((state,))) == never:
             continue
         earned = [(p, then, _reward(rewards, state, action, then)) for p, then in row]
         rows.append((state, action, earned))
     return numbered(rows, states, ends)
+
+
+def _rewards(
+    R: Any, P: Any, states: Numbering, pairs: Mapping[Path, Any], never: float
+) -> dict[Path, Any]:
+    """Return the rewards by state, pair or transition; raise where any would be left out."""
+    as_rows = _reward_rows(R, states, pairs, never) if _are_quadruples(P) else None
+    try:
+        _fit(R, (), states, _widths(P, states, pairs))
+    except ShapeError:
+        if as_rows is None:
+            raise
+        return as_rows
+    if as_rows is not None:
+        kind = "triples (s, a, r)" if len(R[0]) == 3 else "quadruples (s, a, t, r)"
+        raise ModelError(
+            f"the rewards may be {kind}, or R[s][a] for each state and action",
+            where="R",
+            fix="say which, by a dictionary: {(s, a): r} or {(s, a, t): r}, or {s: {a: r}}",
+        )
+    rewards = {_path(path, states): reward for path, reward in _leaves(R)}
+    strange = next((path for path in rewards if path[0] not in states.number), None)
+    if strange is not None:
+        raise ModelError(
+            f"there is a reward of state {strange[0]!r}, which P does not know",
+            where="R",
+            fix="leave it out, or correct the state",
+        )
+    return rewards
+
+
+def _reward_rows(
+    R: Any, states: Numbering, pairs: Mapping[Path, Any], never: float
+) -> dict[Path, Any] | None:
+    """Return what triples or quadruples say, None where R is no list of them.
+
+    They are of pairs that P lists, except where the reward says that the action is not available,
+    and each comes once.
+    """
+    width = next((width for width in (3, 4) if _are_rows(R, width)), 0)
+    if not width or not len(R):
+        return None
+    found: dict[Path, Any] = {}
+    for *path, reward in R.tolist() if isinstance(R, np.ndarray) else R:
+        key = tuple(map(_whole, path))
+        try:
+            listed = key[:2] in pairs or (key[0] in states.number and reward == never)
+            if not listed or key in found or not set(key[2:]) <= states.number.keys():
+                return None
+        except TypeError:  # no key
+            return None
+        found[key] = reward
+    return found
+
+
+def _widths(P: Any, states: Numbering, pairs: Mapping[Path, Any]) -> dict[Any, set[int]]:
+    """Return how many rewards a list may give for the actions of each state: its own, or all."""
+    own: dict[Any, set[int]] = {state: set() for state in states.number}
+    last = dict.fromkeys(own, 0)
+    words = set()
+    for state, action in pairs:
+        if isinstance(action, int | np.integer) and action >= 0:
+            last[state] = max(last[state], int(action) + 1)
+        else:
+            words.add(state)
+    for state, row in () if _are_quadruples(P) else _items(P):
+        if _is_list(row) and state in own:
+            own[state].add(len(row))
+    most = max([*last.values(), *(width for widths in own.values() for width in widths)], default=0)
+    return {
+        state: set() if state in words else {*widths, last[state], most}
+        for state, widths in own.items()
+    }
+
+
+def _fit(values: Any, known: Path, states: Numbering, widths: Mapping[Any, set[int]]) -> None:
+    """Raise ShapeError where a list of rewards has not one for each state, action or next state."""
+    if _is_list(values) and len(known) < 3:
+        of_actions, size = len(known) == 1, len(states.number)
+        numbered = states.number.keys() == set(range(size))
+        allowed = widths.get(known[0], set()) if of_actions else {size} if numbered else set()
+        if len(values) not in allowed:
+            wanted = " or ".join(map(str, sorted(allowed)))
+            thing = "actions" if of_actions else "states"
+            places = zip(("state", "action"), known, strict=False)
+            raise ShapeError(
+                f"{len(values)} entries in a list for "
+                + (f"{wanted} {thing}" if wanted else f"{thing} that are not numbers from 0 on"),
+                where=", ".join(["R", *(f"{what} {key}" for what, key in places)]),
+                fix="give one for each state, R[s], for each action, R[s][a], and for each next "
+                "state, R[s][a][t]; or a dictionary {(s, a): r}; beside quadruples for P also "
+                "triples (s, a, r) or quadruples (s, a, t, r), of pairs that P lists, each once",
+            )
+    if isinstance(values, Mapping) or _is_list(values):
+        for key, value in _items(values):
+            if isinstance(value, Mapping) or _is_list(value):
+                more = key if isinstance(key, tuple) and key not in states.number else (key,)
+                _fit(value, (*known, *more), states, widths)
 
 
 def _reward(rewards: Mapping[Path, Any], state: Any, action: Any, then: Any) -> Any:
@@ -151,12 +251,17 @@ def _is_list(values: Any) -> bool:
 
 
 def _are_quadruples(P: Any) -> bool:
-    if isinstance(P, np.ndarray):
-        return P.ndim == 2 and P.shape[1] == 4
-    if not isinstance(P, list | tuple) or not P or not all(_is_list(row) for row in P):
+    return _are_rows(P, 4)
+
+
+def _are_rows(values: Any, width: int) -> bool:
+    """Return whether values are a list of rows of so many numbers or names each."""
+    if isinstance(values, np.ndarray):
+        return values.ndim == 2 and values.shape[1] == width
+    if not isinstance(values, list | tuple) or not values or not all(map(_is_list, values)):
         return False
     nested = (list, dict, np.ndarray, type(None))
-    return all(len(row) == 4 and not any(isinstance(x, nested) for x in row) for row in P)
+    return all(len(row) == width and not any(isinstance(x, nested) for x in row) for row in values)
 
 
 def _whole(number: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from laws import laws
 from strategies import Rows, models
 
-from exact_mdp.mdp import MDP, DistributionError, ModelError, ShapeError
+from exact_mdp.mdp import MDP, DistributionError, ModelError, Policy, ShapeError
 from exact_mdp.solvers import certify
 
 HALF = Fraction(1, 2)
@@ -31,7 +32,9 @@ def arrays(draw: st.DrawFn) -> tuple[Any, Any, Any]:
     P = rng.multinomial(64, np.full(states, 1 / states), size=(actions, states)) / 64
     offered = rng.random((states, actions)) < 0.7
     offered[np.arange(states), rng.integers(actions, size=states)] = True
-    return P, rng.integers(-8, 8, (states, actions)) / 4, offered
+    offered[rng.integers(states), -1] = True  # what shows how many actions there are
+    # No reward is whole: none is taken for a state or an action.
+    return P, rng.integers(-8, 8, (states, actions)) / 4 + 1 / 8, offered
 
 
 @given(arrays())
@@ -67,18 +70,106 @@ def test_every_form_is_the_same_model(given: tuple[Any, Any, Any]) -> None:
         MDP.from_arrays({(s, a, t): p for s, a, t, p in quadruples}, R, HALF),
         MDP.from_arrays(quadruples, {(s, a): R[s, a] for s, a in pairs}, HALF),
         MDP.from_arrays(np.array(quadruples), missing, HALF),
+        MDP.from_arrays(quadruples, by_move, HALF),
         MDP.from_pairs(
             every_state, every_action, nonsense.reshape(-1, states)[order],
             missing.reshape(-1)[order], HALF,
         ),
     ]  # fmt: skip
+    triples = [(s, a, R[s, a]) for s, a in pairs]
+    by_outcome = [(s, a, t, R[s, a]) for s, a, t, _ in quadruples]
+    for width, listed in ((3, triples), (4, by_outcome), (3, np.array(triples))):
+        if (len(listed), width) == (states, actions):
+            with pytest.raises(ModelError, match="the rewards may be"):
+                MDP.from_arrays(quadruples, listed, HALF)
+        else:
+            forms.append(MDP.from_arrays(quadruples, listed, HALF))
     if actions != states:
         forms.append(MDP.from_arrays(nonsense, missing, HALF))
         forms.append(MDP.from_arrays([sp.coo_array(x) for x in nonsense], missing, HALF))
     for number, mdp in enumerate(forms):
         assert laws(mdp) == wanted, number
+    wrong: list[Any] = [
+        np.ones((states + 1, actions)), np.ones((states, actions + 1)), np.ones(states + 1),
+        np.ones((states, actions, states + 1)), R[:-1], [*R.tolist(), [1.0]],
+        {s: [*R[s], 1.0] for s in range(states)},
+        {(s, a): [R[s, a]] * (states + 1) for s, a in pairs},
+    ]  # fmt: skip
+    for P, R_ in product((named, quadruples, np.array(quadruples)), wrong):
+        with pytest.raises(ShapeError) as caught:
+            MDP.from_arrays(P, R_, HALF)
+        assert caught.value.where.startswith("R")
+        assert caught.value.fix
     costs = MDP.from_arrays(named, dict(enumerate(R.max(axis=1))), HALF)
     assert costs.reward.tolist() == R.max(axis=1)[state].tolist()
+
+
+RAGGED = [[[0.5, 0.5], [0, 1]], [[1, 0]]]
+QUADRUPLES = [(0, 0, 1, 1), (0, 1, 0, 1), (1, 0, 1, 1)]
+CYCLE = [(0, 0, 1, 1), (1, 1, 2, 1), (2, 2, 0, 1)]
+
+
+@pytest.mark.parametrize(
+    ("P", "R", "kind", "message"),
+    [
+        (QUADRUPLES, [[1, 2, 99, 98], [3], [55], [66]], ShapeError, "4 entries in a list for 2 st"),
+        (QUADRUPLES, [[1, 2, 99], [3]], ShapeError, "3 entries in a list for 2 actions"),
+        (QUADRUPLES, [(0, 0, 7), (0, 0, 8), (1, 0, 9)], ShapeError, "for 2 states"),
+        (QUADRUPLES, [(0, 0, 7), (0, 1, 8), (1, 1, 9)], ShapeError, "for 2 states"),
+        (QUADRUPLES, [(0, 0, 7), (0, 1, 8)], ModelError, "there is no reward"),
+        (QUADRUPLES, [(0, 0, 1, 7)], ModelError, "there is no reward"),
+        (RAGGED, np.ones((5, 7)), ShapeError, "5 entries in a list for 2 states"),
+        (RAGGED, [[1, 2], [3, 4, 5]], ShapeError, "3 entries in a list for 1 or 2 actions"),
+        (CYCLE, [(0, 0, 7), (1, 1, 8), (2, 2, 9)], ModelError, "may be triples (s, a, r), or"),
+        ({"a": {"go": {"a": 1}}}, {"a": [1]}, ShapeError, "actions that are not numbers"),
+        ({"a": {"go": {"a": 1}}}, [1], ShapeError, "states that are not numbers"),
+        ({0: {0: {0: 1}}}, {(0, 0): 1, (5, 0): 7}, ModelError, "a reward of state 5"),
+    ],
+)
+def test_no_reward_is_left_out(P: Any, R: Any, kind: type[ModelError], message: str) -> None:
+    with pytest.raises(kind) as caught:
+        MDP.from_arrays(P, R)
+    assert message in caught.value.what
+    assert caught.value.where.startswith("R")
+    assert caught.value.fix
+
+
+def test_rows_of_rewards_beside_quadruples() -> None:
+    """By names as well; a pair that is not available may be said to be so."""
+    inf = float("inf")
+    for R in (
+        [(0, 0, 7), (0, 1, 8), (1, 0, 9)],
+        [(0, 0, 7), (0, 1, 8), (1, 0, 9), (1, 1, -inf)],
+        [(0, 0, 1, 7), (0, 1, 0, 8), (1, 0, 1, 9)],
+        [[7, 8], [9]],
+    ):
+        assert MDP.from_arrays(QUADRUPLES, R, HALF).R.tolist() == [[7, 8], [9, -inf]]
+    named = MDP.from_arrays(
+        [("a", "go", "b", 1), ("b", "go", "a", 1)], [("a", "go", 3), ("b", "go", 4)]
+    )
+    assert named.reward.tolist() == [3, 4]
+
+
+def test_sparse_matrices_in_an_array_are_a_list() -> None:
+    matrices = np.empty(2, dtype=object)
+    matrices[:] = [sp.csr_array(np.eye(2)), sp.csr_array(np.eye(2)[::-1])]
+    assert laws(MDP.from_arrays(matrices, matrices)) == laws(
+        MDP.from_arrays(list(matrices), list(matrices))
+    )
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64])
+def test_single_precision_is_named_where_it_misses_1(kind: type[Any]) -> None:
+    P = np.random.default_rng(0).random((1, 9, 9)).astype(kind)
+    P /= P.sum(axis=-1, keepdims=True)
+    if kind is np.float64:
+        assert MDP.from_arrays(P, [0] * 9).n_states == 9
+    else:
+        with pytest.raises(DistributionError, match=r"single precision(.|\n)*float64 and norm"):
+            MDP.from_arrays(P, [0] * 9)
+    P[0, 0, 0] += kind(0.2)
+    with pytest.raises(DistributionError, match="add the missing outcome"):
+        MDP.from_arrays(P, [0] * 9)
 
 
 def test_the_reward_of_a_pair_is_earned_in_full() -> None:
@@ -126,7 +217,7 @@ BAD: dict[str, tuple[Any, Any, type[ModelError], str]] = {
     "a reward by words": ({0: {0: {0: 1}}}, {"a": 1}, ModelError, "R has an entry by 'a'"),
     "a word": ({0: {0: {0: "x"}}}, {0: 1}, ModelError, "not a finite rational"),
     "a sum": ({0: {0: {0: 0.5}}}, {0: 1}, DistributionError, "sum to 0.5, not 1"),
-    "a matrix": (np.eye(4), [0] * 4, ModelError, "R has an entry by 2"),
+    "a matrix": (np.eye(4), [0] * 4, ModelError, "4 entries in a list for 2 states"),
     "part of a state": ([(0.5, 0, 0, 1)], {0.5: 0}, ModelError, "without action"),
     "two of a name": ({Nameless(): {}, Nameless(): {}}, {}, ModelError, "are both called one"),
     "no hashable": ([(({},), 0, 0, 1)], [0], ModelError, "cannot be a key"),
@@ -283,6 +374,65 @@ def test_what_cannot_be_explored(message: str) -> None:
         MDP.from_function(start, lambda state: actions, following, max_states=9)
     assert message in caught.value.what
     assert caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("actions", "outcomes", "where"),
+    [
+        (["go"], None, "state 0, action go"),
+        (["go"], 7, "state 0, action go"),
+        (["go"], [(5, 1, "x")], "state 0, action go"),
+        (["go"], [(1, 1, {"care": "x"})], "state 0, action go"),
+        (7, [], "state 0"),
+    ],
+)
+def test_a_wrong_answer_is_of_a_state_and_an_action(
+    actions: Any, outcomes: Any, where: str
+) -> None:
+    with pytest.raises(ModelError) as caught:
+        MDP.from_function(0, lambda s: actions, lambda s, a: outcomes)
+    assert caught.value.where == where
+    assert caught.value.fix
+
+
+def test_an_error_of_the_users_function_stays_what_it_is() -> None:
+    broken = KeyError("mine")
+
+    def fails(*_: Any) -> Any:
+        raise broken
+
+    def later(*_: Any) -> Any:
+        yield from fails()
+
+    for ask in (fails, later):
+        with pytest.raises(KeyError) as caught:
+            MDP.from_function(0, lambda s: ["go"], ask)
+        assert caught.value is broken
+        assert broken.__notes__[-1].endswith("for state 0, action go")
+        with pytest.raises(KeyError):
+            MDP.from_function(0, ask, fails)
+        assert broken.__notes__[-1].endswith("for state 0")
+
+
+@pytest.mark.parametrize("ending", [".npz", ".umb"])
+def test_a_loaded_model_knows_states_by_their_text(tmp_path: Path, ending: str) -> None:
+    """Objects become their text in a file; numbers stay numbers where a name could be one."""
+    path = tmp_path / f"model{ending}"
+    MDP.from_function(
+        (0, 0),
+        lambda s: ["stay", "go"] if s == (0, 0) else [],
+        lambda s, a: [(1, (0, 0) if a == "stay" else (0, 1), 0)],
+        HALF,
+    ).save(path)
+    loaded = MDP.load(path)
+    assert loaded.space.number((0, 1)) == loaded.space.number("(0, 1)") == 1
+    assert Policy.of(loaded, {(0, 0): "go"}).rule[0] == 1
+    assert MDP.load(path, start=(0, 1)).start == loaded.with_(start={(0, 1): 1}).start == ((1, 1),)
+    with pytest.raises(ModelError, match="is not a state"):
+        loaded.space.number((7, 7))
+    tens = MDP.from_arrays([np.eye(2)], [0, 0], states=["10", "20"])
+    ones = MDP.from_arrays([np.eye(2)], [0, 0], states=["1", "2"])
+    assert (tens.space.number(20), ones.space.number(1)) == (1, 1)
 
 
 @pytest.mark.parametrize("ending", [".npz", ".umb"])
