@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.components import each_component, named_components, of_length
-from exact_mdp.mdp.errors import ModelError, ShapeError
+from exact_mdp.mdp.errors import DistributionError, ModelError, ShapeError
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.numbers import (
     Grouped,
@@ -108,7 +108,7 @@ def _rewards_of_arrays(
 
 @contextmanager
 def hinting(P: Any, layout: str | None) -> Iterator[None]:
-    """Add to an error that P may be meant as (S, A, S), where its shape does not tell."""
+    """Add to an error of shapes or rows that P may be (S, A, S), where its shape does not tell."""
     try:
         yield
     except ModelError as error:
@@ -116,7 +116,8 @@ def hinting(P: Any, layout: str | None) -> Iterator[None]:
             shape = np.shape(P)
         except ValueError:  # rows of different lengths
             shape = ()
-        if layout is None and len(shape) == 3 and len(set(shape)) == 1:
+        turned = isinstance(error, ShapeError | DistributionError) and error.where != "start"
+        if turned and layout is None and len(shape) == 3 and len(set(shape)) == 1:
             fix = f'{error.fix}; for P (S, A, S) say layout="sas"'
             raise type(error)(error.what, where=error.where, fix=fix) from error
         raise

@@ -20,6 +20,7 @@ from exact_mdp.mdp.errors import (
     located,
     suggest,
 )
+from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -212,6 +213,7 @@ def _check_discount(value: Fraction) -> None:
 def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ...]:
     """Return an initial distribution from a state, from {state: probability}, or from a vector."""
     with located("start"):
+        refuse_masked(start)
         if isinstance(start, Mapping):
             weights = {space.number(state): exact(weight) for state, weight in start.items()}
         elif (isinstance(start, np.ndarray) and start.ndim == 1) or (

@@ -19,9 +19,14 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import Given, exact, given, rounding_of
+from exact_mdp.mdp.validate import counted
 
 MOST_STATES = 1_000_000
 OUTCOMES = "give a list of (probability, next state, reward)"
+HOW = {
+    "actions": "a function of a state that lists its actions: lambda state: [0, 1]",
+    "outcomes": "a function of a state and an action that lists (probability, next state, reward)",
+}
 
 
 def explored(
@@ -35,6 +40,12 @@ def explored(
 
     `labels` says of which states a name is, by a function of a state, or as the model takes them.
     """
+    for name, function in (("actions", actions), ("outcomes", outcomes)):
+        if not callable(function):
+            raise ModelError(
+                f"{name} is {function!r}, not a function", where=name, fix=f"give {HOW[name]}"
+            )
+    max_states = counted(max_states, "max_states")
     states, rows = Numbering(), list[Row]()
     begins = list(start) if isinstance(start, Mapping) else [start]
     for state in begins:

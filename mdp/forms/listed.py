@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
 from exact_mdp.mdp.forms.numbering import Numbering, numbered
+from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.table import Given, exact, given, rounding_of
 
 Path = tuple[Any, ...]
@@ -69,6 +70,9 @@ def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str
             row += [(chance, following)] if exact(chance) else []
     rows, never = [], inf if costs else -inf
     rewards = _rewards(R, P, states, pairs, never)
+    for path, reward in rewards.items() if isinstance(R, Mapping) else ():
+        if reward != never and not _is_list(R.get(path[0])):
+            _check_known(path, P, pairs, states, ends if reward == 0 else set())
     for (state, action), row in pairs.items():
         if rewards.get((state, action), rewards.get((state,))) == never:
             continue
@@ -101,7 +105,8 @@ def _rewards(
         raise ModelError(
             f"there is a reward of state {strange[0]!r}, which P does not know",
             where="R",
-            fix="leave it out, or correct the state",
+            fix="leave it out, or correct the state: "
+            + suggest(str(strange[0]), map(str, states.number)),
         )
     return rewards
 
@@ -175,6 +180,38 @@ def _fit(values: Any, known: Path, states: Numbering, widths: Mapping[Any, set[i
                 _fit(value, (*known, *more), states, widths)
 
 
+def _check_known(
+    path: Path, P: Any, pairs: Mapping[Path, Any], states: Numbering, ends: set[Hashable]
+) -> None:
+    """Raise ModelError for a reward of something that P does not name; 0 is earned in ends."""
+    state, action = path[0], path[1:2]
+    listed = not action or state in ends or path[:2] in pairs or _lists(P, state, *action)
+    for what, thing, known in (
+        ("action", action, action if listed else dict.fromkeys(act for _, act in pairs)),
+        ("next state", path[2:], states.number),
+    ):
+        if thing and thing[0] not in known:
+            raise ModelError(
+                f"a reward of the {what} {thing[0]!r}, which P does not name",
+                where=f"R, {', '.join(map(str, path))}",
+                fix=suggest(str(thing[0]), map(str, known)),
+            )
+    if not listed:
+        raise ModelError(
+            f"a reward of the action {action[0]!r}, which P does not offer there",
+            where=f"R, {', '.join(map(str, path))}",
+            fix=suggest(str(action[0]), [str(act) for s, act in pairs if s == state]),
+        )
+
+
+def _lists(P: Any, state: Any, action: Any) -> bool:
+    """Return whether P lists an action, available or not."""
+    if not isinstance(P, Mapping):
+        return not _are_quadruples(P) and state in range(len(P)) and action in range(len(P[state]))
+    row = P.get(state) or ()
+    return (state, action) in P or action in (range(len(row)) if _is_list(row) else row)
+
+
 def _reward(rewards: Mapping[Path, Any], state: Any, action: Any, then: Any) -> Any:
     """Return the reward of a transition: its own, or that of its pair or state, earned in full."""
     where = f"R, state {state}, action {action}"
@@ -235,6 +272,7 @@ def _spread(path: Path, lengths: int | tuple[int, ...], where: str) -> Path:
 
 def _leaves(values: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
     """Yield the numbers in nested dictionaries and lists, each with its keys."""
+    refuse_masked(values, "P or R")
     if isinstance(values, Mapping) or _is_list(values):
         for key, value in _items(values):
             yield from _leaves(value, (*path, key))

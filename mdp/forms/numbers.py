@@ -48,8 +48,20 @@ def as_given(value: object) -> Fraction | float:
     return float(value) if isinstance(value, float) else given(value)
 
 
+def refuse_masked(values: object, where: str = "") -> None:
+    """Raise ModelError for an array with masked entries: what lies under a mask was not given."""
+    if np.ma.is_masked(values):
+        raise ModelError(
+            "entries of the array are masked",
+            where=where,
+            fix="fill them, as array.filled(0) does; the reward, or the value, of an action that "
+            "is not offered is -inf (of costs inf)",
+        )
+
+
 def whole_numbers(values: ArrayLike, what: str) -> Integers:
     """Return a list of whole numbers (L,)."""
+    refuse_masked(values, what)
     array = np.asarray(values)
     if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
         raise ModelError(
@@ -132,6 +144,7 @@ def _array(values: Any) -> Any:
 def _kinds(values: Any) -> set[Any]:
     """Return the types of the numbers in an array, or in lists of lists."""
     if isinstance(values, np.ndarray):
+        refuse_masked(values)
         return {values.dtype.type}
     if not isinstance(values, list | tuple):
         return {type(values)}

@@ -187,6 +187,12 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
         for action, outcomes in _items(row, where, f"P[{state}]"):
             place = f"{where}, P[{state}][{action}]"
             rows[state, action] = [_outcome(outcome, place) for outcome in _listed(outcomes, place)]
+    if not rows:
+        raise ModelError(
+            "P is empty: it lists no state with an action",
+            where=where,
+            fix="let P[state][action] list (probability, next state, reward, terminated)",
+        )
     most = (
         max((state for state, _ in rows), default=-1) + 1,
         max((action for _, action in rows), default=-1) + 1,

@@ -19,7 +19,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.explicit import REWARD, Explicit, expected, identifier, over, table_of
 from exact_mdp.mdp.io.npz import parts_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import OutcomeTable, exact, multiply, shown
+from exact_mdp.mdp.table import Integers, OutcomeTable, exact, multiply, shown
 from exact_mdp.mdp.validate import as_discount, as_start
 
 T = TypeVar("T")
@@ -32,6 +32,9 @@ DOUBTS = tuple(
     field.name for field in fields(OutcomeTable) if field.default is None and field.name != "event"
 )
 """Arrays of floats that a table of outcomes may have, each an annotation where it has it."""
+
+
+OBSERVED = "observations"
 
 
 def key_of(name: str) -> str:
@@ -96,10 +99,20 @@ def restored(
             gain, below = over(own["gain"], table.offsets)
             changes |= {"gain": gain, "gain_denominator": below}
         table = replace(table, **changes)
+    if OBSERVED in own:
+        parts[OBSERVED] = np.asarray(own[OBSERVED].top, dtype=np.int64)
+        table = _of_counts(table, parts[OBSERVED])
     model = MDP(table, np.repeat(np.arange(len(choices)), choices), found.actions, **parts)
     if finer:
         _check_gains(table, coarse)
     return model
+
+
+def _of_counts(table: OutcomeTable, seen: Integers) -> OutcomeTable:
+    """Return the table with each probability of an observed pair as its count over theirs (L,)."""
+    times = np.where((seen > 0) & (seen % table.denominator == 0), seen // table.denominator, 1)
+    weight = table.weight * np.repeat(times, np.diff(table.offsets))
+    return replace(table, weight=weight, denominator=table.denominator * times)
 
 
 def _listed(found: Mapping[str, T], key: Callable[[int], str], names: object) -> list[T]:

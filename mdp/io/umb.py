@@ -7,6 +7,7 @@ other tools pass over:
     start        the initial distribution (the format itself has a set of initial states)
     gain         the reward of each branch, where it is not the choice's alone
     event        the events of each branch, as the bits of a number
+    observations how often each choice was observed, in a model from data
     …-doubt      how far numbers may lie from what they were rounded from
 
 The description of `start` is the header of `mdp.io.npz` as JSON: discount, columns and names
@@ -52,6 +53,7 @@ from exact_mdp.mdp.io.own import (
     CARRIER,
     DOUBTS,
     GROUP,
+    OBSERVED,
     component_key,
     key_of,
     label_key,
@@ -187,6 +189,8 @@ def _umb_of(model: MDP) -> Any:
         _annotate(umb, "aps", label_key(number), "states", states.tolist(), alias=name)
     if model.goal is not None:
         _annotate(umb, GROUP, "goal", "states", model.goal.tolist())
+    if model.observations is not None:
+        _annotate(umb, GROUP, OBSERVED, "choices", model.observations.tolist())
     chances = [start.get(state, Fraction(0)) for state in range(model.n_states)]
     header = json.dumps(as_header(model))
     _annotate(umb, GROUP, CARRIER, "states", chances, about=header)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Integers, Numbers
@@ -119,12 +120,7 @@ def numbers_of(given: object) -> Numbers:
     >>> numbers_of([[2**53 + 1, 0.5]]).tolist() == [[2**53 + 1, 0.5]]
     True
     """
-    if np.ma.is_masked(given):  # what lies under a mask was not given
-        raise ModelError(
-            "entries of the array are masked",
-            where="policy",
-            fix="fill them: with -inf for an action never to be taken",
-        )
+    refuse_masked(given, "policy")
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiu":
         return np.asarray(given)  # of matrices, too, whose rows have two dimensions
     try:

@@ -74,10 +74,7 @@ def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> 
             raise ModelError(f"status {label} appears twice", fix="keep one of them")
         mixed = choice if isinstance(choice, Mapping) else {str(choice): 1}
         with located(f"status {label}"):
-            rows[key] = {
-                check_action(str(action), model.actions, ""): _probability(value)
-                for action, value in mixed.items()
-            }
+            rows[key] = _shares(mixed, lambda word: check_action(str(word), model.actions, ""))
     return _complete(model, space, rows)
 
 
@@ -121,8 +118,19 @@ def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> Parts:
     for key, choice in given.items():
         mixed = choice if isinstance(choice, Mapping) else {choice: 1}
         with located(space.label(key)):
-            rows[key] = {model.action(action): _probability(p) for action, p in mixed.items()}
+            rows[key] = _shares(mixed, model.action)
     return _complete(model, space, rows)
+
+
+def _shares(mixed: Mapping[Any, Any], number: Callable[[Any], int]) -> dict[int, Fraction]:
+    """Return {action: probability} by the numbers of the actions, each of which is named once."""
+    shares: dict[int, Fraction] = {}
+    for action, chance in mixed.items():
+        key = number(action)
+        if key in shares:
+            raise ModelError(f"action {action} appears twice", fix="keep one of them")
+        shares[key] = _probability(chance)
+    return shares
 
 
 def _of_rows(model: MDP, space: StateSpace, given: Mapping[int, Any], kind: str) -> Parts:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError
+from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Integers
@@ -22,6 +23,12 @@ from exact_mdp.solvers.solution import Solution
 
 def pairs_of(mdp: MDP, start: Any) -> Integers:
     """Return (S,) the pairs of a known policy."""
+    if not isinstance(start, Solution) and _floats(start) is not None:
+        raise ModelError(
+            "values are given, but what is asked for is a policy",
+            where="start",
+            fix="give a solution, a Policy or action numbers; value iteration begins with values",
+        )
     policy = Policy.of(mdp, start)
     if not policy.deterministic:
         raise ModelError(
@@ -60,11 +67,9 @@ def evaluated(mdp: MDP, pairs: Integers) -> Floats:
 
 def given_values(mdp: MDP, start: Any) -> Floats | None:
     """Return (S,) values that are given, of a solution or as an array of floats; else None."""
-    if isinstance(start, Solution):
-        array = start.value
-    elif isinstance(start, np.ndarray) and start.dtype.kind == "f" and start.ndim == 1:
-        array = start
-    else:
+    refuse_masked(start, "start")
+    array = start.value if isinstance(start, Solution) else _floats(start)
+    if array is None:
         return None
     if array.shape != (mdp.n_states,) or not np.isfinite(array).all():
         raise ShapeError(
@@ -73,6 +78,14 @@ def given_values(mdp: MDP, start: Any) -> Floats | None:
             fix="give one finite float for each state, or a policy",
         )
     return np.asarray(array, dtype=np.float64)
+
+
+def _floats(start: Any) -> Floats | None:
+    """Return an array or a list of floats as an array (S,); None for others."""
+    if isinstance(start, list | tuple) and start and all(isinstance(x, float) for x in start):
+        start = np.array(start)
+    found = isinstance(start, np.ndarray) and start.dtype.kind == "f" and start.ndim == 1
+    return start if found else None
 
 
 def opposite(mdp: MDP, start: Any) -> Any:

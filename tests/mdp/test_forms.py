@@ -18,7 +18,7 @@ from laws import laws
 from strategies import Rows, models
 
 from exact_mdp.mdp import MDP, DistributionError, ModelError, Policy, ShapeError
-from exact_mdp.solvers import certify
+from exact_mdp.solvers import certify, solve
 
 HALF = Fraction(1, 2)
 
@@ -65,7 +65,7 @@ def test_every_form_is_the_same_model(given: tuple[Any, Any, Any]) -> None:
         MDP.from_arrays(nonsense.astype(object), missing.astype(object), HALF, layout="sas"),
         MDP.from_arrays([sp.csr_array(x) for x in nonsense], missing, HALF, layout="sas"),
         MDP.from_arrays(nested, missing.tolist(), HALF, layout="sas"),
-        MDP.from_arrays(named, {s: dict(enumerate(R[s])) for s in range(states)}, HALF),
+        MDP.from_arrays(named, {s: {a: R[s, a] for a in named[s]} for s in named}, HALF),
         MDP.from_arrays({(s, a): named[s][a] for s, a in pairs}, R, HALF),
         MDP.from_arrays({(s, a, t): p for s, a, t, p in quadruples}, R, HALF),
         MDP.from_arrays(quadruples, {(s, a): R[s, a] for s, a in pairs}, HALF),
@@ -448,3 +448,86 @@ def test_a_model_is_saved_and_loaded(tmp_path: Path, ending: str) -> None:
     assert MDP.load(tmp_path / f"model{ending}", discount="1/2").discount_exact == HALF
     with pytest.raises(ModelError, match="cannot write a model as"):
         mdp.save(tmp_path / "model.txt")
+
+
+# ---- what would be misread ---------------------------------------------------------------------
+
+MASKED = np.ma.array([[5, 1]], mask=[[1, 0]])
+ONE = [[[1]], [[1]]]
+HIDDEN: dict[str, Callable[[], Any]] = {
+    "R": lambda: MDP.from_arrays(ONE, MASKED, HALF),
+    "P": lambda: MDP.from_arrays(np.ma.array(ONE, mask=[[[1]], [[0]]]), [[5, 1]], HALF),
+    "a list": lambda: MDP.from_arrays(ONE, [MASKED[0]], HALF),
+    "a dictionary": lambda: MDP.from_arrays({0: {0: MASKED[0], 1: [0, 1]}, 1: {}}, {0: 1}, HALF),
+    "start": lambda: MDP.from_arrays(ONE, [[5, 1]], start=np.ma.array([1.0], mask=[1])),
+    "components": lambda: MDP.from_arrays(ONE, [[5, 1]], components={"c": MASKED}),
+    "pairs": lambda: MDP.from_pairs(np.ma.array([0], mask=[1]), [0], [[1]], [0]),
+    "values": lambda: solve(
+        MDP.from_arrays(ONE, [[5, 1]], HALF), "value-iteration", start=np.ma.array([1.0], mask=[1])
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_what_lies_under_a_mask_is_not_read(name: str) -> None:
+    with pytest.raises(ModelError, match="entries of the array are masked") as caught:
+        HIDDEN[name]()
+    assert "-inf" in caught.value.fix
+    whole = np.ma.array([[5, 1]], mask=False)
+    assert MDP.from_arrays(ONE, whole, HALF).reward.tolist() == [5, 1]
+
+
+TWO = {"a": {"x": {"a": 1}, "y": {"a": 1}}, "b": {"x": {"b": 1}}}
+
+
+@pytest.mark.parametrize(
+    ("key", "fix"),
+    [
+        (("a", "X"), "choose one of x, y"),
+        (("a", "x", "A"), "choose one of a, b"),
+        (("b", "y"), "choose one of x"),
+    ],
+)
+def test_a_reward_of_what_is_not_there_is_refused(key: tuple[str, ...], fix: str) -> None:
+    """It was dropped without a word, so that a typing error changed the model."""
+    with pytest.raises(ModelError, match="a reward of the") as caught:
+        MDP.from_arrays(TWO, {"a": 1, "b": 1, key: 50}, HALF)
+    assert caught.value.fix == fix
+    assert caught.value.where == f"R, {', '.join(key)}"
+
+
+def test_rewards_of_what_is_listed_as_unavailable_are_passed_over() -> None:
+    P = {"a": {"x": {"a": 1}, "y": None}, "b": {}}
+    for R in ({"a": {"x": 1, "y": 5}}, {"a": 1, ("b", "x"): 0}, {"a": 1, ("a", "x", "b"): 7}):
+        assert MDP.from_arrays(P, R, HALF).reward.tolist() == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("names", "what"),
+    [
+        ({"start": [0.5, 0.4]}, "start probabilities"),
+        ({"discount": 2}, "discount"),
+        ({"R": [np.inf, 0]}, "reward is inf"),
+    ],
+)
+def test_the_layout_is_named_only_where_it_may_help(names: dict[str, Any], what: str) -> None:
+    with pytest.raises(ModelError, match=what) as caught:
+        MDP.from_arrays([np.eye(2)] * 2, **({"R": [0, 0]} | names))
+    assert "layout" not in caught.value.fix
+
+
+EXPLORED: dict[str, tuple[Any, Any, Any, str]] = {
+    "a list": ([0], lambda s, a: [], 9, r"actions is \[0\], not a function"),
+    "a number": (lambda s: 3, lambda s, a: [], 9, "the function returns 3, not a list"),
+    "no outcomes": (lambda s: [0], [(1, 0, 0)], 9, "outcomes is .*, not a function"),
+    "a word": (lambda s: [0], lambda s, a: [(1, 0, 0)], "x", "max_states is 'x'"),
+}
+
+
+@pytest.mark.parametrize("name", EXPLORED)
+def test_arguments_of_another_kind_are_told_what_to_be(name: str) -> None:
+    actions, outcomes, most, message = EXPLORED[name]
+    with pytest.raises(ModelError, match=message) as caught:
+        MDP.from_function(0, actions, outcomes, max_states=most)
+    assert caught.value.where
+    assert caught.value.fix

@@ -157,3 +157,11 @@ def test_an_agent_of_the_environment_itself() -> None:
     after = {name: env.P[0][mdp.action(name)][0][1] for name in ("RIGHT", "DOWN", "LEFT", "UP")}
     places = {name: tuple(mdp.space.as_dict(state).values()) for name, state in after.items()}
     assert places == {"RIGHT": ("0", "1"), "DOWN": ("1", "0"), "LEFT": ("0", "0"), "UP": ("0", "0")}
+
+
+@pytest.mark.parametrize("row", [{0: 0, 1: 1, "0": 1, "1": 0}, {1: "1/2", "1": "1/2"}])
+def test_an_action_that_is_named_twice_is_refused(row: dict[Any, Any]) -> None:
+    """The last one counted, without a word."""
+    mdp = MDP.from_arrays([np.eye(1)] * 2, [[0, 1]], "1/2")
+    with pytest.raises(ModelError, match="appears twice"):
+        Policy.of(mdp, {0: row})

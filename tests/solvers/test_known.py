@@ -102,7 +102,7 @@ def test_what_is_known_saves_work_and_changes_no_answer(name: str, costs: bool) 
     }
     for what, start in starts.items():
         if name == "linear-program" and what in ("values", "far"):
-            with pytest.raises(ModelError, match="whole numbers, not floats"):
+            with pytest.raises(ModelError, match="asked for is a policy"):
                 solve(mdp, name, start=start)
             continue
         found = solve(mdp, name, start=start)
@@ -119,6 +119,10 @@ def test_a_start_that_does_not_fit() -> None:
         (acyclic, "backward-induction", [0, 0], "takes no start"),
         (MODEL, "value-iteration", np.zeros(3), "values of shape"),
         (MODEL, "value-iteration", np.full(120, np.inf), "not finite"),
+        (MODEL, "value-iteration", [np.nan] * 120, "not finite"),
+        (MODEL, "policy-iteration", [np.inf] * 120, "not finite"),
+        (MODEL, "linear-program", np.zeros(120), "asked for is a policy"),
+        (MODEL, "linear-program", [0.0] * 120, "asked for is a policy"),
         (MODEL, "policy-iteration", "random", "mixed"),
         (MODEL, "policy-iteration", [9] * 120, "outside"),
     ):

@@ -18,6 +18,10 @@ def assert_same(left: MDP, right: MDP) -> None:
             same_array(ours, theirs, name)
     for name in ("pair_state", "pair_action", "reward", "components", "pair_offsets"):
         same_array(getattr(left, name), getattr(right, name), name)
+    assert (left.observations is None) == (right.observations is None)
+    if left.counts is not None and right.counts is not None:
+        same_array(left.observations, right.observations, "observations")
+        same_array(left.counts.toarray(), right.counts.toarray(), "counts")
     for name in ("data", "indices", "indptr"):
         same_array(getattr(left.transition, name), getattr(right.transition, name), name)
     for name in (

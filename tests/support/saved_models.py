@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import gymnasium
 import numpy as np
+import pandas as pd
 
 from exact_mdp.mdp import MDP, Column, Parameter, Scenario, StateSpace
 
@@ -50,6 +51,13 @@ MODELS = {
     "costs": MDP.from_arrays(
         [[["1/3", "2/3"], [0, 1]]], [["2/7"], [0]], sense="min", goal=[False, True],
         labels={"goal": [False, True], "nowhere": [False, False], "a-b c": [True, False]},
+    ),
+    "counted": MDP.from_transitions(
+        pd.DataFrame(
+            [(1, "a", "go", 1, then) for then in "aab"] + [(1, "b", "go", 2, None)]
+            + [(2, "a", "go", 1, "b"), (2, "b", "stay", 0, "b"), (2, "b", "go", 3, None)],
+            columns=["episode", "state", "action", "reward", "next_state"],
+        ), "9/10",
     ),
     "gymnasium": MDP.from_gymnasium(TAXI, "9/10"),
 }  # fmt: skip

@@ -362,8 +362,8 @@ def test_an_environment_that_cannot_be_made(
     [
         (None, [1], "does not expose its model"),
         (3, [1], "int found where a list"),
-        ({}, [], "without state-action pairs"),
-        ({0: {}}, [], "without state-action pairs"),
+        ({}, [], "P is empty"),
+        ({0: {}}, [], "P is empty"),
         ({0: {0: []}}, [1], "sum to 0, not 1"),
         ({0: {0: [(1, 0, 0)]}}, [1], "an outcome is (1, 0, 0)"),
         ({0: {0: [(1, 0, 0, "no")]}}, [1], "an outcome is"),
@@ -419,3 +419,9 @@ def test_without_gymnasium_the_error_names_the_extra(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("exact_mdp.mdp.io.gymnasium.gymnasium", later("gymnasium"))
     with pytest.raises(ModelError, match=r"exact-mdp\[gymnasium\]"):
         MDP.from_gymnasium("FrozenLake-v1")
+
+
+@pytest.mark.parametrize("table", [{}, [], {0: {}}])
+def test_an_empty_table_is_called_empty(table: Any) -> None:
+    with pytest.raises(ModelError, match="P is empty"):
+        MDP.from_gymnasium(table)
