@@ -352,6 +352,8 @@ class MDP(Parts):
 
     def action(self, name: object) -> int:
         """Return the number of the action of a name; a number that is no name is its own."""
+        if isinstance(name, float) and name.is_integer():
+            name = int(name) if str(name) not in self.actions else name
         for word in (str(name), repr(name)):
             if word in self.actions:
                 return self.actions.index(word)

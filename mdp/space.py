@@ -64,6 +64,20 @@ class Column:
             return self.words[value]
         return format(value, f"0{self.bits}b") if self.bits else str(value)
 
+    def thing(self, value: int) -> Hashable:
+        """Return what a value stands for: its object, else its word, a whole number as an int."""
+        if self.objects or not self.words:
+            return self.objects[value] if self.objects else value
+        word = self.words[value]
+        digits = word.removeprefix("-")
+        whole = digits.isascii() and digits.isdigit() and len(digits) < 19
+        return int(word) if whole and str(int(word)) == word else word
+
+    @cached_property
+    def numbered(self) -> bool:
+        """Whether whole numbers are names of values, so that they are not values themselves."""
+        return bool(self.words) and any(isinstance(self.thing(v), int) for v in range(self.size))
+
     def parse(self, label: str) -> int:
         """Return the value that prints as `label`; raises ModelError where there is none."""
         text = label.strip()
@@ -174,8 +188,11 @@ class StateSpace:
         """The number of each state by its printed form."""
         return {self.label(state): state for state in range(self.size)}
 
-    def number(self, state: object) -> int:
+    def number(self, state: object, *, wins: bool = True) -> int:
         """Return the number of a state, given as that, as an object, by name or by column values.
+
+        Where states have whole numbers as names, an integer is a name; of a file's own numbers
+        (`wins` False) it is the number wherever a name could be taken for one.
 
         Examples
         --------
@@ -189,9 +206,11 @@ class StateSpace:
         alone = self.columns[0] if len(self.columns) == 1 else Column(name="", size=0)
         if isinstance(state, Hashable) and state in alone.of_object:
             return alone.of_object[state]
-        named = self.named(state)
+        named = self.named(state, wins=wins)
         if named is not None:
             return named
+        if isinstance(state, float | np.floating) and state.is_integer() and not alone.words:
+            state = int(state)
         if isinstance(state, tuple) and len(state) == len(self.columns):
             cells = zip(self.columns, state, strict=True)
             return self.index(
@@ -207,14 +226,13 @@ class StateSpace:
                 raise ModelError(f"unknown state {state!r}", where="", fix=suggest(state, known))
             state = int(state)
         whole = isinstance(state, int | np.integer) and not isinstance(state, bool)
-        if not whole or any(isinstance(thing, int) for thing in alone.objects):
+        of_objects = any(isinstance(thing, int) for thing in alone.objects)
+        if not whole or of_objects or (wins and alone.numbered):
             raise ModelError(f"{state!r} is not a state", fix="give its number, or its name")
         return self._inside(int(state))  # type: ignore[call-overload]
 
-    def named(self, state: object) -> int | None:
+    def named(self, state: object, *, wins: bool = True) -> int | None:
         """Return the state that the text of an object names, where a file kept names alone.
-
-        Whole numbers are numbers of states wherever a name could be taken for one.
 
         Examples
         --------
@@ -225,8 +243,11 @@ class StateSpace:
         alone = self.columns[0] if len(self.columns) == 1 else None
         if alone is None or not alone.words or alone.objects or isinstance(state, str):
             return None
-        whole = isinstance(state, int | np.integer) and not isinstance(state, bool)
-        return None if whole and alone.numeric else alone._value.get(str(state))
+        if not wins and isinstance(state, int | np.integer) and alone.numeric:
+            return None
+        if isinstance(state, float | np.floating) and state.is_integer():
+            return alone._value.get(str(state), alone._value.get(str(int(state))))
+        return alone._value.get(str(state))
 
     def _inside(self, state: int) -> int:
         if not 0 <= state < self.size:

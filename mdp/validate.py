@@ -215,7 +215,9 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
     with located("start"):
         refuse_masked(start)
         if isinstance(start, Mapping):
-            weights = {space.number(state): exact(weight) for state, weight in start.items()}
+            weights = {
+                space.number(state, wins=False): exact(weight) for state, weight in start.items()
+            }
         elif (isinstance(start, np.ndarray) and start.ndim == 1) or (
             isinstance(start, list | tuple) and not _is_state(start, space)
         ):
@@ -226,7 +228,7 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
                 )
             weights = {state: exact(weight) for state, weight in enumerate(start)}
         else:
-            weights = {space.number(start): Fraction(1)}
+            weights = {space.number(start, wins=False): Fraction(1)}
     return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
 
 

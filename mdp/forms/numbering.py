@@ -1,6 +1,7 @@
 """Numbers for states and actions that are given as objects, and the names that these go by.
 
-Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves. A name
+Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves, also as
+NumPy's integers and as floats. A name
 is the text of a thing, and its `repr` where two things have the same text. A state without actions
 is an end: it stays put for ever and earns nothing.
 """
@@ -10,6 +11,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from typing import Any
+
+import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.space import Column, StateSpace
@@ -37,13 +40,20 @@ class Numbering:
 
     def ordered(self) -> list[Any]:
         """Return the things by number; whole numbers from 0 on are their own."""
-        things = list(self.number)
-        if all(isinstance(thing, int) and thing is not True for thing in things) and (
-            set(things) == set(range(len(things)))
-        ):
-            things = list(range(len(things)))
-            self.number = {number: number for number in range(len(things))}
+        things: list[Any] = list(self.number)
+        if all(map(_is_whole, things)):
+            whole: list[Any] = [int(thing) for thing in things]
+            if set(whole) == set(range(len(whole))):
+                whole.sort()
+                self.number = {number: number for number in whole}
+            return whole
         return things
+
+
+def _is_whole(thing: Any) -> bool:
+    if isinstance(thing, float | np.floating):
+        return float(thing).is_integer()
+    return isinstance(thing, int | np.integer) and not isinstance(thing, bool)
 
 
 def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:

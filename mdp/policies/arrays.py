@@ -5,7 +5,8 @@ of terminal states and of states with one action may hold anything, and so may t
 actions are the same in all but name, in probabilities. Unless `kind` says which it is,
 
     a row that counts is not a distribution     the array is a Q-table
-    every such row gives 1 to a single action   both readings are the same policy: it is one
+    every such row gives 1 to a single action   both readings are the same policy: it is one; of
+                                                costs they differ: refused, `kind` has to say
     otherwise                                   both fit and differ: refused, `kind` has to say
 
 A distribution has entries of at least 0 that sum to 1, up to 1e-9. Of a Q-table the greedy policy
@@ -79,6 +80,10 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         )
     alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
     mixed = np.flatnonzero(layout.counts & ~np.asarray(alone, dtype=bool))
+    if kind == "auto" and model.sense == "min" and not len(mixed):
+        real = _layout(model, array.shape, ~model.indifferent)
+        least = _greedy(array, layout, costs=True)
+        mixed = np.flatnonzero(real.counts & (array[np.arange(len(array)), least] != 1))
     if kind == "auto" and len(mixed):
         raise ModelError(
             "the rows may be probabilities or action values, which differ",

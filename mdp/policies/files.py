@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
+from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
@@ -81,23 +82,33 @@ def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> 
 def from_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
     """Return what a function answers: as `from_mapping`, asked of each state with a choice.
 
-    It is given the object that the state is, where the model was made of such; else its number.
+    It is given the object that the state is, where the model was made of such; else the name, a
+    whole number as an int; the number of a state that has no name.
     """
     space = model.space.untimed or model.space
     read = rows_read(model, space)[~model.forced & ~model.terminal]
-    things = space.columns[0].objects if len(space.columns) == 1 else ()
-    asked: dict[Any, Any] = {}
+    column = space.columns[0] if len(space.columns) == 1 else None
+    asked: dict[int, Any] = {}
     for state in np.unique(read).tolist():
-        thing = things[state] if state < len(things) else state
-        answer = ask(thing)
+        answer = ask(column.thing(state) if column and state < column.size else state)
         if answer is None:
             raise ModelError(
                 "the function returns None",
                 where=f"policy, {space.label(state)}",
                 fix="return an action, {action: probability}, or a row of A numbers",
             )
-        asked[thing] = answer
-    return from_states(model, asked, kind)
+        asked[state] = answer
+    return from_numbers(model, asked, kind)
+
+
+def from_list(model: MDP, names: Sequence[str], kind: str) -> Parts:
+    """Return what a list of action names says, one for each state by number."""
+    space = model.space.untimed or model.space
+    if len(names) > space.size:
+        raise ShapeError(
+            f"{len(names)} actions for {space.size} states", fix="give one for each state"
+        )
+    return from_numbers(model, dict(enumerate(names)), kind)
 
 
 def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> Parts:
@@ -112,6 +123,13 @@ def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> Parts:
     default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
     if default is not None:
         given = {key: given[key] if key in given else default() for key in range(space.size)}
+    return from_numbers(model, given, kind)
+
+
+def from_numbers(model: MDP, given: Mapping[int, Any], kind: str) -> Parts:
+    """Return what is said of states by number."""
+    space = model.space.untimed or model.space
+    given = {key: _unwrapped(choice) for key, choice in given.items()}
     if given and all(isinstance(row, list | tuple | np.ndarray) for row in given.values()):
         return _of_rows(model, space, given, kind)
     rows: Rows = {}
@@ -131,6 +149,14 @@ def _shares(mixed: Mapping[Any, Any], number: Callable[[Any], int]) -> dict[int,
             raise ModelError(f"action {action} appears twice", fix="keep one of them")
         shares[key] = _probability(chance)
     return shares
+
+
+def _unwrapped(choice: Any) -> Any:
+    """Return what an array without dimensions holds."""
+    if not isinstance(choice, np.ndarray) or choice.ndim:
+        return choice
+    refuse_masked(choice, "policy")
+    return choice.item()
 
 
 def _of_rows(model: MDP, space: StateSpace, given: Mapping[int, Any], kind: str) -> Parts:

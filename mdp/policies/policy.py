@@ -20,6 +20,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import files
@@ -33,6 +34,7 @@ from exact_mdp.mdp.policies.arrays import (
     policy_of_array,
     rows_read,
 )
+from exact_mdp.mdp.policies.frames import Labelled, labelled
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -402,7 +404,7 @@ class Policy(NDArrayOperatorsMixin):
             array = read_array(policy, called="q")
             with located(str(policy)):
                 return cls(**_of_array(model, array, kind))
-        given: Any = policy
+        given: Any = labelled(model, policy)
         if not isinstance(given, Policy) and callable(getattr(given, "predict", None)):
             given = _predicted(model, given.predict)
         elif not isinstance(given, Policy) and hasattr(given, "policy"):
@@ -414,12 +416,14 @@ class Policy(NDArrayOperatorsMixin):
             found = given
         elif isinstance(given, str | Path):
             found = cls._of_words(model, given, kind)
+        elif isinstance(given, Labelled):
+            found = cls._of_states(model, files.from_numbers, given, kind)
         elif isinstance(given, Mapping):
             found = cls._of_states(model, files.from_mapping, given, kind)
         elif callable(given):
             found = cls._of_states(model, files.from_function, given, kind)
         elif isinstance(given, list | tuple) and given and all(isinstance(x, str) for x in given):
-            found = cls._of_states(model, files.from_states, dict(enumerate(given)), kind)
+            found = cls._of_states(model, files.from_list, given, kind)
         else:
             return cls(**_of_array(model, numbers_of(given), kind))
         if kind == "q" and found.read_as != "q":
@@ -668,7 +672,9 @@ PolicyLike: TypeAlias = (
     Policy | str | Path | Mapping[Any, Any] | Callable[[Any], Any] | ArrayLike | Solved | Predicts
 )
 """What is accepted as a policy: a Policy, its name or file, a mapping, a function, an agent with
-`predict`, an array, a Solution."""
+`predict`, an array, a Solution. An integer for a state in a mapping, or given to a function, is
+the state of that name; where no name is a whole number, the state of that number. Arrays and lists
+are by number, and tables of pandas by their labels: names, or else numbers from 0 on."""
 
 
 def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
@@ -679,7 +685,10 @@ def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
     numbers = np.zeros(space.size, dtype=np.int64)
     for state in np.unique(rows_read(model, space)[~model.forced & ~model.terminal]).tolist():
         answer = predict(np.array(state), **settings)
-        action = np.asarray(answer[0] if isinstance(answer, tuple) else answer)
+        first = answer[0] if isinstance(answer, tuple) else answer
+        with located(f"policy, {space.label(state)}"):
+            refuse_masked(first, "policy")
+        action = np.asarray(first)
         if action.size != 1 or action.dtype.kind not in "iu":
             raise ModelError(
                 f"predict answers {answer!r}",

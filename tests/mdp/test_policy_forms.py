@@ -9,11 +9,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Rows, models
 
+from exact_mdp import Scenario
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Policy
 from exact_mdp.solvers import solve
@@ -126,7 +128,7 @@ BAD: dict[str, tuple[Any, str]] = {
     "short rows": (lambda s: [1, 0], "a row of 2 numbers"),
     "no state": ({99: "DOWN"}, "state 99 is outside"),
     "names missing": (["DOWN"] * 3, "rows are missing"),
-    "names of more": (["DOWN"] * 17, "state 16 is outside"),
+    "names of more": (["DOWN"] * 17, "17 actions for 16 states"),
     "states missing": ({0: "DOWN"}, "rows are missing"),
     "twice": ({0: "DOWN", "0": "UP"}, "appears twice"),
     "no agent": (Agent(np.full((16, 2), 1)), "predict answers"),
@@ -165,3 +167,95 @@ def test_an_action_that_is_named_twice_is_refused(row: dict[Any, Any]) -> None:
     mdp = MDP.from_arrays([np.eye(1)] * 2, [[0, 1]], "1/2")
     with pytest.raises(ModelError, match="appears twice"):
         Policy.of(mdp, {0: row})
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.data())
+def test_the_same_policy_in_every_form(tmp_path_factory: Any, data: st.DataObject) -> None:
+    """Names win over numbers, also after a model is saved, whose states are names from then on."""
+    n = data.draw(st.integers(2, 4))
+    begin, kind = data.draw(st.integers(0, 3)), data.draw(st.sampled_from([int, float, np.int64]))
+    names = data.draw(st.permutations(range(begin, begin + n)))
+    best = {s: data.draw(st.sampled_from("ab")) for s in names}
+    then = dict(zip(names, [*names[1:], names[0]], strict=True))
+    mdp = MDP.from_function(
+        kind(names[0]), lambda s: "ab",
+        lambda s, a: [(1, kind(then[int(s)]), int(a == best[int(s)]))], "1/2",
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("m") / "m.npz"
+    mdp.save(path)
+    order = list(range(n)) if begin == 0 else list(names)
+    drawn = {s: data.draw(st.sampled_from("ab")) for s in names}
+    worth = np.array([[drawn[s] == a for a in "ab"] for s in order]) * 2.5
+    shuffled = data.draw(st.permutations(order))
+    frame = pd.DataFrame(worth, index=order, columns=list("ab"))
+    for model in (mdp, MDP.load(path)):
+        assert model.space.labels(range(n)) == [f"state {s}" for s in order]
+        for form in (
+            drawn, drawn.get, [drawn[s] for s in order], defaultdict(str, drawn), worth,
+            {np.int64(s): a for s, a in drawn.items()}, {str(s): a for s, a in drawn.items()},
+            {float(s): a for s, a in drawn.items()}, lambda s: np.array(drawn[s]),
+            pd.Series(drawn), pd.Series([drawn[s] for s in order]),
+            frame.loc[shuffled, ["b", "a"]], frame.reset_index(drop=True),
+        ):  # fmt: skip
+            assert check(model, form).passed == (drawn == best), form
+
+
+def test_integers_are_names_in_records() -> None:
+    rows = [(0, 5, "a", 1, 7), (0, 7, "b", 1, 5), (0, 5, "b", 0, 5), (0, 5, "a", 1, 7),
+            (0, 7, "a", 0, 5)]  # fmt: skip
+    columns = ["episode", "state", "action", "reward", "next_state"]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=columns), "1/2")
+    for form in (
+        {5: "a", 7: "b"},
+        {5: "a", 7: "b"}.__getitem__,
+        defaultdict(lambda: "b", {5: "a"}),
+    ):
+        assert check(mdp, form).passed
+    with pytest.raises(ModelError, match="not a state"):
+        check(mdp, {0: "a", 1: "b"})
+
+
+def test_ones_of_costs_are_ambiguous() -> None:
+    costs = MDP.from_arrays([[[1, 0], [0, 1]]] * 2, [[1, 2], [1, 2]], discount="1/2", sense="min")
+    rows = [[1, 0], [1, 0]]
+    for form in (rows, dict(enumerate(rows)), rows.__getitem__, pd.DataFrame(rows)):
+        with pytest.raises(ModelError, match="differ"):
+            check(costs, form)
+        assert check(costs, form, kind="policy").passed
+        assert not check(costs, form, kind="q").passed
+
+
+def test_labels_of_tables_count() -> None:
+    mdp = MDP.from_arrays([[[1, 0], [0, 1]]] * 2, [[2, 1], [2, 1]], discount="1/2")
+    table = pd.DataFrame([[2, 1.5], [2, 1.5]], columns=["1", "0"])
+    assert not check(mdp, table).passed
+    for wrong in (table.set_axis(["x", "y"], axis=1), table.set_axis(["x", "y"], axis=0)):
+        with pytest.raises(ModelError, match=r"columns are|index holds"):
+            check(mdp, wrong)
+
+
+def test_masked_answers_are_none() -> None:
+    masked = np.ma.array([1], mask=[True])
+    agent = Agent([0] * 16)
+    agent.predict = lambda observation: masked  # type: ignore[method-assign,assignment]
+    for form in (agent, lambda s: np.ma.masked, lambda s: masked[0]):
+        with pytest.raises(ModelError, match="masked"):
+            Policy.of(LAKE, form)
+    assert Policy.of(LAKE, lambda s: np.array(1)).tolist() == Policy.of(LAKE, lambda s: 1).tolist()
+
+
+def test_tables_by_status() -> None:
+    mdp = Scenario.load("yuan2025").compile()
+    column = mdp.space.column("status")
+    words = [column.label(value) for value in range(column.size)]
+    says = {word: mdp.actions[1 + word.count("1") % 2] for word in reversed(words)}
+    wanted = Policy.of(mdp, says).weights(mdp)
+    assert (Policy.of(mdp, pd.Series(says)).weights(mdp) == wanted).all()
+    used = sorted(
+        {mdp.actions[a] for s, a in enumerate(mdp.pair_action) if not mdp.forced[mdp.pair_state[s]]}
+    )
+    table = pd.DataFrame([[2.5 * (says[w] == a) for a in used] for w in says], list(says), used)
+    assert (Policy.of(mdp, table).weights(mdp) == wanted).all()
+    with pytest.raises(ModelError):
+        Policy.of(mdp, table.iloc[1:])
