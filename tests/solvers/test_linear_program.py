@@ -98,7 +98,7 @@ def test_the_care_model_from_its_own_optimum() -> None:
     ("start", "message"),
     [
         (np.zeros(3, int), r"shape \(3,\)"),
-        (np.zeros(241), "whole numbers, not floats"),
+        (np.zeros(241), "what is asked for is a policy"),
         (np.full(241, 9), "outside 0 … 3"),
         ("optimal", "unknown kind of policy"),
         ([[1, 2], [3]], "does not hold real numbers"),
