@@ -234,10 +234,10 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
 
 def _is_state(given: object, space: StateSpace) -> bool:
     """Return whether a tuple is a state: column values, or the object that a state is."""
-    many = len(space.columns) > 1 and len(given) == len(space.columns)  # type: ignore[arg-type]
-    return isinstance(given, tuple) and (
-        many or any(column.objects for column in space.columns) or space.named(given) is not None
-    )
+    if not isinstance(given, tuple):
+        return False
+    many = len(space.columns) > 1 and len(given) == len(space.columns)
+    return many or any(column.objects for column in space.columns) or space.named(given) is not None
 
 
 def _check_pairs(model: Parts) -> None:

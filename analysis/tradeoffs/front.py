@@ -93,11 +93,11 @@ class Front(Pictured):
     >>> rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (0, 2, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
     >>> parts = {"help": [0, 2, 3, 0], "calm": [5, 4, 0, 0]}
     >>> front = tradeoff(MDP.from_outcomes(rows, components=parts), ["help", "calm"])
-    >>> front.vertices
-    [(Fraction(0, 1), Fraction(5, 1)), (Fraction(2, 1), Fraction(4, 1)), (Fraction(3, 1), Fraction(0, 1))]
+    >>> [tuple(map(str, vertex)) for vertex in front.vertices]
+    [('0', '5'), ('2', '4'), ('3', '0')]
     >>> [str(edge.rate) for edge in front.edges], front.violations()
     (['1/2', '4'], [])
-    """  # noqa: E501
+    """
 
     names: tuple[str, ...]
     attained: tuple[Attained, ...]

@@ -2,6 +2,7 @@
 
 from fractions import Fraction as F
 from math import prod
+from random import Random
 
 import numpy as np
 import pytest
@@ -17,13 +18,10 @@ from exact_mdp.solvers.solution import Certified
 
 @given(models(discounts=[F(1, 2)]), st.randoms(use_true_random=False))
 @settings(max_examples=25)
-def test_the_regret_is_exact_and_has_its_price_in_each_state(rows: Rows, rng: object) -> None:
+def test_the_regret_is_exact_and_has_its_price_in_each_state(rows: Rows, rng: Random) -> None:
     counts = np.bincount([s for s, *_ in rows.pairs])
     assume(prod(counts.tolist()) <= 40)
-    chosen = [
-        rng.choice([r for r in rows.pairs if r[0] == s])  # type: ignore[attr-defined]
-        for s in range(rows.n_states)
-    ]
+    chosen = [rng.choice([r for r in rows.pairs if r[0] == s]) for s in range(rows.n_states)]
     policy = np.array([a for _, a, *_ in chosen])
     wanted = best(rows.n_states, rows.pairs)[0][0] - gain_and_bias(chosen)[0][0]
     audit = check(rows.model(), policy, criterion="average")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 
 import matplotlib as mpl
@@ -140,9 +140,9 @@ def test_values_beyond_all_bounds_are_written() -> None:
         (lambda: compare(grid(2, 2), {}), "no policies"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(draw: object, message: str) -> None:
+def test_what_cannot_be_drawn_is_refused(draw: Callable[[], object], message: str) -> None:
     with pytest.raises(ModelError, match=message):
-        draw()  # type: ignore[operator]
+        draw()
 
 
 def test_a_certificate_from_a_file_says_that_it_has_no_model(tmp_path: object) -> None:
