@@ -4,12 +4,12 @@
         policy_gate("yuan2025", "policy.json", max_regret=0.1)
 
 `policy_gate(model, policy, *, max_regret=None, max_relative_regret=None, set=(), discount=None,
-kind="auto", horizon=None)` takes an `MDP`, or any MODEL of the command line (a scenario's name, a
-`.toml`, `.npz` or `.umb` file, `gymnasium:ID`) with `set` and `discount` as `--set` and
-`--discount`, and any policy or Q-table that `analysis.check` takes. It looks for files beside the
-test first, then in the working directory. The test fails, naming the costly states, where the
-regret is above a limit, or above zero where none is given; otherwise the audit is returned for
-further assertions:
+kind="auto", horizon=None, subject_to=None)` takes an `MDP`, or any MODEL of the command line (a
+scenario's name, a `.toml`, `.npz` or `.umb` file, `gymnasium:ID`) with `set` and `discount` as
+`--set` and `--discount`, and any policy or Q-table that `analysis.check` takes. It looks for files
+beside the test first, then in the working directory. The test fails, naming the costly states,
+where the regret is above a limit, or above zero where none is given; otherwise the audit is
+returned for further assertions:
 
     audit = policy_gate(mdp, q_table, max_relative_regret="1/100")
     assert audit.agreement == 1
@@ -20,7 +20,7 @@ pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -48,6 +48,7 @@ class PolicyGate(Protocol):
         discount: object | None = None,
         kind: str = "auto",
         horizon: int | None = None,
+        subject_to: Mapping[str, Any] | None = None,
     ) -> Audit:
         """Fail the test unless the policy passes; see the module."""
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from exact_mdp.analysis.cli.options import check_outputs, given
+from exact_mdp.analysis.cli.options import check_outputs, given, limits_from
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate import github
@@ -43,6 +43,7 @@ def check(
     html: str | None,
     certify: bool,
     no_explain: bool,
+    subject_to: tuple[str, ...],
     **shared: Any,
 ) -> Report:
     """Audit a policy."""
@@ -56,16 +57,17 @@ def check(
         max_relative_regret=max_relative_regret,
         exact_values=True if certify else None,
         criterion="average" if asked.average else "total",
+        subject_to=limits_from(subject_to) or None,
     )
     why = None if no_explain else audit.representation
     if junit is not None:
         seconds = perf_counter() - started
         _junit(junit, asked.loaded.name, learned, audit, seconds, explain=why is not None)
-    result = {"learned": learned} | _result(audit) | _reasons(audit, why)
+    result = {"learned": learned} | _result(audit) | _limits(audit) | _reasons(audit, why)
     report = asked.report(
         result,
         _facts(audit, why),
-        _tables(result),
+        _tables(result, audit),
         notes=[UNEXPLAINED] if not no_explain and audit.unexplained else [],
         status=PASSED if audit.passed else FAILED,
     )
@@ -153,6 +155,23 @@ def _result(audit: Audit) -> dict[str, Any]:
     }
 
 
+def _limits(audit: Audit) -> dict[str, Any]:
+    """Return what is said of limits, as `solve` does; null without them."""
+    under = audit.limits
+    if under is None:
+        return dict.fromkeys(["feasible", "limits", "kept", "totals", "prices", "closest", "room"])
+    best = under.best
+    return {
+        "feasible": best.feasible,
+        "limits": [str(limit) for limit in best.limits],
+        "kept": [under.keeps(limit) for limit in best.limits],
+        "totals": dict(under.totals),
+        "prices": best.prices if best.feasible else None,
+        "closest": best.closest,
+        "room": under.room if best.feasible else None,
+    }
+
+
 def _float_below(number: Fraction) -> float:
     """Return the greatest float that is not above a number."""
     rounded = float(number)
@@ -226,6 +245,9 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
         "learned value": lost.learned,
         "agreement": f"{audit.agreement:.1%} of the states with a choice, "
         f"{audit.agreement_by_visits:.1%} of the visits to them",
+        "value of the room left under the limits": Certified(value=audit.limits.room)
+        if audit.limits is not None and audit.limits.best.feasible
+        else None,
         "not decided": f"in {audit.unclear} more states, by these bounds"
         if audit.unclear
         else None,
@@ -245,9 +267,35 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
     return facts
 
 
-def _tables(result: dict[str, Any]) -> list[Table]:
+def _limit_table(audit: Audit) -> Table:
+    under = audit.limits
+    best = under and under.best
+    priced = zip(best.limits, best.price, best.moved, strict=True) if best else ()
+    rows = [
+        {
+            "limit": str(limit),
+            "total": float(under.totals[limit.name]) if under else None,
+            "kept": "yes" if under and under.keeps(limit) else "NO",
+            "price": float(price),
+            "closest": moved.text(10),
+        }
+        for limit, price, moved in priced
+    ]
+    last = {"price": "price:.6g"} if best and best.feasible else {"closest": "closest"}
+    return Table(
+        title="limits",
+        rows=rows,
+        columns={"limit": "limit", "yours": "total:.10g", "kept": "kept", **last},
+        note="price: what the optimum gains for one point by which the limit is moved"
+        if best and best.feasible
+        else "closest: all are moved by the same step, the least with which a policy keeps them",
+    )
+
+
+def _tables(result: dict[str, Any], audit: Audit) -> list[Table]:
     memory = result["memory"] or ()
     return [
+        _limit_table(audit),
         Table(
             title="where it is not optimal, the costliest first",
             note=COLUMNS,

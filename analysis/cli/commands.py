@@ -98,6 +98,14 @@ criterion = click.option(
     help="What counts: the total reward (the default), or the average reward per step in the long "
     "run, whatever the discount.",
 )
+subject_to = click.option(
+    "--subject-to",
+    "subject_to",
+    multiple=True,
+    metavar="'NAME >= X'",
+    help="Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward, "
+    "steps, an event, or a sum such as 2*a-b. Exact. May be repeated.",
+)
 of_policy = together(
     click.option(
         "--kind",
@@ -218,14 +226,7 @@ def convert() -> None:
     is_flag=True,
     help="Solve a scenario without its matrix, by backward induction: for large ones.",
 )
-@click.option(
-    "--subject-to",
-    "subject_to",
-    multiple=True,
-    metavar="'NAME >= X'",
-    help="Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward, "
-    "steps, an event, or a sum such as 2*a-b. Exact. May be repeated.",
-)
+@subject_to
 @click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
 @click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
 @click.option(
@@ -325,6 +326,7 @@ def simulate() -> None:
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--html", metavar="FILE", help="Write a page with the picture of the policy: .html.")
 @click.option("--junit", metavar="FILE", help="Write a JUnit report: .xml.")
+@subject_to
 @click.option("--certify", is_flag=True, help="Use rational arithmetic, however long it takes.")
 @click.option(
     "--no-explain", is_flag=True, help="Do not say what the policy's columns cannot express."
@@ -339,7 +341,8 @@ def check() -> None:
     The check passes where the regret at the start is within the limits; what bounds leave open does
     not pass. Without a limit it passes where the regret is zero: exactly, or up to what half a
     unit in the last place of the model's floats can cause. --max-regret 0 forgives nothing.
-    LEARNED is a POLICY; a Q-table stands for its greedy policy.
+    LEARNED is a POLICY; a Q-table stands for its greedy policy. With --subject-to it has to keep
+    the limits too, the regret is against the best policy that keeps them, and nothing is forgiven.
     """
 
 

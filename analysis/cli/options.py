@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -68,6 +69,15 @@ class Question:
         if self.until is not None:
             return f"{best} expected {self.reward or 'reward'} until {self.until}"
         return "least expected costs" if self.minimize else None
+
+
+def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
+    """Return what --subject-to says, as `solve` takes it."""
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        name, sign, bound = re.match(r"(.*?)(>=|<=|$)(.*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
+        found.setdefault(name.strip(), []).append(sign + bound)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -11,7 +10,7 @@ import click
 import numpy as np
 
 from exact_mdp import solvers
-from exact_mdp.analysis.cli.options import Given, check_outputs, given, number_of
+from exact_mdp.analysis.cli.options import Given, check_outputs, given, limits_from, number_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.analysis.optimum import Contradiction, Optimum, optimum
 from exact_mdp.analysis.record import run_record, write_record
@@ -138,13 +137,9 @@ def _under_limits(
                 where="--subject-to",
                 fix=f"leave {option} out",
             )
-    limits: dict[str, list[str]] = {}
-    for text in texts:
-        name, sign, bound = re.match(r"(.*?)(>=|<=|$)(.*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
-        limits.setdefault(name.strip(), []).append(sign + bound)
     asked = given(**shared)
     mdp = asked.mdp
-    found = solvers.solve(mdp, subject_to=limits)
+    found = solvers.solve(mdp, subject_to=limits_from(texts))
     if faults := found.violations():
         raise Contradiction(f"the proof does not hold: {faults[0]}")
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]

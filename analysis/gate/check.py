@@ -1,6 +1,7 @@
 """The audit of a policy or Q-table from anywhere against the exact optimum.
 
     audit = check(model, policy, max_regret=…)   # how much it loses, where, and why
+    audit = check(model, policy, subject_to=…)   # and whether it keeps limits on expected totals
     assert_policy_optimal(model, policy)         # the same as an assertion
 
 The verdicts compare the regret at the start with the limits given, exactly where it is certified.
@@ -16,6 +17,7 @@ as the best is optimal.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context, Decimal
@@ -29,6 +31,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.average import average_regret
 from exact_mdp.analysis.gate.disagreements import Disagreement, disagreements, own_visits
+from exact_mdp.analysis.gate.limits import UnderLimits
 from exact_mdp.analysis.gate.reasons import (
     QError,
     Representation,
@@ -102,6 +105,9 @@ class Audit(Pictured):
         The limits; without either, the regret has to be zero.
     criterion : "total" or "average"
         Whether the values are total rewards, or rewards per step in the long run.
+    limits : UnderLimits, optional
+        The limits, the optimum under them and the policy's totals. The regret is against that
+        optimum, and values and gaps of states are those of the reward and the priced totals.
 
     Examples
     --------
@@ -120,6 +126,7 @@ class Audit(Pictured):
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
     criterion: str = "total"
+    limits: UnderLimits | None = None
 
     picture = "exact_mdp.analysis.plots.states:plot_audit"
 
@@ -210,10 +217,13 @@ class Audit(Pictured):
     @cached_property
     def _decisions(self) -> tuple[tuple[str, bool | None, str], ...]:
         """What is checked, whether it holds (None: it stays open), and what was found."""
-        found, text = list[tuple[str, bool | None, str]](), f"it is {_number(self.value)}"
+        found, text = _kept(self.limits), f"it is {_number(self.value)}"
+        held = self.limits is not None and self.limits.best.feasible
+        if held:
+            text += ", against the best policy that keeps the limits"
         limit, relative = self.max_regret, self.max_relative_regret
         if limit is None and relative is None:
-            name, zero = "the regret is zero", self.regret.zero
+            name, zero = f"the regret is {'at most 0' if held else 'zero'}", self.regret.zero
             if self.regret.forgiveness.high:
                 name += " up to the rounding of the given floats"
                 text += f"; rounding can move it by {_below(self.forgiven)}"
@@ -273,8 +283,8 @@ class Audit(Pictured):
 
     @cached_property
     def q_error(self) -> QError | None:
-        """How wrong the Q-table is; None for a policy."""
-        if self.policy.values is None or self.criterion == "average":
+        """How wrong the Q-table is; None for a policy, and under limits."""
+        if self.policy.values is None or self.criterion == "average" or self.limits is not None:
             return None
         said = pair_values(self.mdp, self.policy, self.policy.values)
         gap = self.regret.gap if self.mdp.sense == "max" else -self.regret.gap
@@ -287,9 +297,9 @@ class Audit(Pictured):
     def representation(self) -> Representation | None:
         """What the policy's columns cannot express.
 
-        None where it reads the whole state, where some policy never ends at discount 1, or where
-        floating point cannot bound the values that the search needs (`unexplained`). The verdict
-        does not depend on it.
+        None where it reads the whole state, under limits, where some policy never ends at discount
+        1, or where floating point cannot bound the values that the search needs (`unexplained`).
+        The verdict does not depend on it.
         """
         if self._reads_all:
             return None
@@ -306,7 +316,7 @@ class Audit(Pictured):
     @property
     def _reads_all(self) -> bool:
         reads = set(self.policy.columns) == set(self.mdp.space.names)
-        return reads or self.criterion == "average"
+        return reads or self.criterion == "average" or self.limits is not None
 
     def message(self, *, explain: bool = True) -> str:
         """Return in words what was found, the costly states by name.
@@ -363,6 +373,22 @@ def share_of(cost: float, lost: float) -> float | None:
     return cost / lost if 0 < lost < inf else None
 
 
+def _kept(limits: UnderLimits | None) -> list[tuple[str, bool | None, str]]:
+    """Return what is checked of limits."""
+    if limits is None:
+        return []
+    found = list[tuple[str, bool | None, str]]()
+    for limit in limits.best.limits:
+        total = Certified(value=limits.totals[limit.name])
+        name = f"the policy is within the limit {limit}"
+        found.append((name, limits.keeps(limit), f"its total is {_number(total)}"))
+    if not limits.best.feasible:
+        near = ", ".join(limit.text(10) for limit in limits.best.moved)
+        text = f"none does (proven); the closest that can be kept: {near}"
+        found.append(("there is a policy that keeps all limits", False, text))
+    return found
+
+
 def _number(value: Certified | Bounded) -> str:
     """Return a number with its claim; an exact one may have thousands of digits, and is rounded."""
     if isinstance(value, Certified):
@@ -389,6 +415,7 @@ def check(
     kind: str = "auto",
     horizon: int | None = None,
     criterion: Criterion = "total",
+    subject_to: Mapping[str, Any] | None = None,
 ) -> Audit:
     """Return how much a policy or Q-table loses against the optimum, where and why.
 
@@ -418,6 +445,9 @@ def check(
     criterion : "total" or "average"
         Whether the total reward counts, discounted as the model says, or the average reward per
         step in the long run; see `analysis.gate.average`.
+    subject_to : {name: ">= p/q" or "<= p/q"}, optional
+        Limits on expected totals that the policy has to keep, as `solve` takes them. The regret is
+        then against the optimum under these limits, exactly, and nothing is forgiven.
 
     Returns
     -------
@@ -447,7 +477,15 @@ def check(
         "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
     }
     held = policy_of(mdp, policy, kind=kind, criterion=criterion)
-    rewards = mdp.maximised
+    under = None
+    if subject_to is not None:
+        if is_average(criterion):
+            raise ModelError(
+                "limits are on total rewards", where="subject_to", fix="leave criterion out"
+            )
+        under, exact_values = UnderLimits.of(mdp, held, subject_to), True
+    rewards = (mdp if under is None else under.priced).maximised
+    costs = mdp.sense == "min"
     chain = PolicyChain.of(rewards, held)
     if is_average(criterion):
         require_no_horizon(horizon)
@@ -456,8 +494,8 @@ def check(
         return Audit(
             mdp=mdp,
             policy=held,
-            chain=chain if rewards is mdp else PolicyChain.of(mdp, held),
-            regret=lost if rewards is mdp else lost.negated(),
+            chain=PolicyChain.of(mdp, held) if costs else chain,
+            regret=lost.negated() if costs else lost,
             visits=visits,
             disagreements=wrong,
             criterion=criterion,
@@ -467,13 +505,15 @@ def check(
     def audit(exactly: bool | None) -> Audit:
         lost = regret(rewards, chain, exact=exactly)
         visits, floats = own_visits(chain, exact=isinstance(lost.at_start, Certified))
+        signed = lost.negated() if costs else lost
         return Audit(
             mdp=mdp,
             policy=held,
-            chain=chain if rewards is mdp else PolicyChain.of(mdp, held),
-            regret=lost if rewards is mdp else lost.negated(),
+            chain=PolicyChain.of(mdp, held) if costs else chain,
+            regret=signed if under is None else under.regret(signed),
             visits=visits,
             disagreements=disagreements(rewards, chain, lost, visits, priced=floats),
+            limits=under,
             **limits,
         )
 
@@ -498,6 +538,7 @@ def assert_policy_optimal(
     kind: str = "auto",
     horizon: int | None = None,
     criterion: Criterion = "total",
+    subject_to: Mapping[str, Any] | None = None,
 ) -> Audit:
     """Raise AssertionError, naming the costly states, unless the regret keeps its limits.
 
@@ -514,6 +555,8 @@ def assert_policy_optimal(
         Stop after this many steps; see `check`.
     criterion : "total" or "average"
         What counts; see `check`.
+    subject_to : {name: ">= p/q" or "<= p/q"}, optional
+        Limits on expected totals, which the policy has to keep too; see `check`.
 
     Returns
     -------
@@ -545,6 +588,7 @@ def assert_policy_optimal(
         kind=kind,
         horizon=horizon,
         criterion=criterion,
+        subject_to=subject_to,
     )
     if not audit.passed:
         raise AssertionError(audit.message())

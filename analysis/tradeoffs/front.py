@@ -23,7 +23,7 @@ from math import gcd
 from operator import mul
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from exact_mdp.analysis.gate.exact_policy import exact_policy
+from exact_mdp.analysis.gate.limits import totals_under
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
@@ -42,7 +42,7 @@ from exact_mdp.solvers.objectives.checker import (
 from exact_mdp.solvers.objectives.optima import extreme, known_optimum, optimum, proof
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -164,14 +164,15 @@ class Front(Pictured):
     def totals(self, policy: PolicyLike) -> Point:
         """Return the exact totals of a policy, mixed ones too, from the start."""
         of = self.objectives
-        return tuple(of.sign * value for value in _totals(of, policy))
+        return tuple(of.sign * value for value in totals_under(of, policy_of(of.mdp, policy)))
 
     def distance(self, policy: PolicyLike) -> Fraction:
         """Return by how much all totals of a policy could be better at once: 0 on the front.
 
         It is the least (H(w) - w · totals) over the corners w, whose weights sum to 1.
         """
-        own, of = _totals(self.objectives, policy), self.objectives
+        of = self.objectives
+        own = totals_under(of, policy_of(of.mdp, policy))
         return min(of.at_start(*v) - _worth(w, own) for w, v in self.duals.items())
 
     def frame(self) -> DataFrame:
@@ -308,16 +309,3 @@ def _clipped(polygon: list[Weights], normal: Sequence[int]) -> list[Weights]:
 
 def _worth(weights: Sequence[Any], values: Sequence[Fraction]) -> Fraction:
     return sum((w * v for w, v in zip(weights, values, strict=True)), Fraction(0))
-
-
-def _totals(of: Objectives, policy: PolicyLike) -> Point:
-    """Return the exact totals of a policy from the start, more being better."""
-    chain = PolicyChain.of(of.ending, policy_of(of.mdp, policy))
-    scale, found = of.rows.scale.tolist(), []
-    for amount in of.amounts:
-        earned = [
-            sum((w * int(amount[l]) for l, w in chain.exact_weights(s).items()), Fraction(0)) / unit
-            for s, unit in enumerate(scale)
-        ]
-        found.append(exact_policy(chain, earned).start_value)
-    return tuple(found)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from exact_mdp.mdp.exact import row_sums
-from exact_mdp.mdp.table import Integers, Numbers, common
+from exact_mdp.mdp.table import Integers, Numbers, common, shown
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.proof.checker import one_solution
 
@@ -66,6 +66,20 @@ def slack(of: Objectives, amount: Numbers, values: Values) -> Numbers:
     return np.where(rows.terminal[state], own[state], found)
 
 
+def tight(of: Objectives, weights: Sequence[Fraction], values: Values) -> Integers:
+    """Return (S,) the first pair of each state whose inequality is tight; at ends, the first."""
+    loss = _weighted_slack(of, weights, values)
+    state = of.mdp.pair_state
+    pairs = np.flatnonzero(np.asarray(loss == 0, dtype=bool) | of.rows.terminal[state])
+    return np.asarray(pairs[np.flatnonzero(np.diff(state[pairs], prepend=-1))])
+
+
+def _weighted_slack(of: Objectives, weights: Sequence[Fraction], values: Values) -> Numbers:
+    whole, below = common(list(weights))
+    scaled = Values([number * below for number in values.top], values.below)
+    return slack(of, of.weighted(whole), scaled)
+
+
 def wrong_totals(of: Objectives, policy: Attained, name: str) -> list[str]:
     """Return what does not hold of a policy's totals."""
     if not np.array_equal(of.mdp.pair_state[policy.pairs], np.arange(of.mdp.n_states)):
@@ -82,11 +96,9 @@ def wrong_bound(
     of: Objectives, weights: Sequence[Fraction], values: Values, bound: Fraction
 ) -> bool:
     """Return whether values do not prove that no policy has a weighted total above the bound."""
-    whole, below = common(list(weights))
     if values.below <= 0 or of.at_start(*values) > bound:
         return True
-    scaled = Values([number * below for number in values.top], values.below)
-    return bool((slack(of, of.weighted(whole), scaled) < 0).any())
+    return bool((_weighted_slack(of, weights, values) < 0).any())
 
 
 def front_violations(
@@ -159,7 +171,14 @@ class Limit:
     bound: Fraction
 
     def __str__(self) -> str:
-        return f"{self.name} {'>=' if self.sign > 0 else '<='} {self.bound}"
+        return self._with(str(self.bound))
+
+    def text(self, digits: int) -> str:
+        """Return the limit with its bound in decimals."""
+        return self._with(shown(self.bound, digits))
+
+    def _with(self, bound: str) -> str:
+        return f"{self.name} {'>=' if self.sign > 0 else '<='} {bound}"
 
 
 def totals_of(of: Objectives, flow: Mapping[int, Fraction]) -> Point:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -45,6 +45,7 @@ from exact_mdp.solvers.objectives.checker import (
     Proof,
     Values,
     constrained_violations,
+    tight,
     totals_of,
 )
 from exact_mdp.solvers.objectives.occupancy import visits
@@ -148,7 +149,14 @@ class ConstrainedSolution(Result):
     @property
     def closest(self) -> dict[str, Fraction]:
         """The closest limits that can be kept, all moved by the same step."""
-        return {limit.name: limit.bound - limit.sign * self.shift for limit in self.limits}
+        return {limit.name: limit.bound for limit in self.moved}
+
+    @property
+    def moved(self) -> tuple[Limit, ...]:
+        """The limits, all moved by the least step that lets them be kept."""
+        return tuple(
+            replace(limit, bound=limit.bound - limit.sign * self.shift) for limit in self.limits
+        )
 
     @cached_property
     def chances(self) -> dict[int, dict[int, Fraction]]:
@@ -173,10 +181,15 @@ class ConstrainedSolution(Result):
 
     @cached_property
     def rule(self) -> Numbers:
-        """(S, A) Fractions, the probability of each action; in states never visited, any one."""
-        mdp = self.mdp
+        """(S, A) Fractions, the probability of each action.
+
+        In states that are never visited, the first that is optimal for the reward and the prices.
+        """
+        mdp, of = self.mdp, self.objectives
         rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
-        rule[np.arange(mdp.n_states), mdp.pair_action[mdp.pair_offsets[:-1]]] = ONE
+        weights = combined(of, self.limits, ONE if self.feasible else ZERO, self.price)
+        best = tight(of, weights, self.dual)
+        rule[np.arange(mdp.n_states), mdp.pair_action[best]] = ONE
         for state, own in self.chances.items():
             rule[state] = ZERO
             for pair, chance in own.items():

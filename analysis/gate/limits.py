@@ -1,0 +1,119 @@
+"""A policy under limits on expected totals: what it has to keep, and what it loses by that.
+
+With r* the optimum under limits c_k ≥ b_k and λ_k their prices (`solvers.objectives.constrained`),
+no policy earns more of r + λ c than V, r* = μ V - λ b, and every policy π loses
+
+    r* - r(π) = Σ_l x_π(l) gap(l) + λ (c(π) - b),
+
+x_π being its expected visits and gap what a pair falls short of V where r + λ c is earned
+(Lagrangian duality: Altman, Constrained Markov Decision Processes, 1999, chapter 3). So an audit of
+the priced model names the states in which the regret arises; the last term is the value of the room
+that π leaves under its limits. A policy that breaks them may earn more than r*, and fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+from exact_mdp.analysis.gate.exact_policy import exact_policy
+from exact_mdp.analysis.gate.forgiveness import Forgiveness
+from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.table import common, integers
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.checker import Limit, Point
+from exact_mdp.solvers.objectives.constrained import ConstrainedSolution, combined, solve_under
+from exact_mdp.solvers.solution import Certified
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UnderLimits:
+    """The optimum under limits, proven, and the exact totals of a policy beside it.
+
+    Attributes
+    ----------
+    best : ConstrainedSolution
+    earned : Fraction
+        The return of the policy.
+    totals : {name: Fraction}
+        Its totals of what is limited.
+    """
+
+    best: ConstrainedSolution
+    earned: Fraction
+    totals: Mapping[str, Fraction]
+
+    @classmethod
+    def of(cls, mdp: MDP, policy: Policy, subject_to: Mapping[str, Any]) -> UnderLimits:
+        """Return a policy under limits; see `solve` for these."""
+        best = solve_under(mdp, subject_to)
+        if faults := best.violations():
+            raise RuntimeError(f"the proof of an optimum under limits does not hold: {faults[0]}")
+        of = best.objectives
+        earned, *totals = totals_under(of, policy)
+        return cls(
+            best=best,
+            earned=of.sign * earned,
+            totals={n: of.sign * t for n, t in zip(of.names[1:], totals, strict=True)},
+        )
+
+    def keeps(self, limit: Limit) -> bool:
+        """Return whether the policy keeps a limit."""
+        return limit.sign * (self.totals[limit.name] - limit.bound) >= 0
+
+    @cached_property
+    def priced(self) -> MDP:
+        """The model that earns r + λ c; the model itself where no policy keeps the limits."""
+        of, best = self.best.objectives, self.best
+        if not best.feasible:
+            return best.mdp
+        whole, below = common(combined(of, best.limits, Fraction(1), best.price))
+        scale = of.rows.scale[of.mdp.pair_state].astype(object)
+        table = replace(
+            of.mdp.table,
+            gain=integers((of.sign * of.weighted(whole).astype(object)).tolist()),
+            gain_denominator=integers((scale * below).tolist()),
+            gain_doubt=None,
+        )
+        return of.mdp.with_(table=table, goal=None)
+
+    @property
+    def room(self) -> Fraction:
+        """What the room that the policy leaves under the limits is worth: λ (c(π) - b)."""
+        each = zip(self.best.limits, self.best.price, strict=True)
+        return sum(
+            (p * limit.sign * (self.totals[limit.name] - limit.bound) for limit, p in each),
+            Fraction(0),
+        )
+
+    def regret(self, priced: Regret) -> Regret:
+        """Return the regret against the optimum under limits, from that in the priced model."""
+        if not self.best.feasible:
+            return priced
+        lost = self.best.objectives.sign * (self.best.start_value - self.earned)
+        return replace(
+            priced,
+            optimal=self.best.start,
+            learned=Certified(value=self.earned),
+            at_start=Certified(value=lost),
+            forgiveness=Forgiveness(low=Fraction(0), high=Fraction(0)),
+        )
+
+
+def totals_under(of: Objectives, policy: Policy) -> Point:
+    """Return the exact totals of a policy, mixed ones too, from the start; more is better."""
+    chain = PolicyChain.of(of.ending, policy)
+    scale, found = of.rows.scale.tolist(), []
+    for amount in of.amounts:
+        earned = [
+            sum((w * int(amount[l]) for l, w in chain.exact_weights(s).items()), Fraction(0)) / unit
+            for s, unit in enumerate(scale)
+        ]
+        found.append(exact_policy(chain, earned).start_value)
+    return tuple(found)
