@@ -223,14 +223,21 @@ class OutcomeTable:
 
     def expected_gain_exact(self) -> tuple[Numbers, Numbers]:
         """Return integers (L,), (L,): the exact expected reward of pair l is their ratio."""
-        weight, denominator = self.integer_weights()
-        gain, gain_denominator = self.integer_gains()
-        if len(gain) == self.pairs:
-            return gain, gain_denominator
-        longest = int(np.diff(self.offsets).max(initial=1))
-        product = multiply(weight, gain, terms=longest)
-        total = np.asarray(np.add.reduceat(product, self.offsets[:-1]))
-        return total, multiply(denominator, gain_denominator)
+        if len(self.gain) == self.pairs:
+            return self.integer_gains()
+        earning = np.asarray(self.gain != 0, dtype=bool)
+        offsets = np.concatenate([[0], np.cumsum(earning)])[self.offsets]
+        weight, below = self.weight[earning], self.denominator
+        if weight.dtype == np.float64:
+            weight, below = dyadic(weight, offsets)
+        gain, gain_below = self.gain[earning], self.gain_denominator
+        if gain.dtype == np.float64:
+            gain, gain_below = dyadic(gain, offsets)
+        lengths = np.diff(offsets)
+        product = multiply(weight, gain, terms=int(lengths.max(initial=1)))
+        total, filled = np.zeros(self.pairs, dtype=product.dtype), lengths > 0
+        total[filled] = np.add.reduceat(product, offsets[:-1][filled])
+        return total, multiply(below, gain_below)
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
         """Return (N,), (L,) integers: floats become integers over a power of two for each row."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from fractions import Fraction
+from math import lcm
 from typing import Literal, overload
 
 import numpy as np
@@ -29,7 +29,8 @@ from exact_mdp.solvers.endless.proven import certify_total
 from exact_mdp.solvers.endless.total import endless
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.exact import solve_exactly
-from exact_mdp.solvers.proof.margins import UNIT, gains
+from exact_mdp.solvers.proof.margins import UNIT, alike, gains
+from exact_mdp.solvers.proof.rationals import fraction
 from exact_mdp.solvers.proof.uniqueness import uniqueness
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve
@@ -128,13 +129,23 @@ def certify(
         return certify_total(mdp)
     rank, weight = uniqueness(mdp)
     pairs, optimal = _contenders(mdp), np.zeros(mdp.n_pairs, dtype=bool)
-    found = solve_exactly(bellman_rows(mdp, pairs))
-    optimal[pairs], first = found.optimal, mdp.pair_offsets[:-1]
+    same = alike(mdp, pairs)
+    distinct = np.unique(same)
+    found = solve_exactly(bellman_rows(mdp, distinct))
+    optimal[distinct], first = found.optimal, mdp.pair_offsets[:-1]
+    optimal[pairs] = optimal[same]
     reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
     count = np.add.reduceat(optimal.astype(np.int64), first)
     numbers = np.where(optimal, np.arange(mdp.n_pairs), mdp.n_pairs)
-    value = [Fraction(found.numerator[s], found.denominator[found.group[s]]) for s, _ in mdp.start]
-    start_value = sum((w * v for (_, w), v in zip(mdp.start, value, strict=True)), Fraction(0))
+    below = lcm(*(found.denominator[found.group[s]] for s, _ in mdp.start))
+    parts = lcm(*(weight.denominator for _, weight in mdp.start))
+    top = sum(
+        weight.numerator
+        * (parts // weight.denominator)
+        * found.numerator[s]
+        * (below // found.denominator[found.group[s]])
+        for s, weight in mdp.start
+    )
     return Certificate(
         model=fingerprint(mdp),
         numerator=found.numerator,
@@ -145,7 +156,7 @@ def certify(
         gap=found.gap,
         gap_scale=found.gap_scale,
         unique=bool((count[reached] == 1).all()),
-        start_value=start_value,
+        start_value=fraction(top, parts * below),
         rank=rank,
         weight=weight,
         mdp=mdp,

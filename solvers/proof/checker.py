@@ -47,7 +47,7 @@ from exact_mdp.solvers.proof.endless import (
     malformed,
     optimal_infinite,
 )
-from exact_mdp.solvers.proof.margins import falling, gains, others, undecided
+from exact_mdp.solvers.proof.margins import alike, falling, gains, others, undecided
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,7 +129,14 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
         missed = mdp.goal is not None and bool((ends & ~mdp.goal).any())
         if missed or not one_solution(mdp, found.rank, found.weight):
             wrong.append("nothing proves that the Bellman equations have one solution")
-        kept = undecided(mdp, found)
+        open_pairs = undecided(mdp, found)
+        first = alike(mdp, open_pairs)
+        differ = found.optimal_pairs[open_pairs] != found.optimal_pairs[first]
+        wrong += [
+            f"the optimal actions of state {s} are not those of the model"
+            for s in np.unique(mdp.pair_state[open_pairs[differ]]).tolist()
+        ]
+        kept = np.unique(first)
         wrong += _equations(
             bellman_rows(mdp, kept), replace(found, optimal_pairs=found.optimal_pairs[kept])
         )
@@ -137,22 +144,30 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     reached = reachable(mdp, pairs=found.optimal_pairs) & ~ends
     if found.unique is not bool((choices[reached] == 1).all()):
         wrong.append(f"it says wrongly that the optimum is {'' if found.unique else 'not '}unique")
-    if found.start_value != _start_value(found, mdp):
+    if not _right_start(found, mdp):
         wrong.append("the start value is not that of the start states")
     return wrong
 
 
-def _start_value(found: ExactClaims, mdp: MDP) -> Fraction | float | None:
-    """Return the value of the start; None where it is +∞ of one state and -∞ of another."""
-    states = [state for state, weight in mdp.start if weight]
-    if found.endless is not None and found.endless.sign[states].any():
-        least, most = found.endless.sign[states].min(), found.endless.sign[states].max()
-        return None if least * most < 0 else inf * int(least + most)
-    below = found.denominator
-    return sum(
-        (weight * Fraction(found.numerator[s], below[found.group[s]]) for s, weight in mdp.start),
-        Fraction(0),
-    )
+def _right_start(found: ExactClaims, mdp: MDP) -> bool:
+    """Return whether the start value is that of the start; one that is both +∞ and -∞ is none."""
+    start = [(state, weight) for state, weight in mdp.start if weight]
+    if found.endless is not None:
+        signs = found.endless.sign[[state for state, _ in start]]
+        if signs.any():
+            least, most = int(signs.min()), int(signs.max())
+            return least * most >= 0 and found.start_value == inf * (least + most)
+    if not isinstance(found.start_value, Fraction):
+        return False
+    parts = lcm(*(weight.denominator for _, weight in start))
+    sums = dict[int, int]()  # times parts and the denominator of the group
+    for state, weight in start:
+        group, share = int(found.group[state]), weight.numerator * (parts // weight.denominator)
+        sums[group] = sums.get(group, 0) + share * found.numerator[state]
+    below = lcm(*(found.denominator[group] for group in sums))
+    total = sum(own * (below // found.denominator[group]) for group, own in sums.items())
+    claimed = found.start_value
+    return claimed.numerator * parts * below == total * claimed.denominator
 
 
 def _without_end(found: ExactClaims, claims: EndlessClaims, mdp: MDP, pairs: Integers) -> list[str]:

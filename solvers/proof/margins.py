@@ -4,7 +4,8 @@ A pair l of state s loses V(s) - r(l) - γ P_l V. With V rounded to floats v, |V
 loss is known but for the rounding errors of its own sum and u (|v(s)| + γ P_l |v|) (Higham,
 Accuracy and Stability of Numerical Algorithms, SIAM 2002, section 3.1). Where it is above a claimed
 gap by more than that, the pair is neither optimal nor the best of the others, and need not be
-looked at again. The same holds of w > γ P w. Numbers beyond the floats decide nothing.
+looked at again. The same holds of w > γ P w. Numbers beyond the floats decide nothing. Actions with
+the same outcomes, as those that stand for one mean action, are one pair.
 """
 
 from __future__ import annotations
@@ -73,6 +74,29 @@ def others(mdp: MDP, decided: NDArray[np.bool_]) -> Integers:
     first, kept = mdp.pair_offsets[:-1], ~decided
     kept[first] |= np.logical_and.reduceat(decided, first)
     return np.flatnonzero(kept)
+
+
+def alike(mdp: MDP, pairs: Integers) -> Integers:
+    """Return (K,) for each of these rising pairs the first with the same state and outcomes."""
+    table, found = mdp.table, pairs.copy()
+    state = mdp.pair_state[pairs]
+    of_pair, before, seen = len(table.gain) == table.pairs, -1, dict[object, int]()
+    for k in np.flatnonzero(np.bincount(state)[state] > 1).tolist():
+        if state[k] != before:
+            before, seen = state[k], {}
+        pair = int(pairs[k])
+        here = slice(int(table.offsets[pair]), int(table.offsets[pair + 1]))
+        own = slice(pair, pair + 1)
+        parts = (
+            table.next[here],
+            table.weight[here],
+            table.gain[own if of_pair else here],
+            table.denominator[own],
+            table.gain_denominator[own],
+        )
+        content = [tuple(a.tolist()) if a.dtype == object else a.tobytes() for a in parts]
+        found[k] = seen.setdefault(tuple(content), pair)
+    return found
 
 
 def falling(mdp: MDP, weight: Numbers) -> NDArray[np.bool_]:

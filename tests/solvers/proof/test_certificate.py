@@ -21,7 +21,7 @@ from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.exact import bellman_rows, slack_signs
 from exact_mdp.solvers import Claim, SolverError, certify, evaluate, solve
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
-from exact_mdp.solvers.proof.margins import gains, undecided
+from exact_mdp.solvers.proof.margins import alike, gains, undecided
 
 PROOF = Path(__file__).parents[3] / "solvers" / "proof"
 MARGINS = "exact_mdp.solvers.proof.margins"
@@ -121,6 +121,38 @@ def test_pairs_that_floats_decide_are_left_out(rows: Rows, floats: bool) -> None
     for pair, state in enumerate(mdp.pair_state.tolist()):
         if pair not in kept:
             assert -losses[pair] > found.gaps[state]
+
+
+@settings(max_examples=40, deadline=None)
+@given(models(), st.booleans(), st.randoms(use_true_random=False))
+def test_actions_with_the_same_outcomes_are_solved_once(
+    rows: Rows, floats: bool, chance: random.Random
+) -> None:
+    """As in ICU-Sepsis, where many actions of a state stand for the mean of the others."""
+    mdp = rows.model(floats=floats)
+    kind = float if mdp.table.weight.dtype == np.float64 else F
+    listed = [
+        (int(s), int(a) + copy * mdp.n_actions, [(kind(p), t, kind(r)) for p, t, r in row])
+        for pair, (s, a) in enumerate(zip(mdp.pair_state, mdp.pair_action, strict=True))
+        for row in [mdp.table.row(pair)]
+        for copy in range(1 + chance.randrange(3))
+    ]
+    more = MDP.from_outcomes(listed, mdp.discount_exact)
+    pairs = np.arange(more.n_pairs)
+    rest = np.array([pair for pair in pairs if chance.random() < 0.8], dtype=np.int64)
+    for chosen in (pairs, rest):
+        first = dict[Any, int]()
+        for pair in chosen.tolist():
+            first.setdefault((int(more.pair_state[pair]), str(more.table.row(pair))), pair)
+        wanted = [first[int(more.pair_state[p]), str(more.table.row(p))] for p in chosen.tolist()]
+        assert alike(more, chosen).tolist() == wanted
+    found = certify(more)
+    check(found, more)
+    assert list(found.value) == list(certify(mdp).value)
+    for pair in np.flatnonzero(~more.terminal[more.pair_state]).tolist():
+        marks = found.optimal_pairs.copy()
+        marks[pair] = ~marks[pair]
+        assert replace(found, optimal_pairs=marks).violations()
 
 
 @pytest.mark.parametrize("gap", [F(0), F(1, 10**15), F(1, 10**16), F(1, 10**40)])
