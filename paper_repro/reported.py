@@ -17,6 +17,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -156,6 +157,7 @@ def compatible(policy: Integers) -> bool:
 # ---- the paper's sections, and what else it numbers --------------------------------------------
 
 _NAMED = tomllib.loads((Path(__file__).parent / "places.toml").read_text("utf-8"))
+PAPER: dict[str, Any] = _NAMED["paper"]  # title, authors, date, identifier, link
 SECTIONS: dict[str, str] = _NAMED["sections"]
 NUMBERED: dict[str, tuple[str, str]] = _NAMED["numbered"]
 PLACES = SECTIONS | {place: title for place, (_, title) in NUMBERED.items()}

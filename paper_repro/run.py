@@ -133,6 +133,7 @@ def run(
         parts=[readings.readings_part(study), agents.agents_part()],
         record=record,
         pinned=off,
+        search=study.search,
     )
     entries = [entry_of(each) for each in judged]
     _write(out / "numbers.json", [each for each in entries if each["exact"] is not None])

@@ -1,12 +1,12 @@
 """What a claim of the paper is, what is found about it, and the rules that decide.
 
 A claim is one statement of the paper with its place and a function that works out, for one reading
-of the text, what is true there. An *input* is a number or a definition that the model was built
-from: that it is the same shows a faithful transcription, no more. A *finding* is what the paper
-concludes. The verdict follows one of seven rules, `RULES`; a number read off a plot has to be
-within half of the last digit that such a reading carries, and an event, something that one training
-run ended with, is not refuted by being rare: that a run like the paper's is nothing unusual does
-not say that most runs are like it.
+of the text, what is true there. An *input* is what the model was built from, a number, a setting or
+a definition, and what the text says of these: that it is the same shows a faithful transcription,
+no more. A *finding* is what the paper concludes. The verdict follows one of seven rules, `RULES`;
+a number read off a plot has to be within half of the last digit that such a reading carries, and an
+event, something that one training run ended with, is not refuted by being rare: that a run like the
+paper's is nothing unusual does not say that most runs are like it.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ class Verdict(StrEnum):
     """What is found of a claim."""
 
     REPRODUCED = "reproduced"
+    DEPENDS = "depends on the reading"  # not under the default one, but under others
     NOT_REPRODUCED = "not reproduced"
     NOT_DETERMINED = "not determined"
 

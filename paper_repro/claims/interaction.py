@@ -12,13 +12,13 @@ from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from exact_mdp.paper_repro.agents.claims import Statement, statements
+from exact_mdp.paper_repro.agents.claims import Statement, once, statements
 from exact_mdp.paper_repro.agents.conversation import conversation
 from exact_mdp.paper_repro.agents.protocol import plain
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.session import hold
 from exact_mdp.paper_repro.agents.views import vector
-from exact_mdp.paper_repro.claims.claim import Claims, Finding, statement, undecided
+from exact_mdp.paper_repro.claims.claim import Claims, Finding, Kind, statement, undecided
 from exact_mdp.paper_repro.claims.policies import optimal_actions
 from exact_mdp.paper_repro.reading import Reading
 from exact_mdp.paper_repro.reported import ANGRY
@@ -28,6 +28,7 @@ SOURCES = {
     "anger-encouraged": "Section 4.2, Section 4.1",
     "perception-errors": "Section 4.2",
     "question-taken-for-forgetfulness": "Section 4.2, Section 4.3, Figure 11",
+    "confusion-supported": "Section 4.2, Figure 12",
     "saved-as-text": "Section 4.2, Figure 11",
     "behaviour-fits-status": "Section 4.2, Figure 12",
     "four-prompts-alike": "Section 4.2, Figure 7, Figure 8",
@@ -43,7 +44,8 @@ def claims() -> Claims:
         decide = DECIDED.get(name)
         rule = "open" if decide is None else "statement"
         work = partial(_found, told=told, decide=decide)
-        found.add(f"agents.{name}", source, rule, says=told.claim)(work)
+        kind: Kind = "input" if name in DEFINITIONS else "finding"
+        found.add(f"agents.{name}", source, rule, says=told.claim, kind=kind)(work)
     return found
 
 
@@ -77,4 +79,13 @@ def _saved(reading: Reading) -> bool:
     return bool(parts) and all(part in text for part in parts)
 
 
-DECIDED = {"anger-encouraged": _encouraged, "saved-as-text": _saved}
+def _supported(reading: Reading) -> bool:
+    return max(once(reading.mdp, "0100", "supportive")) == 0
+
+
+DECIDED = {
+    "anger-encouraged": _encouraged,
+    "confusion-supported": _supported,
+    "saved-as-text": _saved,
+}
+DEFINITIONS = {"saved-as-text"}  # what the simulator does, not what was found with it

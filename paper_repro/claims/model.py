@@ -11,13 +11,14 @@ from collections.abc import Iterator
 from fractions import Fraction
 from functools import partial
 from itertools import pairwise
+from math import prod
 
 import numpy as np
 
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp.chain import is_acyclic
 from exact_mdp.paper_repro import reported
-from exact_mdp.paper_repro.claims.claim import Claims, Finding, entry, statement
+from exact_mdp.paper_repro.claims.claim import Claims, Finding, entry, statement, undecided
 from exact_mdp.paper_repro.reading import Reading
 from exact_mdp.solvers.solution import Certified
 
@@ -74,7 +75,29 @@ def _rewards(mdp: MDP, trials: int) -> Iterator[tuple[int, int, int, bool, Fract
                     yield int(mdp.pair_action[pair]), after, int(subtask[state]), bool(done), gain
 
 
-# ---- Tables 1 and 2 ----------------------------------------------------------------------------
+# ---- the simulator, Tables 1 and 2 -------------------------------------------------------------
+
+
+@CLAIMS.add("simulator.open-source", "Section 1", "open")
+def _open_source(reading: Reading) -> Finding:
+    """The simulator is open source."""
+    return undecided(
+        "the text gives no address for it. Earlier code of the same laboratory is public "
+        "(github.com/ZhaoRobotLab/PLWDCareSim, last changed before the paper); whether it is the "
+        "simulator of the paper is not stated. Nothing here is taken from it"
+    )
+
+
+@CLAIMS.add("table1.example", "Table 1", kind="input", open=True)
+def _example(reading: Reading) -> Finding:
+    """The example has a first task of three items, each identified and then picked up: six
+    subtasks; and a second task, choosing the cash."""
+    first, *rest = reading.scenario.tasks
+    return statement(
+        first == 6,
+        f"subtasks of each task: {', '.join(map(str, (first, *rest)))}; the text does not say how "
+        "many the experiments ran, nor how many the second task of the example has",
+    )
 
 
 @CLAIMS.add("table1.timesteps", "Table 1", kind="input", open=True)
@@ -146,7 +169,7 @@ for _row, (_base, _entries) in reported.TABLE_3.items():
         )
 
 
-@CLAIMS.add("prose.no-recovery-alone", "Section 2.1")
+@CLAIMS.add("prose.no-recovery-alone", "Section 2.1", kind="input")
 def _recovery(reading: Reading) -> Finding:
     """Without assistance a status hardly ever goes away by itself (almost probability 1 of
     staying)."""
@@ -159,11 +182,38 @@ def _recovery(reading: Reading) -> Finding:
     )
 
 
+@CLAIMS.add("states.independent", "Section 2.1", "open", kind="input")
+def _independent(reading: Reading) -> Finding:
+    """The four statuses of the next timestep are drawn one by one."""
+    mdp, rows, product = reading.mdp, 0, 0
+    for vector in range(16):
+        for action in reported.NUMBER.values():
+            ones = {bit: _next(reading, vector, action, name) for name, bit in BITS.items()}
+            rows += 1
+            product += all(
+                probability == prod(p if after & bit else 1 - p for bit, p in ones.items())
+                for after, probability in _law(mdp, vector, action).items()
+            )
+    return undecided(
+        "the text gives the probability of each status alone and does not say that the four are "
+        f"independent given statuses and assistance; here they are, in {product} of {rows} rows"
+    )
+
+
+def _law(mdp: MDP, vector: int, action: int) -> dict[int, Fraction]:
+    """Return the exact law of the next status vector in the first trial of the first subtask."""
+    state = mdp.space.index(subtask=0, trial=0, status=vector)
+    found = dict.fromkeys(range(16), Fraction(0))
+    for probability, following, _ in mdp.table.row(mdp.pair(state, action)):
+        found[max(int(mdp.space.values("status", np.array([following]))[0]), 0)] += probability
+    return found
+
+
 def _points(effects: dict[str, Fraction]) -> str:
     return ", ".join(f"{name} {float(100 * value):+g}" for name, value in effects.items())
 
 
-@CLAIMS.add("prose.anger-weighs-most-on-forgetfulness", "Section 2.1.1", open=True)
+@CLAIMS.add("prose.anger-weighs-most-on-forgetfulness", "Section 2.1.1", kind="input", open=True)
 def _anger_on_forgetfulness(reading: Reading) -> Finding:
     """Confusion, anger and disengagement raise forgetfulness, anger the most."""
     sources = ("confusion", "anger", "disengagement")
@@ -173,7 +223,7 @@ def _anger_on_forgetfulness(reading: Reading) -> Finding:
     return statement(holds, f"percentage points: {_points(effects)}")
 
 
-@CLAIMS.add("prose.anger-contributes-most", "Section 2.1.1", open=True)
+@CLAIMS.add("prose.anger-contributes-most", "Section 2.1.1", kind="input", open=True)
 def _anger_contributes(reading: Reading) -> Finding:
     """Anger contributes more to the other statuses than they to each other."""
     effects = {
@@ -186,7 +236,7 @@ def _anger_contributes(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add("prose.distress", "Section 2.1.1", open=True)
+@CLAIMS.add("prose.distress", "Section 2.1.1", kind="input", open=True)
 def _distress(reading: Reading) -> Finding:
     """Forgetfulness and confusion lead to anger; these three lead to disengagement."""
     edges = [("forgetfulness", "anger"), ("confusion", "anger")]
@@ -245,6 +295,29 @@ for _status, _rates in reported.SKIP.items():
             unit="%",
             open=True,
         )
+
+
+@CLAIMS.add("prose.stress-on-memory", "Section 2.1.3", kind="input", open=True)
+def _stress(reading: Reading) -> Finding:
+    """What a skip leaves of forgetfulness and confusion reflects emotional stress."""
+    stays = {
+        vector: [_skipped(reading, vector, name) for name in _PAIR if vector & BITS[name]]
+        for vector in range(16)
+    }
+    calm = [vector for vector in range(16) if not vector & (BITS["anger"] | BITS["disengagement"])]
+    moved = [
+        upset
+        for vector in calm
+        for upset in (vector | BITS["anger"], vector | BITS["disengagement"])
+        if stays[upset] != stays[vector]
+    ]
+    return statement(
+        bool(moved),
+        "anger or disengagement changes them"
+        if moved
+        else "they persist with the same probability with anger or disengagement as without; what "
+        "raises it is the other of the two, a cognitive status",
+    )
 
 
 # ---- spaces ------------------------------------------------------------------------------------
@@ -326,7 +399,7 @@ for _name, _weighs in reported.TABLE_4.items():
     )
 
 
-@CLAIMS.add("prose.minimal-assistance", "Section 3.2.3")
+@CLAIMS.add("prose.minimal-assistance", "Section 3.2.3", kind="input")
 def _minimal(reading: Reading) -> Finding:
     """Completing a subtask costs more, the more intrusive the assistance."""
     found = [weights(reading.mdp)[f"assist.{action}"] for action in reported.ACTIONS]
@@ -334,7 +407,7 @@ def _minimal(reading: Reading) -> Finding:
     return statement(falls, "a0 to a3: " + ", ".join(str(value) for value in found))
 
 
-@CLAIMS.add("prose.anger-first", "Section 3.2.3")
+@CLAIMS.add("prose.anger-first", "Section 3.2.3", kind="input")
 def _anger_first(reading: Reading) -> Finding:
     """Anger is charged most of the four statuses."""
     held = weights(reading.mdp)

@@ -76,6 +76,19 @@ def _respectively(reading: Reading) -> Finding:
     return statement(holds, f"optimal actions are {told}")
 
 
+@CLAIMS.add("policy.personalised", "Section 4.1", open=True)
+def _personalised(reading: Reading) -> Finding:
+    """Forgetful only and confused only get different assistance, because people respond
+    differently: decisions are personal."""
+    best = [set.intersection(*optimal_actions(reading, status)) for status in ("1000", "0100")]
+    names = ["/".join(sorted(reading.mdp.actions[a] for a in each)) or "none" for each in best]
+    return statement(
+        all(best) and not set.intersection(*best),
+        f"optimal throughout: {names[0]} where forgetful only, {names[1]} where confused only. The "
+        "model has the probabilities of one person: it compares statuses, not people",
+    )
+
+
 @CLAIMS.add("policy.final-is-optimal", "Section 4.1", open=True)
 def _regret(reading: Reading) -> Finding:
     """The final policy, with non-directive assistance in 0000, is optimal."""
@@ -91,9 +104,9 @@ def _regret(reading: Reading) -> Finding:
         f"with 1000 and 0100 as written it loses {float(lost.value):.2f} of the optimum "
         f"({audit.relative_regret:.1%}{costs and f'; by status: {costs}'}); filled in as fits the "
         f"three averages best, {fits:.2f} "
-        f"({reported.told(reported.COMPLETIONS[int(found.fitting)])}); over all "
-        f"{len(reported.COMPLETIONS)} ways to fill in what the text leaves open, "
-        f"{max(least, 0.0):.2f} at least",
+        f"({reported.told(reported.COMPLETIONS[int(found.fitting)])}); under "
+        f"this reading, {max(least, 0.0):.2f} at least in all {len(reported.COMPLETIONS)} ways to "
+        "fill in the open statuses",
         lost,
         f"regret {float(lost.value):.3f}",
         cost_by_status=by_status,
@@ -103,7 +116,7 @@ def _regret(reading: Reading) -> Finding:
     )
 
 
-@CLAIMS.add("policy.status-suffices", "Section 3.2.1", open=True)
+@CLAIMS.add("policy.status-suffices", "Section 3.2.1", kind="input", open=True)
 def _status_suffices(reading: Reading) -> Finding:
     """A policy may read the 16 statuses alone, without the trial or the subtask."""
     lacking = [s for s in reported.STATUSES if not set.intersection(*optimal_actions(reading, s))]

@@ -297,14 +297,13 @@ def _optimal(search: ReadingSearch) -> Iterator[Sentence]:
     filled = reported.told(search.completions[int(completion)])
     yield Sentence("optimal", f"{told} ({search.space.label(int(reading))}; {filled}).")
     for status, action in reported.STATED.items():
-        for other in dict.fromkeys((action, reported.STATED["0100"], reported.STATED["1000"])):
-            count = int(search.optimal_under(status, other).sum())
-            yield Sentence(
-                "optimal",
-                f"In {status}, {other} is optimal under {count:,} of {len(search.space):,} "
-                "readings (first trial of the first subtask)"
-                + (", as the text states." if other == action else "."),
-            )
+        others = dict.fromkeys((action, reported.STATED["0100"], reported.STATED["1000"]))
+        counts = [f"{o} under {int(search.optimal_under(status, o).sum()):,}" for o in others]
+        yield Sentence(
+            "optimal",
+            f"In {status} the text states {action}. Optimal there, in the first trial of the first "
+            f"subtask: {', '.join(counts)} of {len(search.space):,} readings.",
+        )
 
 
 def _equivalent(search: ReadingSearch) -> Sentence:

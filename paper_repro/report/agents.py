@@ -38,7 +38,7 @@ from exact_mdp.analysis.plots.perception import (
 from exact_mdp.analysis.plots.style import titled
 from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.mdp.care.perception import Counted, counted
-from exact_mdp.paper_repro.agents.claims import EXACT, statements
+from exact_mdp.paper_repro.agents.claims import statements
 from exact_mdp.paper_repro.agents.conversation import modules_of
 from exact_mdp.paper_repro.agents.measure import labelled
 from exact_mdp.paper_repro.agents.scripted import Scripted
@@ -62,10 +62,7 @@ def agents_part() -> Part:
         "with a model of yours; the figures below are of the scripted one, and of the decision "
         "model where perception errs."
     )
-    told = [
-        f"{each.claim} ({each.place}) {'checked here' if each.kind == EXACT else each.kind}."
-        for each in statements()
-    ]
+    told = [f"{each.claim} ({each.place}): {each.kind}." for each in statements()]
     return Part(title="The two agents", sentences=(intro, *told), figures=tuple(PICTURES))
 
 

@@ -63,6 +63,12 @@ class Picture:
     draw: Callable[..., Figure]  # from what it is about: a Reading, a ReadingStudy, or nothing
     learns: bool  # whether it shows training runs
 
+    @property
+    def script(self) -> str:
+        """Where it is drawn: a file of the checkout and the function in it."""
+        module = self.draw.__module__.removeprefix("exact_mdp.").replace(".", "/")
+        return f"{module}.py, {self.draw.__name__}"
+
 
 class Pictures(list[Picture]):
     """The figures of one part of the report; `add` puts one in."""

@@ -51,7 +51,10 @@ def cells(each: Judged) -> dict[str, str]:
         "kind": str(found.claim or ""),
         "difference": sign + number(apart, unit=claim.unit if apart else ""),
         "errors": "" if errors is None else f"{errors:+.1f}".replace("-", "−"),
-        "verdict": str(found.verdict),
+        "verdict": str(each.verdict),
+        "share": ""
+        if each.others is None or each.verdict is not Verdict.DEPENDS
+        else f"{each.others.reproduced:,} of {each.others.tried:,}",
         "why": found.why,
         "others": "" if each.others is None else each.others.text,
         "rerun": claim.rerun,
@@ -79,7 +82,8 @@ def entry_of(each: Judged) -> dict[str, Any]:
         "difference_in_standard_errors": found.standard_errors,
         "approximate": claim.rule == "plotted",
         "rule": claim.rule,
-        "verdict": str(found.verdict),
+        "verdict": str(each.verdict),
+        "verdict_of_default_reading": str(found.verdict),
         "why": found.why,
         "under_other_readings": None if each.others is None else asdict(each.others),
         "rerun": claim.rerun,
@@ -96,14 +100,15 @@ def counts(judged: Sequence[Judged], kind: Kind) -> dict[str, int]:
 def counted(judged: Sequence[Judged]) -> str:
     """Return the counts in words: inputs first, then findings."""
     inputs, findings = counts(judged, "input"), counts(judged, "finding")
-    same, apart, unsettled = inputs.values()
-    rest = [f"{apart} differ" if apart else "", f"{unsettled} stay open" if unsettled else ""]
-    more = "".join(f", {text}" for text in rest if text)
-    yes, no, unknown = findings.values()
+    told = ("hold only under other readings of the text", "differ", "stay open")
+    same, *others = inputs.values()
+    more = "".join(f", {n} {what}" for n, what in zip(others, told, strict=True) if n)
+    yes, some, no, unknown = findings.values()
     return (
-        f"{sum(inputs.values())} inputs (numbers, settings and definitions) were transcribed into "
-        f"the model: {same} are the paper's{more}. Of {sum(findings.values())} findings {yes} are "
-        f"reproduced, {no} are not, and {unknown} cannot be decided here."
+        f"{sum(inputs.values())} inputs (numbers, settings, definitions, and what the text says of "
+        f"these) were held against the model: {same} agree{more}. Of {sum(findings.values())} "
+        f"findings {yes} are reproduced, {some} depend on the reading of the text, {no} are not "
+        f"reproduced, and {unknown} cannot be decided here."
     )
 
 
@@ -125,7 +130,7 @@ NUMBERS: Columns = (
     ("kind", "kind", "left"),
     ("verdict", "verdict", "left"),
 )
-WIDE = {"statement": 20, "verdict": len("not determined")}  # at least, in a table of statements
+WIDE = {"statement": 20, "verdict": len(Verdict.DEPENDS)}  # at least, in a table of statements
 LINES = {
     "paper": "paper",
     "exact": "exact",

@@ -15,6 +15,7 @@ import base64
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,11 +23,22 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims import Judged, Verdict
 from exact_mdp.paper_repro.claims.claim import RULES
+from exact_mdp.paper_repro.claims.policies import optimal_actions
 from exact_mdp.paper_repro.reading import Reading
+from exact_mdp.paper_repro.readings.search import ReadingSearch
 from exact_mdp.paper_repro.report.figures import Picture
 from exact_mdp.paper_repro.report.output import cells, counted, counts
 from exact_mdp.paper_repro.report.tables import Table
-from exact_mdp.paper_repro.reported import COMPLETIONS, FIGURES, FINAL, SECTIONS, section_of
+from exact_mdp.paper_repro.reported import (
+    ANGRY,
+    COMPLETIONS,
+    FIGURES,
+    FINAL,
+    NUMBER,
+    SECTIONS,
+    STATUSES,
+    section_of,
+)
 from exact_mdp.solvers.solution import Claim
 
 jinja2 = later("jinja2")
@@ -60,12 +72,18 @@ def render(
     parts: Sequence[Part],
     record: Mapping[str, Any],
     pinned: Sequence[str],
+    search: ReadingSearch,
 ) -> tuple[str, str]:
     """Return the report as Markdown and as HTML; the figures are read from `out`/figures."""
     data = {
+        "paper": reported.PAPER,
         "about": WORDS["about"],
+        "bottom": bottom_line(reading),
+        "conclude": WORDS["conclude"],
+        "beyond": WORDS["beyond"],
         "limits": WORDS["limits"],
-        "plain": plain(judged, reading),
+        "outside": WORDS["outside"],
+        "plain": plain(judged, reading, search),
         "counts": counts(judged, "finding"),
         "counted": counted(judged),
         "groups": _groups(judged),
@@ -178,6 +196,15 @@ class Plain(NamedTuple):
     claim: str
 
 
+PLAIN_STATUSES = {
+    status: " and ".join(
+        name
+        for name, bit in zip(("forgetful", "confused", "angry", "disengaged"), status, strict=True)
+        if bit == "1"
+    )
+    or "well"
+    for status in STATUSES
+}
 PLAIN_ACTIONS = {
     "none": "no help",
     "supportive": "encouragement",
@@ -186,7 +213,59 @@ PLAIN_ACTIONS = {
 }
 
 
-def plain(judged: Sequence[Judged], reading: Reading) -> list[Plain]:
+def bottom_line(reading: Reading) -> str:
+    """Return what was found, in one paragraph, for those who read no more.
+
+    >>> from exact_mdp.paper_repro.reading import QUICK, default
+    >>> bottom_line(default(QUICK))[:56]
+    "In the simulation, the paper's advice is nearly the best"
+    """
+    optimum, random, final = (
+        reading.evaluations[name].mean for name in ("optimal", "random", f"reported.{FINAL}")
+    )
+    advice = {**dict.fromkeys(ANGRY, "supportive"), **reported.STATED, "0000": FINAL}
+    wrong = [
+        f"{PLAIN_STATUSES[status]} and nothing else, {PLAIN_ACTIONS[action]} is not"
+        for status, action in advice.items()
+        if not all(NUMBER[action] in best for best in optimal_actions(reading, status))
+    ]
+    return str(WORDS["bottom"]).format(
+        stated=len(advice),
+        statuses=len(STATUSES),
+        right=len(advice) - len(wrong),
+        wrong="".join(f"; where the person is {each}" for each in wrong),
+        reported=final,
+        optimum=optimum,
+        random=random,
+        lost=(optimum - final) / optimum,
+        perfect=float(perfect(reading)),
+    )
+
+
+def perfect(reading: Reading) -> Fraction:
+    """Return what a run earns in which every subtask is done at once, without help.
+
+    >>> from exact_mdp.paper_repro.reading import QUICK, default
+    >>> perfect(default(QUICK))
+    Fraction(164, 1)
+    """
+    mdp, (state, _) = reading.mdp, reading.mdp.start[0]
+    earned, factor = Fraction(0), Fraction(1)
+    while not mdp.terminal[state]:
+        here = mdp.space.values("subtask")[state]
+        state, gain = next(
+            (after, gain)
+            for _, after, gain in mdp.table.row(mdp.pair(state, "none"))
+            if mdp.terminal[after]
+            or (
+                mdp.space.values("subtask")[after] > here and mdp.space.values("status")[after] == 0
+            )
+        )
+        earned, factor = earned + factor * gain, factor * mdp.discount_exact
+    return earned
+
+
+def plain(judged: Sequence[Judged], reading: Reading, search: ReadingSearch) -> list[Plain]:
     """Return the findings in plain words, for the claims that were worked out."""
     by_name = {each.claim.id: each for each in judged}
     optimum, random, final = (
@@ -206,6 +285,8 @@ def plain(judged: Sequence[Judged], reading: Reading) -> list[Plain]:
         "near": near,
         "far": far,
         "least": optimum - found.range(FINAL)[1],
+        "kindest": float(search.regret.min()),
+        "readings": len(search.space),
         "confused": costs.get("0100", 0.0),
         "ways": len(COMPLETIONS),
         "one": PLAIN_ACTIONS[filled["1000"]],

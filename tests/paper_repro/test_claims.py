@@ -14,6 +14,7 @@ from oracle import ACTIONS, CLEAR, Oracle, acting
 
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.agents.claims import once
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, chosen, judge
 from exact_mdp.paper_repro.claims.claim import RULES, event, usual
 from exact_mdp.paper_repro.claims.judge import disagreements, expected
@@ -275,6 +276,27 @@ def test_the_flow_of_trials_against_the_independent_model(view: Reading, oracle:
         reached = following
 
 
+def test_what_encouragement_costs_a_confused_person_against_the_independent_model(
+    view: Reading, oracle: Oracle
+) -> None:
+    found = once(view.mdp, "0100", "supportive")
+    places = itertools.product(range(3), range(5))
+    states = [(k, t, 1, (0, 1, 0, 0)) for k, t in places]
+    worth = [
+        sum(p * (sum(rewards.values()) + oracle.value(after)) for p, after, rewards, _ in listed)
+        for listed in (oracle.outcomes(state, "supportive") for state in states)
+    ]
+    exact = [oracle.value(state) - each for state, each in zip(states, worth, strict=True)]
+    assert sorted(found) == sorted(exact)
+
+
+def test_the_rows_are_products_and_the_skip_rule_knows_no_distress(
+    judged: dict[str, Judged],
+) -> None:
+    assert "in 64 of 64 rows" in judged["states.independent"].finding.why
+    assert judged["prose.stress-on-memory"].verdict is Verdict.NOT_REPRODUCED
+
+
 # ---- readings ----------------------------------------------------------------------------------
 
 
@@ -282,8 +304,11 @@ def test_what_the_prose_says_of_anger_holds_the_other_way_round(view: Reading) -
     names = ("prose.anger-weighs-most-on-forgetfulness", "prose.anger-contributes-most")
     (turned,) = (v for v in alternatives(view, QUICK) if "column-to-row" in v.label)
     for name in names:
+        (alone,) = judge([chosen(name)], view)
+        assert alone.verdict is Verdict.NOT_REPRODUCED
         (each,) = judge([chosen(name)], view, others=[turned])
-        assert each.verdict is Verdict.NOT_REPRODUCED
+        assert each.verdict is Verdict.DEPENDS
+        assert each.finding.verdict is Verdict.NOT_REPRODUCED
         assert each.others is not None
         assert (each.others.tried, each.others.reproduced) == (2, 1)
         assert each.others.example == "influence_orientation = column-to-row"
@@ -308,8 +333,10 @@ def test_the_readings_tried_are_named_as_they_are_and_counted_once(view: Reading
 def test_inputs_and_findings_are_told_apart(judged: dict[str, Judged]) -> None:
     inputs = {name for name, each in judged.items() if each.claim.kind == "input"}
     assert {each.claim.id for each in judged.values() if each.claim.rule == "entry"} <= inputs
-    assert not {name for name in inputs if name.startswith(("policy.", "prose.", "agents."))}
-    assert {name for name in inputs if name.startswith("return.")} == {"return.experiments"}
+    told = {name for name in judged if name.startswith("prose.")}
+    assert told <= inputs
+    others = {name for name in inputs - told if name.startswith(("policy.", "agents.", "return."))}
+    assert others == {"policy.status-suffices", "agents.saved-as-text", "return.experiments"}
 
 
 def test_a_policy_may_follow_either_order_of_the_sentence() -> None:

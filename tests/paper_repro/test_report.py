@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+import tomllib
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from fractions import Fraction
@@ -14,18 +15,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner, Result
+from reading_cases import small_search
 
-from exact_mdp.mdp import ModelError
+from exact_mdp.analysis import check
+from exact_mdp.mdp import ModelError, Policy
 from exact_mdp.paper_repro.__main__ import main
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, judge
 from exact_mdp.paper_repro.reading import QUICK, Reading, default
 from exact_mdp.paper_repro.readings.reported_policy import ranked, sums
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import counted, counts, number
-from exact_mdp.paper_repro.report.report import Part, plain, render
+from exact_mdp.paper_repro.report.report import WORDS, Part, bottom_line, perfect, plain, render
 from exact_mdp.paper_repro.report.tables import all_tables
-from exact_mdp.paper_repro.reported import FIGURES
+from exact_mdp.paper_repro.reported import ANGRY, FIGURES, FINAL, PAPER, PLACES, STATED
 from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
 
 DRAWN = ("three_policies", "trial_flow")  # the figures that are drawn here: the quickest ones
@@ -88,7 +92,7 @@ def written(
     part = Part(title="A part <b>", sentences=("a < b | c",), figures=())
     markdown, page = render(
         out, judged=judged, reading=view, tables=tables, figures=chosen, parts=[part],
-        record=RECORD, pinned=["x: 1, pinned 2"],
+        record=RECORD, pinned=["x: 1, pinned 2"], search=small_search(),
     )  # fmt: skip
     return out, markdown, page
 
@@ -96,7 +100,7 @@ def written(
 def test_the_page_needs_nothing_else(written: tuple[Path, str, str]) -> None:
     page = Page(written[2])
     assert page.open == []
-    assert "http" not in written[2]
+    assert set(re.findall(r"http\S+?(?=\")", written[2])) == {PAPER["link"]}
     assert "@import" not in written[2]
     assert "url(" not in written[2]
     assert not page.tags & {"script", "link", "iframe", "object", "embed"}
@@ -110,8 +114,9 @@ def test_the_page_leads_somewhere_and_describes_its_pictures(
     page = Page(written[2])
     assert page.silent == []
     assert len(page.ids) == len(set(page.ids))
-    assert all(link.startswith("#") for link in page.links)
-    assert {link[1:] for link in page.links} <= set(page.ids)
+    inside = [link for link in page.links if link != PAPER["link"]]
+    assert all(link.startswith("#") for link in inside)
+    assert {link[1:] for link in inside} <= set(page.ids)
 
 
 def test_every_claim_is_in_both_reports_with_how_to_rerun_it(
@@ -157,15 +162,82 @@ def test_tables_1_to_4_are_the_models(view: Reading) -> None:
 
 
 def test_the_summary_turns_with_the_verdicts(view: Reading, judged: list[Judged]) -> None:
-    found = {each.claim: each.text for each in plain(judged, view)}
+    found = {each.claim: each.text for each in plain(judged, view, small_search())}
     assert "costs 4.2 of 146.2" in found["policy.0100"]
     turned = [
         replace(each, finding=replace(each.finding, verdict=Verdict.REPRODUCED)) for each in judged
     ]
     assert "2.6 to 4.2 points below the best possible 146.2" in found["policy.final-is-optimal"]
-    assert "1.8 points at least" in found["policy.final-is-optimal"]
-    assert {each.verdict for each in plain(turned, view)} == {Verdict.REPRODUCED}
-    assert "as the paper says" in {e.claim: e.text for e in plain(turned, view)}["policy.0100"]
+    assert "1.8 points are missing at least" in found["policy.final-is-optimal"]
+    kindest = small_search().regret.min()
+    told = f"under the kindest of all 96 readings of the model {kindest:.1f}."
+    assert found["policy.final-is-optimal"].endswith(told)
+    assert {each.verdict for each in plain(turned, view, small_search())} == {Verdict.REPRODUCED}
+    assert (
+        "as the paper says"
+        in {e.claim: e.text for e in plain(turned, view, small_search())}["policy.0100"]
+    )
+
+
+def test_the_bottom_line_counts_the_statuses_where_the_advice_is_best(view: Reading) -> None:
+    told = bottom_line(view)
+    advice = {**dict.fromkeys(ANGRY, "supportive"), **STATED, "0000": FINAL}
+    tried = [
+        check(
+            view.mdp,
+            Policy.from_choices(
+                view.mdp,
+                np.where(
+                    (view.mdp.space.values("status") == int(status, 2))
+                    & ~view.mdp.forced
+                    & ~view.mdp.terminal,
+                    view.mdp.action(action),
+                    view.optimum,
+                ),
+            ),
+        ).passed
+        for status, action in advice.items()
+    ]
+    assert f"to do in {len(tried)} of 16 statuses" in told
+    assert f"in {sum(tried)} of these the advice is the best there is" in told
+    assert "confused and nothing else, a hint is not" in told
+    assert "a loss of 2.8%" in told
+
+
+def test_no_run_earns_more_than_a_perfect_one(view: Reading) -> None:
+    law = return_distribution(view.mdp, "always:none")
+    assert perfect(view) == max(law.values) == 164
+
+
+def test_what_is_outside_names_its_places() -> None:
+    for each in WORDS["outside"]:
+        assert set(each["place"].split(", ")) <= set(PLACES), each
+        assert each["says"].endswith(".")
+        assert each["why"].endswith(".")
+
+
+def test_the_paper_is_named_in_the_citation_as_in_the_report() -> None:
+    root = Path(__file__).parents[2]
+    cited = yaml.safe_load((root / "CITATION.cff").read_text("utf-8"))
+    paper = cited["preferred-citation"]
+    names = [f"{a['given-names']} {a['family-names']}" for a in paper["authors"]]
+    assert (paper["title"], names, paper["url"]) == (
+        PAPER["title"],
+        PAPER["authors"],
+        PAPER["link"],
+    )
+    assert paper["identifiers"][0]["value"] == PAPER["identifier"]
+    assert str(paper["year"]) in PAPER["date"]
+    project = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]
+    assert (cited["version"], cited["license"]) == (project["version"], project["license"])
+    assert PAPER["link"] in (root / "README.md").read_text("utf-8")
+
+
+def test_each_figure_says_where_it_is_drawn() -> None:
+    root = Path(__file__).parents[2]
+    for picture in PICTURES:
+        module, _, function = picture.script.partition(", ")
+        assert f"def {function}(" in (root / module).read_text("utf-8")
 
 
 def test_figures_answer_to_figures_of_the_paper_and_say_what_they_show() -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from exact_mdp.mdp import Scenario
 from exact_mdp.mdp.care.perception import perceived
-from exact_mdp.paper_repro.agents.claims import statements
+from exact_mdp.paper_repro.agents.claims import EXACT, statements
+from exact_mdp.paper_repro.claims import all_claims
 from exact_mdp.paper_repro.report import agents
 from exact_mdp.solvers import evaluate
 
@@ -15,10 +16,14 @@ from exact_mdp.solvers import evaluate
 def test_each_statement_is_told_with_who_can_check_it() -> None:
     _, *told = agents.agents_part().sentences
     for each, text in zip(statements(), told, strict=True):
-        assert text.startswith(f"{each.claim} ({each.place}) ")
-        assert text.endswith(
-            ("checked here.", "needs the authors' model.", "needs people to judge.")
-        )
+        assert text == f"{each.claim} ({each.place}): {each.kind}."
+
+
+def test_what_is_said_to_be_decided_here_is_decided_in_the_table_of_claims() -> None:
+    listed = [claim for claim in all_claims() if claim.id.startswith("agents.")]
+    for each, claim in zip(statements(), listed, strict=True):
+        assert each.claim == claim.says
+        assert (each.kind == EXACT) == (claim.rule != "open"), claim.id
 
 
 def test_the_measured_perception_is_that_of_its_noise() -> None:
