@@ -51,7 +51,8 @@ COMPONENTS: dict[str, tuple[str, ...]] = {
         "assistance-guidelines", "status",
     ),
 }  # fmt: skip
-"""The components that each prompt must have, in the paper's order."""
+"""The components that each prompt must have, in the paper's order: the role in the system message,
+all else in the user message."""
 
 _MESSAGE = {"type": "string", "enum": ["system", "user"]}
 _COMPONENT = record({"name": TEXT, "message": _MESSAGE, "text": TEXT}, others=True)
@@ -149,6 +150,14 @@ class Prompt:
                 ) from error
             parts[component["message"]].append(text)
         return tuple((role, "\n\n".join(texts)) for role, texts in parts.items())
+
+    def shown(self, *, without: Sequence[str] = ()) -> str:
+        """Return the prompt for reading: each message with its components, $names left open."""
+        lines = []
+        for role in ("system", "user"):
+            parts = [c for c in self.components if c["message"] == role]
+            lines += [f"{role}:", *(c["text"].strip() for c in parts if c["name"] not in without)]
+        return "\n\n".join(lines)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
@@ -39,17 +41,24 @@ from exact_mdp.analysis.plots.style import titled
 from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.mdp.care.perception import Counted, counted
 from exact_mdp.paper_repro.agents.claims import statements
-from exact_mdp.paper_repro.agents.conversation import modules_of
+from exact_mdp.paper_repro.agents.conversation import conversation, modules_of
 from exact_mdp.paper_repro.agents.measure import labelled
+from exact_mdp.paper_repro.agents.prompts import Prompts
+from exact_mdp.paper_repro.agents.protocol import plain
+from exact_mdp.paper_repro.agents.recording import Recording
 from exact_mdp.paper_repro.agents.scripted import Scripted
+from exact_mdp.paper_repro.agents.session import hold
+from exact_mdp.paper_repro.report.drawings import plot_boxes
 from exact_mdp.paper_repro.report.figures import Pictures
-from exact_mdp.paper_repro.report.report import Part
+from exact_mdp.paper_repro.report.report import Part, Text
+from exact_mdp.paper_repro.report.tables import Table
 from exact_mdp.solvers import solve
 
 SCENARIO = "yuan2025"
 NOISE = 0.05  # of the scripted agent whose perception is measured
 EACH = 20  # behaviours for each status vector
 SEED = 42
+SHOWN, TIMESTEPS = 3, 6  # seed of the conversation that is shown, and how much of it
 DRAWS = 2000
 LEVELS = (1.0, 0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 PICTURES = Pictures()
@@ -63,7 +72,122 @@ def agents_part() -> Part:
         "model where perception errs."
     )
     told = [f"{each.claim} ({each.place}): {each.kind}." for each in statements()]
-    return Part(title="The two agents", sentences=(intro, *told), figures=tuple(PICTURES))
+    return Part(
+        title="The two agents",
+        sentences=(intro, *told),
+        figures=tuple(PICTURES),
+        tables=(_example(),),
+        texts=_texts(),
+    )
+
+
+@cache
+def held() -> tuple[Recording, str]:
+    """Return a scripted conversation, its first timesteps, and what its text file says."""
+    talk = conversation(Scripted(), seed=SHOWN)
+    with TemporaryDirectory() as folder:
+        record = hold(talk, Path(folder) / "talk", limit=TIMESTEPS)
+        return record, (Path(folder) / "talk" / "conversation.txt").read_text("utf-8")
+
+
+def _example() -> Table:
+    """Return the scripted agents' interaction, timestep by timestep."""
+    rows = [
+        (
+            str(step["timestep"]),
+            step["status"],
+            f"{plain(step['behaviour']['nonverbal'])} “{plain(step['behaviour']['verbal'])}”",
+            step["perceived"],
+            step["action"],
+            plain(step["assistance"]) or "(silent)",
+        )
+        for step in held()[0].steps
+    ]
+    return Table(
+        title="An interaction of the scripted agents",
+        headings=("timestep", "status", "the person", "perceived", "action", "the robot"),
+        rows=tuple(rows),
+        note="A status is four digits: forgetful, confused, angry, disengaged. The words are a "
+        "script's; with a language model the same table is what `python -m paper_repro.agents run` "
+        "records.",
+        place="Figure 12",
+    )
+
+
+def _texts() -> tuple[Text, ...]:
+    """Return the prompts and a recording, which answer to figures of the paper that are texts."""
+    prompts = Prompts.load()
+    brief, detailed = (prompts.assistance_lines(detailed=each) for each in (False, True))
+    execution = prompts["execution"]
+    own = "Prompt of this project: "
+    return (
+        Text(title=f"{own}behaviour", body=prompts["behaviour"].shown(), place="Figure 5"),
+        Text(title=f"{own}perception", body=prompts["perception"].shown(), place="Figure 6"),
+        Text(
+            title=f"{own}execution, brief guidance, without status",
+            body=execution.shown(without=["status"]).replace("$assistance", brief),
+            place="Figure 7",
+        ),
+        Text(
+            title=f"{own}execution, detailed guidance, with status",
+            body=execution.shown().replace("$assistance", detailed),
+            place="Figure 8",
+        ),
+        Text(title="What a run of the scripted agents saves", body=held()[1], place="Figure 11"),
+    )
+
+
+@PICTURES.add("agents_architecture")
+def _architecture() -> Figure:
+    figure, ax = plt.subplots(figsize=(7.2, 3.0))
+    boxes = {
+        "model": (0.0, 1.6, "person: care model\n(statuses, computed)", False),
+        "behaviour": (3.6, 1.6, "person: behaviour\n(words)", True),
+        "perception": (7.2, 1.6, "robot: perception\n(statuses from words)", True),
+        "choice": (7.2, 0.0, "robot: choice of action\n(policy, computed)", False),
+        "execution": (3.6, 0.0, "robot: execution\n(words for the action)", True),
+        "next": (0.0, 0.0, "person: hears it;\nnext statuses are drawn", False),
+    }
+    arrows = [
+        ("model", "behaviour", "true statuses"),
+        ("behaviour", "perception", "what is seen, heard"),
+        ("perception", "choice", "perceived statuses"),
+        ("choice", "execution", "a0 to a3"),
+        ("execution", "next", "assistance"),
+        ("next", "model", "action"),
+    ]
+    plot_boxes(boxes, arrows, ax=ax)
+    return figure
+
+
+@PICTURES.add("agents_flow")
+def _flow() -> Figure:
+    figure, ax = plt.subplots(figsize=(7.2, 4.2))
+    boxes = {
+        "start": (0.0, 3.2, "a timestep begins\n(the first in 0000)", False),
+        "behave": (3.6, 3.2, "the person behaves", True),
+        "perceive": (7.2, 3.2, "the robot perceives\nfour statuses", True),
+        "choose": (7.2, 1.6, "it chooses an action\nand says it", True),
+        "draw": (3.6, 1.6, "the next statuses\nare drawn", False),
+        "trial": (0.0, 1.6, "another trial,\nless than five failed", False),
+        "done": (3.6, 0.0, "subtask completed\n(0000) or skipped", False),
+        "next": (0.0, 0.0, "next subtask", False),
+        "end": (7.2, 0.0, "end of the activity", False),
+    }
+    arrows = [
+        ("start", "behave", ""),
+        ("behave", "perceive", "behaviour"),
+        ("perceive", "choose", ""),
+        ("choose", "draw", "assistance"),
+        ("draw", "trial", "a status is left"),
+        ("draw", "done", "0000, or the fifth trial"),
+        ("done", "next", "subtasks left"),
+        ("done", "end", "none left"),
+        ("next", "trial", ""),
+        ("trial", "start", ""),
+    ]
+    plot_boxes(boxes, arrows, ax=ax)
+    return figure
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

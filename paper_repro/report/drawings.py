@@ -143,11 +143,52 @@ def plot_trials(flows: Mapping[str, tuple[Floats, Floats]], *, ax: Axes | None =
     return ax
 
 
+@plain_text
+def plot_boxes(
+    boxes: Mapping[str, tuple[float, float, str, bool]],
+    arrows: Sequence[tuple[str, str, str]],
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw boxes {name: (x, y, text, shaded)} and arrows (from, to, words beside it) between them.
+
+    An arrow runs straight between neighbours in a row or a column.
+    """
+    ax = axes_or_new(ax)
+    width, height = 1.9, 0.62
+    xs, ys = zip(*((x, y) for x, y, *_ in boxes.values()), strict=True)
+    for x, y, text, shaded in boxes.values():
+        _box(ax, x, y, text, width=width, height=height, shade="0.88" if shaded else "white")
+    for source, target, words in arrows:
+        (x, y), (u, v) = boxes[source][:2], boxes[target][:2]
+        across = x != u
+        reach = width / 2 if across else height / 2
+        step = reach * (1 if (u > x if across else v > y) else -1)
+        start, end = ((x + step, y), (u - step, v)) if across else ((x, y + step), (u, v - step))
+        _arrow(ax, start, end)
+        at = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
+        side = 0 if across else -0.08 if x == max(xs) else 0.08  # words stay inside the picture
+        place: Look = {"ha": "center", "va": "bottom"} if across else {"va": "center"}
+        if not across:
+            place["ha"] = "left" if side > 0 else "right"
+        ax.text(at[0] + side, at[1] + (0.05 if across else 0), words, fontsize=7, **place)
+    ax.set(xlim=(min(xs) - 1.05, max(xs) + 1.05), ylim=(min(ys) - 0.4, max(ys) + 0.4))
+    ax.set_axis_off()
+    return ax
+
+
 def _box(
-    ax: Axes, x: float, y: float, text: str, *, width: float = 1.24, height: float = 0.84
+    ax: Axes,
+    x: float,
+    y: float,
+    text: str,
+    *,
+    width: float = 1.24,
+    height: float = 0.84,
+    shade: str = "white",
 ) -> None:
     corner = x - width / 2, y - height / 2
-    ax.add_patch(Rectangle(corner, width, height, facecolor="white", edgecolor="black"))
+    ax.add_patch(Rectangle(corner, width, height, facecolor=shade, edgecolor="black"))
     ax.text(x, y, text, ha="center", va="center", fontsize=8)
 
 

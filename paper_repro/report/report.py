@@ -53,13 +53,23 @@ CLAIM_WORDS = {
 
 
 @dataclass(frozen=True, kw_only=True)
+class Text:
+    """A text that is shown as it is; `place` is the figure of the paper that it answers to."""
+
+    title: str
+    body: str
+    place: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Part:
-    """A part of the report from a module of its own: sentences, tables and figures."""
+    """A part of the report from a module of its own: sentences, tables, figures and texts."""
 
     title: str
     sentences: tuple[str, ...]
     figures: tuple[Picture, ...]
     tables: tuple[Table, ...] = ()
+    texts: tuple[Text, ...] = ()
 
 
 def render(
@@ -174,9 +184,11 @@ def _named(reading: Reading) -> dict[str, str]:
 
 def _missing(figures: Sequence[Picture], parts: Sequence[Part]) -> list[tuple[str, str, str]]:
     """Return every figure of the paper with the figures here that answer to it."""
-    shown = [*figures, *(figure for part in parts for figure in part.figures)]
+    shown: list[Picture | Text | Table] = [*figures]
+    for part in parts:
+        shown += [*part.figures, *part.texts, *part.tables]
     return [
-        (place, title, ", ".join(f.title for f in shown if f.place == place))
+        (place, title, ", ".join(f.title for f in shown if place in f.place.split(", ")))
         for place, title in FIGURES.items()
     ]
 

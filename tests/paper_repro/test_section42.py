@@ -10,6 +10,8 @@ from exact_mdp.mdp.care.perception import perceived
 from exact_mdp.paper_repro.agents.claims import EXACT, statements
 from exact_mdp.paper_repro.claims import all_claims
 from exact_mdp.paper_repro.report import agents
+from exact_mdp.paper_repro.report.figures import PICTURES
+from exact_mdp.paper_repro.reported import FIGURES
 from exact_mdp.solvers import evaluate
 
 
@@ -57,3 +59,13 @@ def test_figures_and_numbers() -> None:
     assert 0.86 < needed.enough < 0.88
     found = agents.measured()
     assert found.value.interval[0] < found.value.interval[1] < found.costs.perfect.value
+
+
+def test_every_figure_of_the_paper_is_answered() -> None:
+    part = agents.agents_part()
+    shown = [*PICTURES, *part.figures, *part.tables, *part.texts]
+    places = {place for each in shown for place in each.place.split(", ")}
+    assert set(FIGURES) <= places
+    (recording,) = (text for text in part.texts if text.place == "Figure 11")
+    for row in part.tables[0].rows:  # the table and the text are of one conversation
+        assert row[-1] in recording.body or row[-1] == "(silent)"

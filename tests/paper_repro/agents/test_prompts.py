@@ -193,3 +193,14 @@ def test_answers_are_judged_as_json_schema_says(schema: dict[str, Any], value: A
 def test_half_a_surrogate_pair_is_no_text() -> None:
     (found,) = violations(json.loads('{"speech": "\\ud800"}'), execution_schema())
     assert "surrogate" in found
+
+
+def test_the_parts_come_in_the_papers_order_with_the_role_alone_in_the_system_message() -> None:
+    prompts = Prompts.load()
+    for purpose, names in COMPONENTS.items():
+        components = prompts[purpose].components
+        assert [c["name"] for c in components if c["message"] == "system"] == [names[0]]
+        shown = prompts[purpose].shown()
+        places = [shown.index(c["text"].strip()) for c in components]
+        assert places == sorted(places)
+    assert prompts["behaviour"].components[-1]["name"] == "output-format"

@@ -167,7 +167,7 @@ def test_a_measurement_goes_on_only_with_its_own_entries(
         ("guidelines.toml", "meaning = ", "meant = ", "lacks meaning"),
         ("guidelines.toml", "signs = [", "signs = 'x' # [", "signs is not a list"),
         ("guidelines.toml", "version = ", "edition = ", "lacks version"),
-        ("perception.toml", "version = 1", "version = 'one'", "version is not a whole number"),
+        ("perception.toml", "version = 2", "version = 'one'", "version is not a whole number"),
         ("perception.toml", 'message = "user"', 'message = "person"', "not one of system, user"),
         ("perception.toml", "$behaviour", "$behavior", "without a value"),
         ("perception.toml", "$behaviour", "$ 5", "without a value"),
