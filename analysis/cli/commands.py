@@ -227,6 +227,11 @@ def convert() -> None:
     help="Solve a scenario without its matrix, by backward induction: for large ones.",
 )
 @subject_to
+@click.option(
+    "--deterministic",
+    is_flag=True,
+    help="Under limits, the best policy that draws no action: a search, which says how far off.",
+)
 @click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
 @click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
 @click.option(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 import numpy as np
@@ -26,6 +26,10 @@ from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.solver import is_average
 
+if TYPE_CHECKING:
+    from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
+    from exact_mdp.solvers.objectives.deterministic import DeterministicSolution
+
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
 
@@ -40,6 +44,7 @@ def solve(
     out: str | None,
     certificate: str | None,
     subject_to: tuple[str, ...],
+    deterministic: bool,
     **shared: Any,
 ) -> Report:
     """Find an optimum, and write what was asked for."""
@@ -48,7 +53,14 @@ def solve(
         refused = {"--method": method != "auto", "--tol": tol, "--operator": operator}
         refused |= {"--certificate": certificate, "--out": out}
         refused["--criterion average"] = shared.get("criterion") == "average"
-        return _under_limits(subject_to, refused, policy_out, **shared)
+        how = _deterministic if deterministic else _under_limits
+        return how(subject_to, refused, policy_out, **shared)
+    if deterministic:
+        raise ModelError(
+            "without limits every optimum is deterministic",
+            where="--deterministic",
+            fix="leave it out, or add --subject-to",
+        )
     if operator:
         wanted: dict[str, object] = {"--certify": certify, "--certificate": certificate}
         if is_average(shared.pop("criterion")):
@@ -126,10 +138,8 @@ def _averages(mdp: MDP, found: Optimum) -> dict[str, Any]:
     }
 
 
-def _under_limits(
-    texts: tuple[str, ...], refused: Mapping[str, object], policy_out: str | None, **shared: Any
-) -> Report:
-    """Find the optimum under limits."""
+def _limited(refused: Mapping[str, object], **shared: Any) -> Given:
+    """Return the model of a command with limits; raises ModelError for options without a use."""
     for option, used in refused.items():
         if used:
             raise ModelError(
@@ -137,11 +147,78 @@ def _under_limits(
                 where="--subject-to",
                 fix=f"leave {option} out",
             )
-    asked = given(**shared)
-    mdp = asked.mdp
-    found = solvers.solve(mdp, subject_to=limits_from(texts))
+    return given(**shared)
+
+
+def _sound(found: ConstrainedSolution | DeterministicSolution) -> None:
     if faults := found.violations():
         raise Contradiction(f"the proof does not hold: {faults[0]}")
+
+
+def _deterministic(
+    texts: tuple[str, ...], refused: Mapping[str, object], policy_out: str | None, **shared: Any
+) -> Report:
+    """Look for the best deterministic policy under limits."""
+    asked = _limited(refused, **shared)
+    mdp = asked.mdp
+    found = solvers.solve(mdp, subject_to=limits_from(texts), deterministic=True)
+    _sound(found)
+    held, mixed = found.found, found.mixed
+    words: dict[str, dict[str, Any] | None] = {}
+    if held is not None:
+        words = policy_words(mdp, [mdp.actions[a] for a in mdp.pair_action[held.pairs]])
+        if policy_out:
+            found.policy.write(policy_out)
+    value = found.start_value if held else None
+    result = {
+        "method": "limits, deterministic",
+        "claim": found.claim,
+        "feasible": found.feasible,
+        "start_value": None if value is None else float(value),
+        "error_bound": None if found.gap is None else float(found.gap),
+        "exact_start_value": value,
+        "bound": found.bound,
+        "gap": found.gap,
+        "mixed_value": mixed.start_value if mixed.feasible else None,
+        "limits": [str(limit) for limit in mixed.limits],
+        "totals": found.totals,
+        "parts": len(found.parts),
+        "policy": words.get("policy") or words.get("policy_by_state"),
+        "written": [policy_out] if policy_out and held else [],
+    }
+    facts = {
+        "limits": {
+            True: "can be kept",
+            False: "no deterministic policy keeps them all (proven)",
+            None: f"no deterministic policy that keeps them was found in {len(found.parts)} parts",
+        }[found.feasible],
+        "start value": found.start if held else None,
+        "best possible": None
+        if found.bound is None
+        else "this policy (proven)"
+        if not found.gap and held
+        else f"at most {float(found.bound):.10g}: the search ended early"
+        if mdp.sense == "max"
+        else f"at least {float(found.bound):.10g}: the search ended early",
+        "policies that draw actions": mixed.start if mixed.feasible else None,
+        "written": result["written"] or None,
+    }
+    rows = [
+        {"limit": str(limit), "total": float(found.totals[limit.name])}
+        for limit in (mixed.limits if held else ())
+    ]
+    table = Table(title="limits", rows=rows, columns={"limit": "limit", "total": "total:.10g"})
+    return asked.report(result, facts, [table], status=0 if held else 1)
+
+
+def _under_limits(
+    texts: tuple[str, ...], refused: Mapping[str, object], policy_out: str | None, **shared: Any
+) -> Report:
+    """Find the optimum under limits."""
+    asked = _limited(refused, **shared)
+    mdp = asked.mdp
+    found = solvers.solve(mdp, subject_to=limits_from(texts))
+    _sound(found)
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
     words = policy_words(mdp, drawn)
     if policy_out:

@@ -35,7 +35,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Numbers, exact
+from exact_mdp.mdp.table import Integers, Numbers, exact
 from exact_mdp.solvers.objectives.amounts import REWARD, Objectives
 from exact_mdp.solvers.objectives.checker import (
     Attained,
@@ -45,6 +45,7 @@ from exact_mdp.solvers.objectives.checker import (
     Proof,
     Values,
     constrained_violations,
+    room,
     tight,
     totals_of,
 )
@@ -254,51 +255,117 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         Limit(name=of.names[1 + names.index(each.name)], sign=each.sign, bound=each.bound)
         for each in limits
     )
-    mixing = _Mixing(of, limits)
-    shift, price, dual = mixing.closest()
-    if shift == 0:
-        price, dual = mixing.best()
+    found = relaxed(of, limits)
     return ConstrainedSolution(
         limits=limits,
-        feasible=shift == 0,
-        shift=shift,
-        flow=_purified(of, limits, mixing.flow(), shift),
-        price=price,
-        dual=dual,
+        feasible=found.shift == 0,
+        shift=found.shift,
+        flow=found.flow,
+        price=found.price,
+        dual=found.dual,
         objectives=of,
         proof=proof(of),
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Relaxed:
+    """The optimum over mixtures of the policies that take certain pairs alone.
+
+    Attributes
+    ----------
+    shift, price, dual
+        As in `ConstrainedSolution`.
+    worth : Fraction
+        The return, more being better; 0 where no mixture keeps the limits.
+    mixing : _Mixing
+        The policies that were found on the way.
+    """
+
+    shift: Fraction
+    price: tuple[Fraction, ...]
+    dual: Values
+    worth: Fraction
+    mixing: _Mixing
+
+    @property
+    def columns(self) -> list[Attained]:
+        """The policies that were found on the way."""
+        return self.mixing.columns
+
+    @cached_property
+    def flow(self) -> Flow:
+        """The visits of the mixture as one policy that draws few actions."""
+        return _purified(self.mixing.of, self.mixing.limits, self.mixing.flow(), self.shift)
+
+    def drawn(self, of: Objectives) -> dict[int, Flow]:
+        """Return the visits of the states in which the policy draws its action."""
+        found: dict[int, Flow] = {}
+        for pair, amount in self.flow.items():
+            found.setdefault(int(of.mdp.pair_state[pair]), {})[pair] = amount
+        return {state: own for state, own in found.items() if len(own) > 1}
+
+
+def relaxed(
+    of: Objectives,
+    limits: Sequence[Limit],
+    allowed: Integers | None = None,
+    columns: Sequence[Attained] = (),
+) -> Relaxed:
+    """Return the optimum over mixtures; `allowed` pairs alone, from `columns` on."""
+    mixing = _Mixing(of, limits, allowed, columns)
+    closest, worth = mixing.closest(), ZERO
+    if closest is None:
+        price, dual, worth = mixing.best()
+        closest = ZERO, price, dual
+    shift, price, dual = closest
+    return Relaxed(shift=shift, price=price, dual=dual, worth=worth, mixing=mixing)
+
+
 class _Mixing:
     """Mixtures of policies: the columns found, and the shares of the last program."""
 
-    def __init__(self, of: Objectives, limits: Sequence[Limit]) -> None:
-        self.of, self.limits = of, limits
-        self.columns: list[Attained] = []
+    def __init__(
+        self,
+        of: Objectives,
+        limits: Sequence[Limit],
+        allowed: Integers | None,
+        columns: Sequence[Attained],
+    ) -> None:
+        self.of, self.limits, self.allowed = of, limits, allowed
+        self.columns = list(columns)
         self.shares: list[Fraction] = []
-        self._add(ONE, [ZERO] * len(limits))
+        if not columns:
+            self._add(ONE, [ZERO] * len(limits))
 
-    def closest(self) -> tuple[Fraction, tuple[Fraction, ...], Values]:
-        """Find mixtures that keep limits moved by the least t; return t, its prices and values."""
+    def closest(self) -> tuple[Fraction, tuple[Fraction, ...], Values] | None:
+        """Find mixtures that keep limits moved by the least t; return t, its prices and values.
+
+        None where t is 0.
+        """
         count = len(self.limits)
         while True:
             moved = [*[ONE] * count, ZERO]
             costs = [*[ZERO] * len(self.columns), -ONE]
             price, most = self._program(costs, [moved])
+            shift = -self._worth(price, most)
+            if not shift:
+                return None
             found = self._add(ZERO, price, above=most)
             if found is not None:
-                bounds = [limit.sign * limit.bound for limit in self.limits]
-                shift = sum((p * b for p, b in zip(price, bounds, strict=True)), -most)
                 return shift, price, found
 
-    def best(self) -> tuple[tuple[Fraction, ...], Values]:
-        """Find the best mixture that keeps the limits; return its prices and values."""
+    def best(self) -> tuple[tuple[Fraction, ...], Values, Fraction]:
+        """Find the best mixture that keeps the limits; return prices, values and its return."""
         while True:
             price, most = self._program([a.total[0] for a in self.columns], [])
             found = self._add(ONE, price, above=most)
             if found is not None:
-                return price, found
+                return price, found, self._worth(price, most)
+
+    def _worth(self, price: Sequence[Fraction], most: Fraction) -> Fraction:
+        each = zip(price, self.limits, strict=True)
+        return most - sum((p * limit.sign * limit.bound for p, limit in each), ZERO)
 
     def _program(
         self, costs: list[Fraction], more: list[list[Fraction]]
@@ -326,7 +393,7 @@ class _Mixing:
     ) -> Values | None:
         """Add the best policy for these prices, or return its values where it is no better."""
         weights = combined(self.of, self.limits, reward, price)
-        found = optimum(self.of, weights)
+        found = optimum(self.of, weights, self.allowed)
         if above is not None and found.total <= above:
             return found.values
         self.columns.append(extreme(self.of, weights, found))
@@ -366,9 +433,9 @@ def _purified(of: Objectives, limits: Sequence[Limit], found: Flow, shift: Fract
     state, names = of.mdp.pair_state, list(of.names)
     while True:
         totals = totals_of(of, found)
-        room = [_room(of, limit, totals, shift) for limit in limits]
+        free_of = [room(of, limit, totals) + shift for limit in limits]
         binding = sorted(
-            {names.index(x.name) for x, free in zip(limits, room, strict=True) if not free}
+            {names.index(x.name) for x, free in zip(limits, free_of, strict=True) if not free}
         )
         base, extra = of.mdp.pair_offsets[:-1].copy(), list[int]()
         taken = set[int]()
@@ -393,17 +460,12 @@ def _purified(of: Objectives, limits: Sequence[Limit], found: Flow, shift: Fract
             step = {pair: -amount for pair, amount in step.items()}
         ahead = totals_of(of, step)
         far = [found[pair] / -amount for pair, amount in step.items() if amount < 0]
-        for limit, free in zip(limits, room, strict=True):
+        for limit, free in zip(limits, free_of, strict=True):
             moved = of.sign * limit.sign * ahead[names.index(limit.name)]
             if free and moved < 0:
                 far.append(free / -moved)
         _add_to(found, step, min(far))
         found = {pair: amount for pair, amount in found.items() if amount}
-
-
-def _room(of: Objectives, limit: Limit, totals: Point, shift: Fraction) -> Fraction:
-    own = of.sign * totals[of.names.index(limit.name)]
-    return limit.sign * (own - limit.bound) + shift
 
 
 def _mixed(parts: Sequence[Flow], factors: Sequence[Fraction]) -> Flow:
