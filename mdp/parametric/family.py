@@ -91,6 +91,8 @@ class Family:
     room : {name: (low, high)}
         Between which values there is a model while the other parameters keep theirs; the
         parameter's own range where left out.
+    settings : {name: (below, above)}
+        Families one step below and above in each whole-number setting, see `neighbours`.
 
     Examples
     --------
@@ -112,6 +114,7 @@ class Family:
     breaks: Mapping[str, Sequence[Fraction]] = field(default_factory=dict)
     rows: Mapping[str, Sequence[str]] = field(default_factory=dict)
     room: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict)
+    settings: Mapping[str, tuple[Parametric | None, Parametric]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_names((self.name,), "model")
@@ -130,8 +133,8 @@ class Family:
         return tuple(self.breaks.get(parameter_of(self, name).name, ()))
 
     def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
-        """See `Parametric.neighbours`: no whole-number settings here."""
-        return {}
+        """See `Parametric.neighbours`."""
+        return self.settings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -44,13 +44,11 @@ class Asked:
 
     @cached_property
     def model(self) -> Parametric:
-        """The model with its parameters; a scenario that is compiled stays so."""
+        """The model with its parameters; what is compiled already stays so."""
         base, question = self.given.endless, self.given.question
-        family = (
-            parametric(base.mdp)
-            if base.scenario is None
-            else ScenarioFamily(scenario=base.scenario, base=base.mdp)
-        )
+        family: Parametric = base.family or parametric(base.mdp)
+        if base.scenario is not None:
+            family = ScenarioFamily(scenario=base.scenario, base=base.mdp)
         return family if question is None else Posed(family=family, ask=question)
 
     @property
