@@ -458,6 +458,16 @@ def train() -> None:
     "the derivatives of this policy's value.",
 )
 @click.option(
+    "--max-regret",
+    metavar="X",
+    help="curve: for which values of the parameter the policy loses at most X: 0.1 or 1/10.",
+)
+@click.option(
+    "--max-relative-regret",
+    metavar="X",
+    help="curve: the same, of the regret over the absolute optimal value.",
+)
+@click.option(
     "--samples",
     metavar="N",
     help="psa: draws (10000; 500 of slow models). sobol: points of the sequence, a power of 2 "
@@ -508,6 +518,7 @@ def sensitivity() -> None:
 
     gradient: derivatives and elasticities. tornado: values at both ends of each range, and the
     regret of a policy held fixed. threshold: every value at which an optimal action changes.
+    curve: the optimal value as an exact function of a parameter, and where a policy keeps a limit.
     psa: value, regret and optimal actions over random draws around the tables. sobol, morris:
     which parameters matter, alone and together. robust: the worst case within sets around the
     tables. structural: the same outputs under each reading of the text.

@@ -473,8 +473,10 @@ def check(
     if horizon is not None:
         mdp = mdp.within(horizon)
     limits: dict[str, Any] = {
-        "max_regret": _limit("max_regret", max_regret),
-        "max_relative_regret": _limit("max_relative_regret", max_relative_regret),
+        "max_regret": None if max_regret is None else limit_of("max_regret", max_regret),
+        "max_relative_regret": None
+        if max_relative_regret is None
+        else limit_of("max_relative_regret", max_relative_regret),
     }
     held = policy_of(mdp, policy, kind=kind, criterion=criterion)
     under = None
@@ -595,9 +597,8 @@ def assert_policy_optimal(
     return audit
 
 
-def _limit(name: str, limit: object | None) -> Fraction | None:
-    if limit is None:
-        return None
+def limit_of(name: str, limit: object) -> Fraction:
+    """Return a limit of the regret, checked."""
     try:
         found = exact(limit)
     except ModelError as error:

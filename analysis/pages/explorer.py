@@ -23,7 +23,8 @@ import numpy as np
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.page import render
-from exact_mdp.analysis.sensitivity.curve import RationalFunction, ValueFunction, value_function
+from exact_mdp.analysis.sensitivity.curve import ValueFunction, value_function
+from exact_mdp.analysis.sensitivity.curve_checker import RationalFunction
 from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, located

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.perception.policies import status_names
-from exact_mdp.analysis.sensitivity.exact_chain import rational
 from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric.polynomial_rows import rational
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact

@@ -147,7 +147,7 @@ def _turns(poly: fmpq_poly, low: Fraction, high: Fraction) -> Iterator[Root]:
     below = low
     last = None
     for root in roots(simple(poly), low, high):
-        near = _exact(root.narrowed(WIDTH))
+        near = root.narrowed(WIDTH).simplest()
         while near.low <= below and sign(poly, near.low) == 0:  # the root before, or the end
             near = near.narrowed((near.high - near.low) / 2)
         if sign(poly, (below + near.low) / 2) < 0:
@@ -155,12 +155,3 @@ def _turns(poly: fmpq_poly, low: Fraction, high: Fraction) -> Iterator[Root]:
         below = near.high
     if last is not None:
         yield last
-
-
-def _exact(root: Root) -> Root:
-    """Return a root at the simplest fraction of its interval where it is that."""
-    for digits in range(1, 13):
-        near = ((root.low + root.high) / 2).limit_denominator(10**digits)
-        if root.low <= near <= root.high and sign(root.poly, near) == 0:
-            return Root(poly=root.poly, low=near, high=near)
-    return root

@@ -12,18 +12,23 @@ the points at which the rows pass from one polynomial to another.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from exact_mdp.analysis.gate.check import limit_of
 from exact_mdp.analysis.sensitivity.base_case import maximised
-from exact_mdp.analysis.sensitivity.exact_chain import rational
-from exact_mdp.analysis.sensitivity.gap_polynomials import Ratio
-from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Sweep, moved
+from exact_mdp.analysis.sensitivity.curve_checker import (
+    CurvePiece,
+    RationalFunction,
+    Section,
+    piece_violations,
+)
+from exact_mdp.analysis.sensitivity.optimal_stretches import Sweep, moved
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of
+from exact_mdp.analysis.sensitivity.regret_limits import Interval, kept
 from exact_mdp.analysis.sensitivity.thresholds import sections_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
@@ -31,10 +36,10 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.parametric.polynomial_rows import rational
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
-from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -42,72 +47,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 pandas = later("pandas")
-Bracket = tuple[Fraction, Fraction]
 DISCOUNT, NEARLY_ONE = "discount", 1 - Fraction(1, 2**40)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RationalFunction:
-    """A ratio of two polynomials, with coefficients from the constant up.
-
-    Examples
-    --------
-    >>> RationalFunction(numerator=(Fraction(1),), denominator=(Fraction(1), Fraction(-1))).at(
-    ...     Fraction(1, 2)
-    ... )
-    Fraction(2, 1)
-    """
-
-    numerator: tuple[Fraction, ...]
-    denominator: tuple[Fraction, ...]
-
-    @classmethod
-    def of(cls, ratio: Ratio) -> RationalFunction:
-        """Return N / D with the constant of D, or its first coefficient that is not 0, made 1."""
-        top, below = (
-            [Fraction(int(c.p), int(c.q)) for c in poly.coeffs()] or [Fraction(0)] for poly in ratio
-        )
-        unit = next(c for c in below if c)
-        return cls(
-            numerator=tuple(c / unit for c in top), denominator=tuple(c / unit for c in below)
-        )
-
-    def __neg__(self) -> RationalFunction:
-        return replace(self, numerator=tuple(-c for c in self.numerator))
-
-    def at(self, value: Fraction) -> Fraction:
-        """Return the ratio at a point."""
-        return _horner(self.numerator, value) / _horner(self.denominator, value)
-
-
-def _horner(coefficients: Sequence[Fraction], value: Fraction) -> Fraction:
-    total = Fraction(0)
-    for c in reversed(coefficients):
-        total = total * value + c
-    return total
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CurvePiece:
-    """What is optimal between two thresholds, and what it is worth.
-
-    Attributes
-    ----------
-    low, high : (Fraction, Fraction)
-        Brackets of both ends.
-    optimal : (L,) bool
-        The pairs that are optimal throughout.
-    value : RationalFunction
-        The optimal value at the start.
-    fixed : RationalFunction or None
-        That of the policy held fixed.
-    """
-
-    low: Bracket
-    high: Bracket
-    optimal: Mask
-    value: RationalFunction
-    fixed: RationalFunction | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -185,27 +125,67 @@ class ValueFunction(Pictured):
         chain = None if self.chain is None else replace(self.chain, mdp=mdp)
         return replace(self, pieces=pieces, mdp=mdp, chain=chain)
 
+    def within(
+        self, max_regret: object | None = None, max_relative_regret: object | None = None
+    ) -> tuple[Interval, ...]:
+        """Return for which values of the parameter the policy held fixed keeps a limit.
+
+        Parameters
+        ----------
+        max_regret : number or "p/q", optional
+            Greatest regret at the start; 0 where neither is given.
+        max_relative_regret : number or "p/q", optional
+            Greatest regret over the absolute optimal value, instead.
+
+        Returns
+        -------
+        tuple of Interval
+            In rising order.
+
+        Raises
+        ------
+        ModelError
+            Without a policy held fixed, for both limits, and for one below 0.
+
+        Examples
+        --------
+        >>> rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])]
+        >>> mdp = MDP.from_outcomes(rows, "1/2")  # max(5, 1 / (1 - γ)) from the start
+        >>> found = value_function(mdp, "discount", (0, "99/100"), policy=[1, 0])
+        >>> [(str(each.low[0]), str(each.high[1])) for each in found.within(5)]
+        [('0', '9/10')]
+        """
+        where = f"curve of {self.parameter.name}"
+        if self.chain is None:
+            fix = "give a policy that is held fixed"
+            raise ModelError("there is no policy whose regret is asked for", where=where, fix=fix)
+        if max_regret is not None and max_relative_regret is not None:
+            raise ModelError("two limits of the regret", where=where, fix="give one of them")
+        if max_relative_regret is not None:
+            limit = limit_of("max_relative_regret", max_relative_regret)
+            return kept(self.pieces, self.mdp.start, share=limit)
+        limit = limit_of("max_regret", 0 if max_regret is None else max_regret)
+        return kept(self.pieces, self.mdp.start, most=limit)
+
     def violations(self) -> list[str]:
         """Return what does not hold of the function, in words: nothing where it is sound.
 
-        Each piece is held against certificates of the model at both its ends and in the middle,
-        which a checker reads that knows no solver: the value, and that the pairs are optimal.
+        A checker that knows no solver proves that the values are optimal for every value of the
+        parameter: on each piece, and in the brackets between them (`.curve_checker`).
         """
-        wrong, end = list[str](), self.range.low
-        sign = 1 if self.mdp.sense == self.family.at({}).sense else -1
-        for piece in self.pieces:
-            low, high = piece.low[1], piece.high[0]
-            if piece.low[0] > end or high < low:
+        wrong = list[str]()
+        ends = [self.range.low, *(piece.high[1] for piece in self.pieces)]
+        for end, piece in zip(ends, self.pieces, strict=False):
+            if piece.low[0] > end or piece.high[0] < piece.low[1]:
                 wrong.append(f"no piece covers {shown(end)}")
-            end = piece.high[1]
-            for at in (low, (low + high) / 2, high):
-                proof = certify(self.family.at({self.parameter.name: at}))
-                wrong += proof.violations()
-                if sign * piece.value.at(at) != proof.start_value:
-                    wrong.append(f"the value at {shown(at)} is another one")
-                if (piece.optimal & ~proof.optimal_pairs).any():
-                    wrong.append(f"a pair is not optimal at {shown(at)}")
-        return wrong if end >= self.range.high else [*wrong, f"no piece covers {shown(end)}"]
+        if ends[-1] < self.range.high:
+            wrong.append(f"no piece covers {shown(ends[-1])}")
+        shares = None
+        if self.chain is not None:
+            weights = map(self.chain.exact_weights, range(self.mdp.n_states))
+            shares = [[*each.items()] for each in weights]
+        pieces = self.pieces if self.mdp.sense == "max" else self.negated(self.mdp).pieces
+        return wrong + piece_violations(self.family, self.parameter.name, pieces, shares)
 
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
@@ -284,13 +264,15 @@ def value_function(
     )
 
 
-def _pieces(section: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
-    fixed = None
+def _pieces(sweep: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
+    fixed = fixed_values = None
     if chain is not None:
         weights = map(chain.exact_weights, range(chain.mdp.n_states))
         mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
-        worth = section.rows.worth(mix, (section.low, section.high))
-        fixed = RationalFunction.of(moved(worth, section.origin))
+        fixed_values = sweep.rows.values(mix, (sweep.low, sweep.high))
+        fixed = RationalFunction.of(moved(sweep.rows.worth(fixed_values), sweep.origin))
+    origin = sweep.origin
+    section = Section(low=sweep.low + origin, high=sweep.high + origin, origin=origin)
     return [
         CurvePiece(
             low=stretch.before,
@@ -298,6 +280,9 @@ def _pieces(section: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
             optimal=np.array(stretch.optimal),
             value=RationalFunction.of(stretch.worth),
             fixed=fixed,
+            section=section,
+            values=stretch.values,
+            fixed_values=fixed_values,
         )
-        for stretch in section
+        for stretch in sweep
     ]

@@ -10,7 +10,6 @@ sections 6.1 and 6.9.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,8 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.row_change import Entries, reward_entries, transition_entries
+from exact_mdp.mdp.parametric.polynomial_rows import rational, ratios
+from exact_mdp.mdp.parametric.row_change import reward_entries, transition_entries
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -138,20 +138,3 @@ class ExactChain:
         matrix = flint.fmpq_mat(count, count, entries)
         matrix = matrix.transpose() if transposed else matrix
         return list(matrix.solve(flint.fmpq_mat(count, 1, side)).entries())
-
-
-def rational(number: Fraction | int) -> fmpq:
-    """Return a number as FLINT's rational."""
-    found: fmpq = flint.fmpq(number.numerator, number.denominator)
-    return found
-
-
-def fraction(number: fmpq) -> Fraction:
-    """Return FLINT's rational as Python's."""
-    return Fraction(int(number.p), int(number.q))
-
-
-def ratios(entries: Entries) -> list[fmpq]:
-    """Return the numbers of a matrix's entries."""
-    _, top, bottom = entries
-    return [flint.fmpq(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]

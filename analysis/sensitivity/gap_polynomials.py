@@ -4,14 +4,20 @@
 
 On a piece on which rows are polynomials, the values of a policy are polynomials where the model is
 acyclic; where it is not they are N_s / D with D = det(I - γ P_π), positive wherever the policy has
-values, and D h_l stands in for h_l. N and D come by interpolation: their degrees are at most n d
-plus that of the rewards for n states and rows of degree d (Cramer's rule). A policy is optimal
-exactly where no h is negative, so that their sign changes are all the thresholds there are.
+values, and D h_l stands in for h_l. By Cramer's rule N and D have at most the degree Σ_s d_s, where
+d_s is the greatest degree in the rows of state s: each product takes one entry of each row. So they
+come by interpolation at few points where a parameter moves few rows. Where it moves the discount
+alone, they come from powers of P_π and its characteristic polynomial, without any point:
+
+    D(γ) = det(I - γ P),      N(γ) = D(γ) Σ_k γ^k P^k r   up to degree n - 1.
+
+A policy is optimal exactly where no h is negative, so that their sign changes are all the
+thresholds there are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -19,16 +25,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.derivatives import refuse_endless
-from exact_mdp.analysis.sensitivity.exact_chain import LARGEST, rational, ratios
+from exact_mdp.analysis.sensitivity.exact_chain import LARGEST
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.row_change import (
-    Change,
-    RowChange,
-    reward_entries,
-    transition_entries,
-)
+from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows, rational
+from exact_mdp.mdp.parametric.row_change import RowChange
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import levels
 
@@ -42,37 +44,20 @@ CYCLIC_DEGREE = 200
 Mix = Sequence[Sequence[tuple[int, "fmpq"]]]
 """Of each state, the pairs that a policy takes there, with their probabilities."""
 Ratio = tuple["fmpq_poly", "fmpq_poly"]
+Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
+"""N of each state, and D: the values of a policy are N / D."""
 
 
 class Rows:
-    """The rows of a model as polynomials of y = θ - θ0, already discounted."""
+    """The rows of a model as polynomials of y = θ - θ0, already discounted, and its policies."""
 
     def __init__(self, mdp: MDP, change: RowChange) -> None:
-        poly = flint.fmpq_poly
-        self.mdp, self.change = mdp, change
+        rows = PolynomialRows.of(mdp, change)
+        self.mdp, self.change, self.rate = mdp, change, rows.rate
+        self.terminal, self.reward, self.following = rows.terminal, rows.reward, rows.following
         self.state: list[int] = mdp.pair_state.tolist()
-        rate = poly([rational(mdp.discount_exact), *map(rational, change.rate)])
-        if rate == poly([1]):
+        if self.rate == flint.fmpq_poly([1]):
             refuse_endless(mdp, change.reward.key.tolist(), change.name)
-        # A state that is left, or earns, next to θ0 is terminal at that very value alone.
-        terminal = mdp.terminal.copy()
-        terminal[mdp.pair_state[change.reward.key]] = False
-        terminal[mdp.pair_state[change.transition.key // mdp.n_states]] = False
-        self.terminal: list[bool] = terminal.tolist()
-        self.reward: list[fmpq_poly] = [poly([r]) for r in ratios(reward_entries(mdp))]
-        for pair, moved in _polynomials(change.reward):
-            self.reward[pair] += moved
-        entries = transition_entries(mdp)
-        weight: dict[int, fmpq_poly] = {
-            key: poly([p]) for key, p in zip(entries[0].tolist(), ratios(entries), strict=True)
-        }
-        for key, moved in _polynomials(change.transition):
-            weight[key] = weight.get(key, poly()) + moved
-        self.following: list[list[tuple[int, fmpq_poly]]] = [[] for _ in self.reward]
-        for key, p in sorted(weight.items()):
-            pair, state = divmod(key, mdp.n_states)
-            if not self.terminal[self.state[pair]] and not self.terminal[state]:
-                self.following[pair].append((state, p * rate))
         self.order = self._order()
         live = len(self.live)
         if self.order is None and live > LARGEST:
@@ -105,20 +90,66 @@ class Rows:
         """The states that are not terminal."""
         return [state for state, end in enumerate(self.terminal) if not end]
 
-    @property
+    @cached_property
     def degree(self) -> int:
         """Degree of D and of D V, for models with cycles."""
-        rows = max((p.degree() for row in self.following for _, p in row), default=0)
-        rewards = max((p.degree() for p in self.reward), default=0)
-        return len(self.live) * max(rows, 0) + max(rewards, 0)
+        most = [0] * self.mdp.n_states
+        for pair, state in enumerate(self.state):
+            if not self.terminal[state]:
+                here = (self.reward[pair], *(p for _, p in self.following[pair]))
+                most[state] = max(most[state], *(poly.degree() for poly in here))
+        return sum(most)
+
+    @property
+    def discounted(self) -> bool:
+        """Whether the discount is all that moves."""
+        still = not len(self.change.transition.key) and not len(self.change.reward.key)
+        return still and self.rate.degree() > 0
 
     def points(self, inside: tuple[Fraction, Fraction]) -> list[fmpq]:
         """Return as many points between two as fix a polynomial of that degree."""
         count, (low, high) = self.degree + 1, inside
         return [rational(low + (high - low) * (k + 1) / (count + 1)) for k in range(count)]
 
-    def solved(self, y: fmpq, mix: Mix) -> tuple[dict[int, fmpq], fmpq]:
-        """Return the values of a policy at one point, by state, and D there."""
+    def start(self, value: Sequence[Any]) -> Any:
+        """Return the value at the start, of values that are numbers or polynomials."""
+        alive = ((state, weight) for state, weight in self.mdp.start if not self.terminal[state])
+        return sum((value[state] * rational(weight) for state, weight in alive), flint.fmpq_poly())
+
+    def worth(self, values: Values) -> Ratio:
+        """Return what a policy is worth at the start: N and D, polynomials of y."""
+        return self.start(values[0]), values[1]
+
+    def values(self, mix: Mix, inside: tuple[Fraction, Fraction]) -> Values:
+        """Return the values of a policy between two points: N and D, polynomials of y."""
+        value = [flint.fmpq_poly()] * self.mdp.n_states
+        if self.order is None:
+            found, scale = self._powers(mix) if self.discounted else self._through(mix, inside)
+            for state, numerator in zip(self.live, found, strict=True):
+                value[state] = numerator
+            return value, scale
+        for state in self.order:
+            if not self.terminal[state]:
+                for pair, share in mix[state]:
+                    value[state] = value[state] + share * self.ahead(pair, value)
+        return value, flint.fmpq_poly([1])
+
+    def ahead(self, pair: int, value: Sequence[fmpq_poly], scale: fmpq_poly | int = 1) -> fmpq_poly:
+        """Return D Q of a pair: D r + Σ p N."""
+        total = self.reward[pair] * scale
+        for following, p in self.following[pair]:
+            total = total + p * value[following]
+        return total
+
+    def _through(self, mix: Mix, inside: tuple[Fraction, Fraction]) -> Values:
+        """Interpolate N, of the states that are not terminal, and D."""
+        points = self.points(inside)
+        samples = [self._solved(point, mix) for point in points]
+        *numerators, scale = (_newton(points, column) for column in zip(*samples, strict=True))
+        return numerators, scale
+
+    def _solved(self, y: fmpq, mix: Mix) -> list[fmpq]:
+        """Return D V, of the states that are not terminal, and D at one point."""
         live, zero = self.live, rational(0)
         place, count = {state: k for k, state in enumerate(live)}, len(live)
         entries, side = [zero] * count**2, [zero] * count
@@ -129,29 +160,33 @@ class Rows:
                 for following, p in self.following[pair]:
                     entries[k * count + place[following]] -= share * p(y)
         matrix = flint.fmpq_mat(count, count, entries)
+        scale = matrix.det()
         value = matrix.solve(flint.fmpq_mat(count, 1, side)).entries()
-        return dict(zip(live, value, strict=True)), matrix.det()
+        return [*(scale * each for each in value), scale]
 
-    def start(self, value: Sequence[Any] | Mapping[int, Any]) -> Any:
-        """Return the value at the start, of values that are numbers or polynomials."""
-        alive = ((state, weight) for state, weight in self.mdp.start if not self.terminal[state])
-        return sum((value[state] * rational(weight) for state, weight in alive), rational(0))
-
-    def worth(self, mix: Mix, inside: tuple[Fraction, Fraction]) -> Ratio:
-        """Return what a policy held fixed is worth at the start: N and D, polynomials of y."""
-        poly = flint.fmpq_poly
-        if self.order is None:
-            points = self.points(inside)
-            found = [self.solved(point, mix) for point in points]
-            scaled = [self.start(value) * scale for value, scale in found]
-            return _through(points, scaled), _through(points, [scale for _, scale in found])
-        value = [poly()] * self.mdp.n_states
-        for state in self.order:
-            if not self.terminal[state]:
-                for pair, share in mix[state]:
-                    ahead = sum((p * value[to] for to, p in self.following[pair]), poly())
-                    value[state] = value[state] + share * (self.reward[pair] + ahead)
-        return poly([0]) + self.start(value), poly([1])
+    def _powers(self, mix: Mix) -> Values:
+        """Return N, of the states that are not terminal, and D from powers of the matrix."""
+        live, count = self.live, len(self.live)
+        place = {state: k for k, state in enumerate(live)}
+        entries, side = [rational(0)] * count**2, [rational(0)] * count
+        for k, state in enumerate(live):
+            for pair, share in mix[state]:
+                side[k] += share * self.reward[pair][0]
+                for following, p in self.following[pair]:
+                    entries[k * count + place[following]] += share * (p / self.rate)[0]
+        matrix, unit = flint.fmpq_mat(count, count, entries).numer_denom()  # P = A / q
+        vector, times = flint.fmpq_mat(count, 1, side).numer_denom()
+        columns = []
+        for _ in range(count):
+            columns.append(vector.entries())
+            vector = matrix * vector
+        below = flint.fmpz_poly(matrix.charpoly().coeffs()[::-1])  # det(I - z A), z = γ / q
+        rate = self.rate / unit
+        numerators = [
+            flint.fmpq_poly(below.mul_low(flint.fmpz_poly(list(powers)), count))(rate)
+            for powers in zip(*columns, strict=True)
+        ]
+        return numerators, flint.fmpq_poly(below)(rate) * times
 
 
 class Gaps:
@@ -162,15 +197,16 @@ class Gaps:
     gap : list of fmpq_poly, of length L
     renewed : set of int
         Pairs whose polynomial the last change of policy has touched.
-    worth : (fmpq_poly, fmpq_poly)
-        N and D of the policy's value N / D at the start.
+    values : (N of each of S states, D)
+        The policy's values are N / D.
     """
+
+    values: Values
 
     def __init__(self, rows: Rows, inside: tuple[Fraction, Fraction]) -> None:
         self.rows, self.inside = rows, inside
         mdp = rows.mdp
         self.offsets: list[int] = mdp.pair_offsets.tolist()
-        self.value = [flint.fmpq_poly()] * mdp.n_states
         self.q = [flint.fmpq_poly()] * mdp.n_pairs
         self.gap = [flint.fmpq_poly()] * mdp.n_pairs
         self.renewed: set[int] = set()
@@ -180,14 +216,15 @@ class Gaps:
         """Work out the gaps of the policy that takes these pairs (S,)."""
         self.renewed = set()
         if self.rows.order is None:
-            self._interpolate(pairs.tolist())
+            self._evaluate(pairs.tolist())
         else:
             self._substitute(self.rows.order, pairs.tolist())
-            self.worth = (flint.fmpq_poly() + self.rows.start(self.value), flint.fmpq_poly([1]))
         self._fresh = False
 
     def _substitute(self, order: list[int], pairs: list[int]) -> None:
-        rows, moved = self.rows, [False] * len(self.value)
+        rows, moved = self.rows, [False] * len(self.offsets)
+        one = flint.fmpq_poly([1])
+        value = [flint.fmpq_poly()] * rows.mdp.n_states if self._fresh else [*self.values[0]]
         for state in order:
             if rows.terminal[state]:
                 continue
@@ -198,41 +235,27 @@ class Gaps:
                 if self._fresh or any(moved[following] for following, _ in rows.following[pair])
             ]
             for pair in again:
-                total = rows.reward[pair]
-                for following, factor in rows.following[pair]:
-                    total = total + factor * self.value[following]
-                self.q[pair] = total
-            value = self.q[pairs[state]]
-            moved[state] = self._fresh or value != self.value[state]
-            self.value[state] = value
+                self.q[pair] = rows.ahead(pair, value)
+            best = self.q[pairs[state]]
+            moved[state] = self._fresh or best != value[state]
+            value[state] = best
             for pair in span if moved[state] else again:
-                self.gap[pair] = value - self.q[pair]
+                self.gap[pair] = best - self.q[pair]
                 self.renewed.add(pair)
+        self.values = value, one
 
-    def _interpolate(self, pairs: list[int]) -> None:
-        points = self.rows.points(self.inside)
-        samples = [self._sample(point, pairs) for point in points]
-        *gaps, top, below = (_through(points, column) for column in zip(*samples, strict=True))
-        self.gap, self.worth = gaps, (top, below)
-        self.renewed = set(range(len(gaps)))
-
-    def _sample(self, y: fmpq, pairs: list[int]) -> list[fmpq]:
-        """Return (L,) D h, and after them D V at the start, and D, at one point."""
-        rows, zero = self.rows, rational(0)
-        value, scale = rows.solved(y, [[(pair, rational(1))] for pair in pairs])
-        found = []
-        for pair, state in enumerate(rows.state):
-            if rows.terminal[state]:
-                found.append(zero)
-                continue
-            q = rows.reward[pair](y) + sum(
-                (p(y) * value[to] for to, p in rows.following[pair]), zero
-            )
-            found.append(scale * (value[state] - q))
-        return [*found, scale * rows.start(value), scale]
+    def _evaluate(self, pairs: list[int]) -> None:
+        rows = self.rows
+        value, scale = rows.values([[(pair, rational(1))] for pair in pairs], self.inside)
+        self.values = value, scale
+        self.renewed = set(range(len(self.gap)))
+        self.gap = [
+            flint.fmpq_poly() if rows.terminal[s] else value[s] - rows.ahead(pair, value, scale)
+            for pair, s in enumerate(rows.state)
+        ]
 
 
-def _through(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:
+def _newton(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:
     """Return the polynomial through the points (Newton)."""
     poly: type[fmpq_poly] = flint.fmpq_poly
     if not any(values):
@@ -245,10 +268,3 @@ def _through(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:
     for k in range(len(x) - 2, -1, -1):
         total = total * poly([-x[k], 1]) + poly([divided[k]])
     return total
-
-
-def _polynomials(change: Change) -> list[tuple[int, fmpq_poly]]:
-    """Return what is added to each entry that moves, by its key."""
-    columns = zip(*change.coefficients, strict=True)
-    moved = [flint.fmpq_poly([rational(0), *map(rational, column)]) for column in columns]
-    return list(zip(change.key.tolist(), moved, strict=True))

@@ -1,9 +1,9 @@
 """The stretches of a parameter on which the set of optimal actions stays as it is.
 
 A policy π stays optimal until the first root at which one of its gap polynomials turns negative.
-Just beyond it the model is solved exactly, and the new policy's gaps show that it is optimal from
-that very root on: none of them may turn negative between the root and the point of solving, else
-that point is moved closer. So no threshold is passed over, however close two of them lie.
+At a point just beyond it the policy is improved, and the new policy's gaps show that it is optimal
+from that very root on: none of them may turn negative between the root and the point, else the
+point is moved closer. So no threshold is passed over, however close two of them lie.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.exact_chain import rational
-from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps, Ratio, Rows
-from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
+from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps, Ratio, Rows, Values
+from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple, variations
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric.polynomial_rows import rational
 from exact_mdp.mdp.table import Integers
 
 if TYPE_CHECKING:
@@ -50,14 +50,17 @@ class Stretch:
         The pairs that are optimal throughout.
     touches : list of (low, high, pair)
         Points inside at which one more pair is as good, and no better.
+    values : (N of each of S states, D)
+        The optimal values are N / D throughout, polynomials of y = θ - θ0.
     worth : (fmpq_poly, fmpq_poly)
-        N and D, polynomials of the parameter: the optimal value at the start is N / D throughout.
+        The same of the value at the start, polynomials of the parameter θ.
     """
 
     before: Bracket
     after: Bracket
     optimal: Mask
     touches: list[tuple[Fraction, Fraction, int]]
+    values: Values
     worth: Ratio
 
 
@@ -81,13 +84,13 @@ class Sweep:
         while found := self._next(here):
             root = found.narrowed(WIDTH / 16)
             optimal, touches = self._optimal(), self._touches(here, root.low)
-            worth = self.gaps.worth
+            values = self.gaps.values
             here, after = self._cross(root, here)
-            yield self._stretch(before, after, optimal, touches, worth)
+            yield self._stretch(before, after, optimal, touches, values)
             before = after
         touches = self._touches(here, self.high)
         end = (self.high, self.high)
-        yield self._stretch(before, end, self._optimal(), touches, self.gaps.worth)
+        yield self._stretch(before, end, self._optimal(), touches, self.gaps.values)
 
     def _stretch(
         self,
@@ -95,14 +98,15 @@ class Sweep:
         after: Bracket,
         optimal: Mask,
         touches: list[tuple[Fraction, Fraction, int]],
-        worth: Ratio,
+        values: Values,
     ) -> Stretch:
         return Stretch(
             before=(before[0] + self.origin, before[1] + self.origin),
             after=(after[0] + self.origin, after[1] + self.origin),
             optimal=optimal,
             touches=touches,
-            worth=moved(worth, self.origin),
+            values=values,
+            worth=moved(self.rows.worth(values), self.origin),
         )
 
     def _optimal(self) -> Mask:
@@ -134,6 +138,8 @@ class Sweep:
             if known is None or known.low >= here:
                 return known
         self.first[pair], self.touching[pair] = None, []
+        if variations(poly, here, self.high) == 0:
+            return None
         for root in roots(self._simple(pair, poly), here, self.high):
             if _turns(poly, root):
                 self.first[pair] = root
@@ -186,28 +192,43 @@ class Sweep:
     def _fits(self, root: Root, bracket: Bracket) -> bool:
         """Whether the policy that is optimal at the bracket's end is so from the root on.
 
-        The policy is followed if it is; also proves the old policy at the other end.
+        The policy is followed if it is.
         """
         (low, high), former = bracket, self.policy
-        begins = low == root.low == root.high
-        if not (begins or proven(self.at(low + self.origin)).optimal_pairs[former].all()):
-            return False
-        optimal = proven(self.at(high + self.origin)).optimal_pairs
-        pairs = np.flatnonzero(optimal)
-        policy = pairs[np.searchsorted(pairs, self.rows.mdp.pair_offsets[:-1])]
-        if len(former):  # where nothing has changed, nothing is worked out again
-            policy = np.where(optimal[former], former, policy)
-        self._follow(policy)
+        if len(former):
+            self._improve(low, high)
+        else:
+            optimal = np.flatnonzero(proven(self.at(high + self.origin)).optimal_pairs)
+            self._follow(optimal[np.searchsorted(optimal, self.rows.mdp.pair_offsets[:-1])])
         for pair, poly in enumerate(self.gaps.gap):
-            if poly.degree() < 0:
+            if poly.degree() < 0 or self._far(pair, low, high):
                 continue
-            if sign(poly, high) <= 0 or not self._clear(pair, poly, root, low, high):
+            if pair not in self.first and variations(poly, low, self.high) == 0:
+                self.first[pair], self.touching[pair] = None, []
+                if sign(poly, high) > 0:
+                    continue
+            if not self._clear(pair, poly, root, low, high):
                 if len(former):
                     self._follow(former)
                 else:
                     self.policy = former
                 return False
         return True
+
+    def _improve(self, low: Fraction, high: Fraction) -> None:
+        """Follow a policy that is optimal at the end of a bracket (policy iteration)."""
+        while True:
+            at, pairs = rational(high), self.policy.copy()
+            falls = [
+                (gap, pair)
+                for pair, poly in enumerate(self.gaps.gap)
+                if poly.degree() >= 0 and not self._far(pair, low, high) and (gap := poly(at)) < 0
+            ]
+            for _, pair in sorted(falls, reverse=True):  # the best pair of a state is the last
+                pairs[self.rows.state[pair]] = pair
+            if not falls:
+                return
+            self._follow(pairs)
 
     def _follow(self, policy: Integers) -> None:
         self.policy = policy
@@ -217,8 +238,18 @@ class Sweep:
             self.first.pop(pair, None)
             self.touching.pop(pair, None)
 
+    def _far(self, pair: int, low: Fraction, high: Fraction) -> bool:
+        """Whether a gap's next roots are known, and outside a bracket: it is positive there."""
+        if pair not in self.first:
+            return False
+        first, touching = self.first[pair], self.touching[pair]
+        beyond = first is None or first.low > high
+        return beyond and not any(each.low <= high and low <= each.high for each in touching)
+
     def _clear(self, pair: int, poly: fmpq_poly, root: Root, low: Fraction, high: Fraction) -> bool:
         """Whether a gap has no root in (low, high], that of the threshold itself apart."""
+        if sign(poly, high) <= 0:
+            return False
         found = list(roots(self._simple(pair, poly), low, high))
         if not found or low == root.low == root.high:
             return not found

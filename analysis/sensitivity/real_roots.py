@@ -14,8 +14,8 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.sensitivity.exact_chain import rational
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.parametric.polynomial_rows import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
@@ -48,6 +48,14 @@ class Root:
             low, high = (low, middle) if here == right else (middle, high)
         return Root(poly=self.poly, low=low, high=high)
 
+    def simplest(self) -> Root:
+        """Return the root at a fraction of small denominator where it is that."""
+        for digits in range(1, 13):
+            near = ((self.low + self.high) / 2).limit_denominator(10**digits)
+            if self.low <= near <= self.high and sign(self.poly, near) == 0:
+                return Root(poly=self.poly, low=near, high=near)
+        return self
+
     def equals(self, poly: fmpq_poly) -> fmpq_poly | None:
         """Return a factor that has this root in common with another polynomial, or None."""
         if self.low == self.high:
@@ -67,8 +75,8 @@ def sign(poly: fmpq_poly, x: Fraction) -> int:
 def variations(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
     """Return the variations of signs of a polynomial on an open interval."""
     moved = poly(flint.fmpq_poly([rational(low), rational(high - low)])).numer()
-    turned = flint.fmpz_poly(list(reversed(moved.coeffs())))
-    signs = [c > 0 for c in turned(flint.fmpz_poly([1, 1])).coeffs() if c != 0]
+    turned = flint.fmpz_poly(moved.coeffs()[::-1])(flint.fmpz_poly([1, 1]))
+    signs = [c > 0 for c in turned.coeffs() if c]
     return sum(a != b for a, b in pairwise(signs))
 
 

@@ -72,7 +72,7 @@ KINDS = MappingProxyType(
         ),
         "curve": Kind(
             does="curve:curve_report",
-            uses=RANGES,
+            uses=RANGES | HELD | {"max_regret", "max_relative_regret"},
             about="it follows the optimum over all that one parameter may be, unless given a range",
         ),
         "psa": Kind(

@@ -11,7 +11,9 @@ from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, stated_ranges
 from exact_mdp.analysis.cli.solve import policy_words
 from exact_mdp.analysis.sensitivity.blackwell import blackwell
-from exact_mdp.analysis.sensitivity.curve import Bracket, CurvePiece, value_function
+from exact_mdp.analysis.sensitivity.curve import value_function
+from exact_mdp.analysis.sensitivity.curve_checker import Bracket, CurvePiece, RationalFunction
+from exact_mdp.analysis.sensitivity.regret_limits import Interval
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 
@@ -26,7 +28,9 @@ def curve_report(asked: Asked) -> Report:
     (name,) = names
     stated = any(asked[option] for option in STATED)
     ranges = stated_ranges(asked.model, asked.options) if stated else None
-    found = value_function(asked.model, name, ranges)
+    limits = {limit: asked[limit] for limit in ("max_regret", "max_relative_regret")}
+    held = asked.policy if asked["policy"] or asked["perception"] or any(limits.values()) else None
+    found = value_function(asked.model, name, ranges, policy=held)
     mdp = found.mdp
     pieces = [_piece(mdp, piece) for piece in found.pieces]
     result: dict[str, Any] = {"parameter": name, "claim": found.claim, "pieces": pieces}
@@ -45,6 +49,21 @@ def curve_report(asked: Asked) -> Report:
             **_policy(mdp, last.optimal),
         }
         facts["Blackwell optimal policy"] = f"optimal for all discounts from {float(start):.10g} on"
+    within = list[Interval]()
+    if any(limits.values()):
+        within += found.within(**limits)
+        result["within"] = [
+            {
+                "from": _point(each.low),
+                "to": _point(each.high),
+                "from_bracket": list(each.low),
+                "to_bracket": list(each.high),
+            }
+            for each in within
+        ]
+        ends = [(float(_point(each.low)), float(_point(each.high))) for each in within]
+        words = "; ".join(f"{low:.10g} to {high:.10g}" for low, high in ends)
+        facts["the policy keeps the limit"] = words or "nowhere"
     table = Table(
         title="pieces of the optimal value at the start",
         rows=found.frame(),
@@ -66,10 +85,14 @@ def _piece(mdp: MDP, piece: CurvePiece) -> dict[str, Any]:
         "to": _point(piece.high),
         "from_bracket": list(piece.low),
         "to_bracket": list(piece.high),
-        "numerator": list(piece.value.numerator),
-        "denominator": list(piece.value.denominator),
+        **_ratio(piece.value),
+        **({} if piece.fixed is None else {"fixed": _ratio(piece.fixed)}),
         **_policy(mdp, piece.optimal),
     }
+
+
+def _ratio(ratio: RationalFunction) -> dict[str, Any]:
+    return {"numerator": list(ratio.numerator), "denominator": list(ratio.denominator)}
 
 
 def _point(bracket: Bracket) -> Fraction:

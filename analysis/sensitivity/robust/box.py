@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.exact_chain import ExactChain, fraction
+from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked, unit_of
 from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
 from exact_mdp.analysis.sensitivity.robust.family import FamilyBox
@@ -36,6 +36,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric.polynomial_rows import fraction
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.result import Result

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
+import flint
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp.analysis.sensitivity import gap_polynomials, thresholds, value_function
 from exact_mdp.analysis.sensitivity.curve import ValueFunction
+from exact_mdp.analysis.sensitivity.curve_checker import nonnegative, positive
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
+from exact_mdp.mdp.parametric.polynomial_rows import rational
 from exact_mdp.solvers import certify
 
 F = Fraction
@@ -78,6 +82,7 @@ def test_random_models_with_cycles(
     if name not in [parameter.name for parameter in family.parameters]:
         return
     found = value_function(family, name, policy="random")
+    assert found.violations() == []
     span = found.range
     agrees(found, family, span.low + (span.high - span.low) * place, "random")
     for left, right in pairwise(found.pieces):
@@ -87,19 +92,19 @@ def test_random_models_with_cycles(
 
 
 @pytest.mark.parametrize(
-    ("limit", "name", "message"),
+    ("limit", "most", "name", "message"),
     [
-        ("LARGEST", "gain", "2 states with cycles among them(.|\n)*at most 1 state"),
-        ("CYCLIC_DEGREE", "p", "2 states on cycles(.|\n)*degree 3(.|\n)*up to degree 1;"),
+        ("LARGEST", 1, "gain", "2 states with cycles among them(.|\n)*at most 1 state"),
+        ("CYCLIC_DEGREE", 0, "p", "2 states on cycles(.|\n)*degree 1(.|\n)*up to degree 0;"),
     ],
 )
 def test_the_limit_that_was_hit_is_named(
-    limit: str, name: str, message: str, monkeypatch: pytest.MonkeyPatch
+    limit: str, most: int, name: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = [(s, a, [("1/2", 0, 1), ("1/2", 1, a)]) for s in (0, 1) for a in (0, 1)]
     family = moving(MDP.from_outcomes(rows, "9/10"), {"p": [(0, 1)]}, {"gain": 1})
     assert value_function(family, name).pieces
-    monkeypatch.setattr(gap_polynomials, limit, 1)
+    monkeypatch.setattr(gap_polynomials, limit, most)
     with pytest.raises(ModelError, match=message):
         value_function(family, name)
 
@@ -115,3 +120,130 @@ def test_scenarios(name: str) -> None:
     assert len(found.frame()) == len(found.pieces) > len(ends)
     for k in range(5):
         agrees(found, family, F(span[0]) + (F(span[1]) - span[0]) * F(k, 4), "always:prompt")
+
+
+PUTERMAN = MDP.from_outcomes(
+    [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])], "1/2"
+)
+
+
+def broken(found: ValueFunction, piece: int, **changes: object) -> list[str]:
+    pieces = list(found.pieces)
+    pieces[piece] = replace(pieces[piece], **changes)
+    return replace(found, pieces=tuple(pieces)).violations()
+
+
+def test_what_is_false_between_breakpoints_is_found() -> None:
+    """Each claim is changed alone; samples at ends and in the middle would see few of these."""
+    found = value_function(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    assert found.violations() == []
+    low, high = found.pieces
+    wider = (low.high[0] + F(1, 10**9), low.high[1] + F(1, 10**9))
+    # The left policy is not optimal a billionth further; the right one is not so far on the left.
+    assert any("is better" in w for w in replace_ends(found, wider))
+    assert any("next to" in w or "is better" in w for w in replace_ends(found, nearer(low.high)))
+    assert "pair" in broken(found, 0, optimal=~low.optimal)[0]
+    assert "another one" in broken(found, 0, value=high.value)[0]
+    assert "held fixed" in broken(found, 1, fixed_values=low.values)[0]
+    assert "not positive" in broken(found, 1, values=(high.values[0], -high.values[1]))[0]
+    assert "no piece covers" in replace(found, pieces=found.pieces[:1]).violations()[0]
+    elsewhere = replace(low.section, high=low.low[0])
+    assert any("outside" in w for w in broken(found, 0, section=elsewhere))
+
+
+def nearer(bracket: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
+    return bracket[0] - F(1, 10**9), bracket[1] - F(1, 10**9)
+
+
+def replace_ends(found: ValueFunction, bracket: tuple[Fraction, Fraction]) -> list[str]:
+    low, high = found.pieces
+    pieces = (replace(low, high=bracket), replace(high, low=bracket))
+    return replace(found, pieces=pieces).violations()
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "expected"),
+    [
+        ((1, -4, 4), (True, False)),  # (1 - 2 y)²: a double root, which Bernstein does not decide
+        ((1, -4, F(4001, 1000)), (True, True)),
+        ((1, -4, F(3999, 1000)), (False, False)),
+        ((0, 1), (True, False)),
+        ((0, 1, -1), (True, False)),
+        ((0, -1, 1), (False, False)),
+        ((0, 1, -4, 4), (True, False)),
+        ((), (True, False)),
+        ((-1,), (False, False)),
+    ],
+)
+def test_signs_on_the_unit_interval(
+    coefficients: tuple[Fraction | int, ...], expected: tuple[bool, bool]
+) -> None:
+    poly = flint.fmpq_poly([rational(c) for c in coefficients])
+    assert (nonnegative(poly, F(0), F(1)), positive(poly, F(0), F(1))) == expected
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    ends=st.lists(st.fractions(-1, 2, max_denominator=9), max_size=4),
+    lead=st.sampled_from([-1, 1]),
+    square=st.booleans(),
+)
+def test_signs_of_products_of_roots(ends: list[Fraction], lead: int, square: bool) -> None:
+    poly = flint.fmpq_poly([lead])
+    for end in ends:
+        poly = poly * flint.fmpq_poly([rational(-end), 1])
+    poly = poly * poly * lead if square else poly
+    cuts = sorted({F(0), F(1), *(end for end in ends if 0 < end < 1)})
+    signs = [poly(rational((a + b) / 2)) for a, b in pairwise(cuts)]
+    assert nonnegative(poly, F(0), F(1)) == (min(signs) >= 0)
+    assert positive(poly, F(0), F(1)) == (min(signs) > 0 and not any(0 <= end <= 1 for end in ends))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    weights=st.lists(st.tuples(shares, shares, shares), min_size=6, max_size=6),
+    rewards=st.lists(st.integers(-5, 5), min_size=6, max_size=6),
+    limit=st.fractions(0, 2, max_denominator=10),
+    relative=st.booleans(),
+    sense=st.sampled_from(["max", "min"]),
+)
+def test_where_a_policy_keeps_a_limit(
+    weights: list[tuple[int, int, int]],
+    rewards: list[int],
+    limit: Fraction,
+    relative: bool,
+    sense: str,
+) -> None:
+    rows = [
+        (s // 2, s % 2, [(F(w, sum(each)), t, rewards[s]) for t, w in enumerate(each)])
+        for s, each in enumerate(weights)
+    ]
+    mdp = MDP.from_outcomes(rows, discount="1/2", sense=sense)
+    found = value_function(mdp, "discount", (0, "19/20"), policy=[0, 0, 0])
+    kept = found.within(**{"max_relative_regret" if relative else "max_regret": limit})
+    tests = [F(19 * k, 20 * 24) for k in range(25)]
+    tests += [e for each in kept for e in (*each.low, *each.high)]
+    for at in tests:
+        best, mine = found.at(at), start_of(mdp.with_(discount=at), [0, 0, 0])
+        inside = [each for each in kept if each.low[0] <= at <= each.high[1]]
+        if all(
+            not (each.low[0] < at < each.low[1] or each.high[0] < at < each.high[1])
+            and not (each.low[0] != each.low[1] and at == each.low[0])
+            and not (each.high[0] != each.high[1] and at == each.high[1])
+            for each in inside
+        ):
+            assert (abs(best - mine) <= limit * (abs(best) if relative else 1)) == bool(inside)
+
+
+def test_limits_that_say_nothing_are_refused() -> None:
+    found = value_function(PUTERMAN, "discount", (0, "99/100"))
+    with pytest.raises(ModelError, match="no policy"):
+        found.within(1)
+    held = value_function(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    with pytest.raises(ModelError, match="two limits"):
+        held.within(1, 1)
+    with pytest.raises(ModelError, match="0 or more"):
+        held.within(-1)
+    (only,) = held.within()  # optimal from 10/11 on: Puterman (1994), section 3.1
+    assert only.low[0] <= F(10, 11) <= only.low[1]
+    assert only.high == (F(99, 100),) * 2

@@ -1,0 +1,381 @@
+"""Checks an optimal value that is a function of a parameter against the models alone.
+
+Nothing here imports a solver. On a section of the range on which rows are polynomials of
+y = θ - θ0, N_s / D are the optimal values for all y of an interval [a, b] because
+
+    D > 0,     D h_l = N_s - D r_l - Σ p(l, s') N_s' ≥ 0 of all pairs,     = 0 of one of each state
+
+and the Bellman equations have one solution: where γ Σ P < 1 throughout, or where γ Σ P ≤ 1 and some
+transition of each pair leads to a state that is nearer to the end (see `solvers.proof.checker`).
+
+No sign is sampled. A polynomial is not negative on an interval if its coefficients in Bernstein's
+basis are not; if one is, Sturm's theorem counts the roots of odd multiplicity, of which there must
+be none inside (Basu, Pollack and Roy, Algorithms in Real Algebraic Geometry, 2006, chapters 2
+and 10). A bracket between two pieces has one root in it at which everything changes that changes:
+the left values are optimal up to it, the right ones from it on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from itertools import groupby, pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.parametric import Parametric
+from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows, fraction, rational
+from exact_mdp.mdp.parametric.row_change import Piece, row_change
+from exact_mdp.mdp.table import shown
+
+if TYPE_CHECKING:
+    from flint import fmpq_poly
+
+flint = later("flint")
+
+Bracket = tuple[Fraction, Fraction]
+Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
+"""N of each state, and D: values are N / D."""
+Shares = Sequence[Sequence[tuple[int, Fraction]]]
+"""Of each state, the pairs that a policy takes there, with their probabilities."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RationalFunction:
+    """A ratio of two polynomials, with coefficients from the constant up.
+
+    Examples
+    --------
+    >>> RationalFunction(numerator=(Fraction(1),), denominator=(Fraction(1), Fraction(-1))).at(
+    ...     Fraction(1, 2)
+    ... )
+    Fraction(2, 1)
+    """
+
+    numerator: tuple[Fraction, ...]
+    denominator: tuple[Fraction, ...]
+
+    @classmethod
+    def of(cls, ratio: tuple[fmpq_poly, fmpq_poly]) -> RationalFunction:
+        """Return N / D with the constant of D, or its first coefficient that is not 0, made 1."""
+        top, below = ([*map(fraction, poly.coeffs())] or [Fraction(0)] for poly in ratio)
+        unit = next(c for c in below if c)
+        return cls(
+            numerator=tuple(c / unit for c in top), denominator=tuple(c / unit for c in below)
+        )
+
+    def __neg__(self) -> RationalFunction:
+        return replace(self, numerator=tuple(-c for c in self.numerator))
+
+    def at(self, value: Fraction) -> Fraction:
+        """Return the ratio at a point."""
+        return _horner(self.numerator, value) / _horner(self.denominator, value)
+
+
+def _horner(coefficients: Sequence[Fraction], value: Fraction) -> Fraction:
+    total = Fraction(0)
+    for c in reversed(coefficients):
+        total = total * value + c
+    return total
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Section:
+    """An interval on which rows are polynomials of y, the distance from `origin`."""
+
+    low: Fraction
+    high: Fraction
+    origin: Fraction
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CurvePiece:
+    """What is optimal between two thresholds, and what it is worth.
+
+    Attributes
+    ----------
+    low, high : (Fraction, Fraction)
+        Brackets of both ends.
+    optimal : (L,) bool
+        The pairs that are optimal throughout.
+    value : RationalFunction
+        The optimal value at the start.
+    fixed : RationalFunction or None
+        That of the policy held fixed.
+    section : Section
+    values, fixed_values : (N of each of S states, D)
+        The values of all states, polynomials of y; those that are maximised, of a model of costs.
+    """
+
+    low: Bracket
+    high: Bracket
+    optimal: NDArray[np.bool_]
+    value: RationalFunction
+    fixed: RationalFunction | None = None
+    section: Section
+    values: Values
+    fixed_values: Values | None = None
+
+
+def piece_violations(
+    family: Parametric, name: str, pieces: Sequence[CurvePiece], shares: Shares | None
+) -> list[str]:
+    """Return what does not hold of pieces of a model that maximises: nothing where all is sound.
+
+    `shares` is the policy held fixed.
+    """
+    wrong = list[str]()
+    for _, some in groupby(pieces, key=lambda each: id(each.section)):
+        equations, before = None, None
+        for piece in some:
+            if equations is None:
+                equations = _Equations(family, name, piece.section)
+                wrong += equations.unsound()
+            gaps = equations.gaps(piece)
+            wrong += equations.not_optimal(piece, gaps)
+            if shares is not None:
+                wrong += equations.not_of(piece, shares)
+            if before is not None and not equations.passed(before, (piece, gaps)):
+                wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
+            before = (piece, gaps)
+    return wrong
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Gaps:
+    """D h of all pairs, and those whose signs Bernstein's basis leaves open on a whole piece."""
+
+    every: dict[int, fmpq_poly]
+    open: list[int]
+
+
+class _Equations:
+    """The equations of a model over one section."""
+
+    def __init__(self, family: Parametric, name: str, section: Section) -> None:
+        origin, self.section = section.origin, section
+        base, piece = family.at({name: origin}), Piece(low=section.low, high=section.high)
+        change = row_change(family, name, piece, origin=origin, base=base)
+        self.rows, self.cuts = PolynomialRows.of(base, change), family.breakpoints(name)
+        self.state: list[int] = base.pair_state.tolist()
+        self.states = [s for s, ends in enumerate(self.rows.terminal) if not ends]
+        self.pairs = {s: base.pairs_of(s) for s in self.states}
+        self.start = [(s, rational(w)) for s, w in base.start]
+        self.known: dict[int, fmpq_poly] = {}
+        self.safe = set[int]()
+        self.last: Values = ((), flint.fmpq_poly())
+
+    def _inside(self, low: Fraction, high: Fraction) -> Bracket:
+        return low - self.section.origin, high - self.section.origin
+
+    @cached_property
+    def slack(self) -> dict[int, fmpq_poly]:
+        """1 - γ Σ P of each pair whose state is not terminal, over states that are not."""
+        one = flint.fmpq_poly([1])
+        every = (pair for pairs in self.pairs.values() for pair in pairs)
+        return {pair: one - sum(p for _, p in self.rows.following[pair]) for pair in every}
+
+    def unsound(self) -> Iterator[str]:
+        """Yield why rows may be none, or the Bellman equations have several solutions."""
+        section, (low, high) = self.section, self._inside(self.section.low, self.section.high)
+        if any(section.low < cut < section.high for cut in self.cuts):
+            yield "rows pass to other polynomials inside a section"
+        chances = [p for pair in self.slack for _, p in self.rows.following[pair]]
+        if not all(nonnegative(p, low, high) for p in _different([*chances, *self.slack.values()])):
+            yield "a probability is negative, or probabilities pass 1"
+        elif not all(positive(s, low, high) for s in _different(self.slack.values())):
+            falls, ends = self._nearer(None), (self._nearer(low), self._nearer(high))
+            if falls is None or None in ends or any(_vanishes(p, low, high) for p in falls):
+                yield "nothing proves that the Bellman equations have one solution"
+
+    def _nearer(self, at: Fraction | None) -> list[fmpq_poly] | None:
+        """Return the chances of coming nearer to the end, from the end on; None where it stays.
+
+        Nearer at one point of the section, or, without one, at all but some.
+        """
+        found: list[fmpq_poly] = []
+        near, left = set[int](), self.states
+        while left:
+            layer = list[int]()
+            for state in left:
+                falls = [
+                    sum((p for to, p in self.rows.following[pair] if to in near), self.slack[pair])
+                    for pair in self.pairs[state]
+                ]
+                if all(p.degree() >= 0 if at is None else p(rational(at)) != 0 for p in falls):
+                    layer.append(state)
+                    found += falls
+            if not layer:
+                return None
+            near.update(layer)
+            left = [state for state in left if state not in near]
+        return _different(found)
+
+    def gaps(self, piece: CurvePiece) -> _Gaps:
+        """Return the gaps on a piece; what has not changed since the last is not worked out again.
+
+        A gap whose sign is known up to the end of the section is `safe` until it changes.
+        """
+        (new, scale), (old, before) = piece.values, self.last
+        low, high = self._inside(piece.low[0], piece.high[1])
+        end = self.section.high - self.section.origin
+        undecided = []
+        for pair in self.slack:
+            states = (self.state[pair], *(to for to, _ in self.rows.following[pair]))
+            if scale != before or any(new[s] is not old[s] for s in states):
+                self.known[pair] = self.gap(piece.values, pair)
+                self.safe.discard(pair)
+            if pair in self.safe:
+                continue
+            gap = self.known[pair]
+            if _bernstein(gap, low, end):
+                self.safe.add(pair)
+            elif not _bernstein(gap, low, high):
+                undecided.append(pair)
+        self.last = piece.values
+        return _Gaps(every=dict(self.known), open=undecided)
+
+    def gap(self, values: Values, pair: int) -> fmpq_poly:
+        """Return D h of a pair: N - D r - Σ p N."""
+        numerators, scale = values
+        left = numerators[self.state[pair]] - scale * self.rows.reward[pair]
+        return left - sum(p * numerators[to] for to, p in self.rows.following[pair])
+
+    def not_optimal(self, piece: CurvePiece, gaps: _Gaps) -> Iterator[str]:
+        """Yield why the values may not be the optimal ones throughout."""
+        low, high = self._inside(piece.low[1], piece.high[0])
+        wide, at = self._inside(piece.low[0], piece.high[1]), shown(piece.low[1])
+        if not self.section.low <= piece.low[0] <= piece.high[1] <= self.section.high:
+            yield f"the piece from {at} on is outside its section"
+        if not positive(piece.values[1], *wide):
+            yield f"the denominator from {at} on is not positive"
+        for state, pairs in self.pairs.items():
+            marked = [bool(piece.optimal[pair]) for pair in pairs]
+            if not any(marked) or marked != [gaps.every[pair].degree() < 0 for pair in pairs]:
+                yield f"the pairs of state {state} from {at} on are not those that are optimal"
+        for pair in gaps.open:
+            if not nonnegative(gaps.every[pair], low, high):
+                yield f"a pair of state {self.state[pair]} is better from {at} on"
+        yield from self._not_the_start(piece.values, piece.value, at)
+
+    def _not_the_start(self, values: Values, value: RationalFunction, at: str) -> Iterator[str]:
+        numerators, scale = values
+        shift = flint.fmpq_poly([rational(self.section.origin), 1])
+        top, below = (
+            flint.fmpq_poly([*map(rational, c)])(shift)
+            for c in (value.numerator, value.denominator)
+        )
+        start = sum(
+            (w * numerators[s] for s, w in self.start if not self.rows.terminal[s]),
+            flint.fmpq_poly(),
+        )
+        if below.degree() < 0 or top * scale != start * below:
+            yield f"the value at the start from {at} on is another one"
+
+    def not_of(self, piece: CurvePiece, shares: Shares) -> Iterator[str]:
+        """Yield why the fixed policy's values may be others."""
+        at, values, value = shown(piece.low[1]), piece.fixed_values, piece.fixed
+        if values is None or value is None:
+            yield f"the policy held fixed has no value from {at} on"
+            return
+        if not positive(values[1], *self._inside(piece.low[0], piece.high[1])):
+            yield f"the denominator of the policy held fixed from {at} on is not positive"
+        zero = flint.fmpq_poly()
+        for state in self.states:
+            mix = (rational(share) * self.gap(values, pair) for pair, share in shares[state])
+            if sum(mix, zero) != 0:
+                yield f"the policy held fixed has another value in state {state} from {at} on"
+        yield from self._not_the_start(values, value, at)
+
+    def passed(self, before: tuple[CurvePiece, _Gaps], after: tuple[CurvePiece, _Gaps]) -> bool:
+        """Whether one value in the bracket between two pieces ends the left and begins the right.
+
+        All gaps that turn negative in it do so there, once.
+        """
+        bracket = before[0].high
+        low, high = self._inside(*bracket)
+        turning: list[fmpq_poly] = []
+        for _, gaps in (before, after):
+            odd = (_odd(gaps.every[pair]) for pair in gaps.open)
+            turning += [each for each in odd if _roots(each, low, high)]
+        if bracket != after[0].low:
+            return False
+        if not turning:
+            return True
+        shared = turning[0]
+        for each in turning[1:]:
+            shared = shared.gcd(each)
+        return {_roots(each, low, high) for each in [*turning, shared]} == {1}
+
+
+def _different(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:
+    return [*{str(p): p for p in polynomials}.values()]
+
+
+def nonnegative(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+    """Whether a polynomial is nowhere negative on a closed interval."""
+    if _bernstein(poly, low, high):
+        return True
+    if _inside(_odd(poly), low, high):
+        return False
+    steps = poly.degree() + 2  # one of so many points is no root
+    inside = (low + (high - low) * Fraction(k, steps) for k in range(1, steps))
+    return all(poly(rational(y)) >= 0 for y in inside)
+
+
+def positive(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+    """Whether a polynomial is positive on a closed interval."""
+    ends = min(poly(rational(low)), poly(rational(high))) > 0
+    return bool(ends and (_bernstein(poly, low, high) or not _roots(_simple(poly), low, high)))
+
+
+def _vanishes(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+    """Whether a polynomial that is not 0 has a root between two points."""
+    return _inside(_simple(poly), low, high) > 0
+
+
+def _bernstein(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+    """Whether no coefficient in Bernstein's basis of an interval is negative."""
+    moved = poly(flint.fmpq_poly([rational(low), rational(high - low)])).numer()
+    turned = flint.fmpz_poly(moved.coeffs()[::-1])(flint.fmpz_poly([1, 1]))
+    return all(c >= 0 for c in turned.coeffs())
+
+
+def _odd(poly: fmpq_poly) -> fmpq_poly:
+    """Return the product of the factors of odd multiplicity, each once."""
+    _, factors = poly.numer().factor_squarefree()
+    odd: fmpq_poly = flint.fmpq_poly([1])
+    for factor, times in factors:
+        odd = odd * factor if times % 2 else odd
+    return odd
+
+
+def _simple(poly: fmpq_poly) -> fmpq_poly:
+    """Return the product of all factors, each once."""
+    found: fmpq_poly = poly / poly.gcd(poly.derivative()) if poly.degree() > 0 else poly
+    return found
+
+
+def _roots(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
+    """Return the number of roots on a closed interval of a polynomial with simple ones (Sturm)."""
+    if poly.degree() < 1:
+        return 0
+    chain = [poly, poly.derivative()]
+    while chain[-1].degree() > 0:
+        left = (chain[-2] % chain[-1]).numer()
+        chain.append(-flint.fmpq_poly(left) / left.content())
+    changes = []
+    for at in (low, high):
+        signs = [value > 0 for each in chain if (value := each(rational(at)))]
+        changes.append(sum(a != b for a, b in pairwise(signs)))
+    return changes[0] - changes[1] + (poly(rational(low)) == 0)
+
+
+def _inside(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
+    """Return the same on the open interval."""
+    return _roots(poly, low, high) - sum(poly(rational(y)) == 0 for y in {low, high})
