@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
     from exact_mdp.analysis.gate.comparison import PolicyComparison, compare
     from exact_mdp.analysis.graph import dot
+    from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
     from exact_mdp.analysis.pages.explorer import explore
     from exact_mdp.analysis.sensitivity.curve import value_function
     from exact_mdp.analysis.tradeoffs.front import tradeoff
@@ -26,9 +27,11 @@ __all__ = [
     "Audit",
     "BestPolicy",
     "PolicyComparison",
+    "TrainerAudit",
     "assert_policy_optimal",
     "best_policy",
     "check",
+    "check_trainer",
     "compare",
     "dot",
     "explore",
@@ -53,6 +56,7 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.analysis.tradeoffs.rationalize": ["rationalize"],
         "exact_mdp.analysis.gate.comparison": ["PolicyComparison", "compare"],
         "exact_mdp.analysis.graph": ["dot"],
+        "exact_mdp.analysis.learning.trainers": ["TrainerAudit", "check_trainer"],
         "exact_mdp.analysis.pages.explorer": ["explore"],
     },
 )

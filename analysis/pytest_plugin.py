@@ -14,6 +14,15 @@ returned for further assertions:
     audit = policy_gate(mdp, q_table, max_relative_regret="1/100")
     assert audit.agreement == 1
 
+A trainer that is random is judged by many of its seeds: with `runs`, the policy is a function that
+trains with a seed. The test fails where the share of seeds within the limits is proven to be below
+`share`, which happens by chance with probability `alpha` at most, and stops as soon as it is known:
+
+    def test_trainer(policy_gate):
+        policy_gate("yuan2025", train, max_regret=0.5, runs=100, share="9/10", alpha="1/100", rng=0)
+
+`share`, `alpha`, `rng` and `prove` are those of `analysis.check_trainer`.
+
 What was found is recorded as properties of the test in pytest's own JUnit report (`--junitxml`).
 pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves it out.
 """
@@ -23,20 +32,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import pytest
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.check import Audit
+    from exact_mdp.analysis.learning.trainers import TrainerAudit
     from exact_mdp.mdp.model import MDP
 
 SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")
 
 
 class PolicyGate(Protocol):
-    """The fixture's value; see the module."""
+    """The fixture's value: it fails the test unless the policy passes; see the module."""
 
+    @overload
     def __call__(
         self,
         model: MDP | str | Path,
@@ -49,8 +60,12 @@ class PolicyGate(Protocol):
         kind: str = "auto",
         horizon: int | None = None,
         subject_to: Mapping[str, Any] | None = None,
-    ) -> Audit:
-        """Fail the test unless the policy passes; see the module."""
+    ) -> Audit: ...
+
+    @overload
+    def __call__(
+        self, model: MDP | str | Path, policy: object, *, runs: int, **how: Any
+    ) -> TrainerAudit: ...
 
 
 @pytest.fixture
@@ -64,24 +79,28 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         set: Sequence[str] = (),
         discount: object | None = None,
         **limits: Any,
-    ) -> Audit:
+    ) -> Any:
         __tracebackhide__ = True
-        check = import_module("exact_mdp.analysis.gate.check").check
         load_model = import_module("exact_mdp.mdp.io.load").load_model
         if isinstance(model, str | Path):
             mdp = load_model(_beside(request.path, model), sets=set, discount=discount)
         else:
             mdp = model if discount is None else model.with_(discount=discount)
-        audit: Audit = check(mdp, _beside(request.path, policy), **limits)
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.
-        request.node.user_properties += [
-            ("claim", str(audit.claim)),
-            ("regret", float(audit.regret.at_start.value)),
-            ("agreement", audit.agreement),
-        ]
-        if not audit.passed:
-            pytest.fail(audit.message(), pytrace=False)
-        return audit
+        if "runs" in limits:
+            check = import_module("exact_mdp.analysis.learning.trainers").check_trainer
+            each = None if callable(policy) else (_beside(request.path, one) for one in policy)
+            found = check(mdp, policy if each is None else each, **limits)
+            low, high = map(float, found.interval)
+            known = {"within": found.within, "runs": len(found.audits), "low": low, "high": high}
+        else:
+            check = import_module("exact_mdp.analysis.gate.check").check
+            found = check(mdp, _beside(request.path, policy), **limits)
+            known = {"regret": float(found.regret.at_start.value), "agreement": found.agreement}
+        request.node.user_properties += [("claim", str(found.claim)), *known.items()]
+        if not found.passed:
+            pytest.fail(found.message(), pytrace=False)
+        return found
 
     return gate
 

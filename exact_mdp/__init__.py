@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis import assert_policy_optimal, check, tradeoff
+    from exact_mdp.analysis import assert_policy_optimal, check, check_trainer, tradeoff
     from exact_mdp.mdp import (
         MDP,
         Family,
@@ -72,6 +72,7 @@ __all__ = [
     "assert_policy_optimal",
     "certify",
     "check",
+    "check_trainer",
     "evaluate",
     "moving",
     "return_distribution",
@@ -82,7 +83,7 @@ __all__ = [
 ]
 
 _MDP = ("MDP", "Family", "ModelError", "Parameter", "Policy", "PolicyLike", "Scenario", "moving")
-_ANALYSIS = ("assert_policy_optimal", "check", "tradeoff")
+_ANALYSIS = ("assert_policy_optimal", "check", "check_trainer", "tradeoff")
 __getattr__, __dir__ = names_later(
     __name__,
     {

@@ -318,12 +318,12 @@ def simulate() -> None:
 
 
 @command(
-    "check:check",
+    "trainer:check",
     "Audit a learned policy or Q-table; exit status 1 where it loses too much.",
     epilog=POLICY_HELP,
 )
 @model
-@click.argument("learned")
+@click.argument("learned", nargs=-1, required=True)
 @click.option("--max-regret", metavar="X", help="Greatest regret at the start: 0.1 or 1/10.")
 @click.option(
     "--max-relative-regret", metavar="X", help="Greatest regret over the absolute optimal value."
@@ -332,6 +332,13 @@ def simulate() -> None:
 @click.option("--html", metavar="FILE", help="Write a page with the picture of the policy: .html.")
 @click.option("--junit", metavar="FILE", help="Write a JUnit report: .xml.")
 @subject_to
+@click.option(
+    "--share", metavar="X", help="Of several: the least share of all runs within the limits (9/10)."
+)
+@click.option(
+    "--alpha", metavar="X", help="Of several: the most likely that a failure is by chance (1/100)."
+)
+@click.option("--prove", is_flag=True, help="Of several: fail a share that is still open.")
 @click.option("--certify", is_flag=True, help="Use rational arithmetic, however long it takes.")
 @click.option(
     "--no-explain", is_flag=True, help="Do not say what the policy's columns cannot express."
@@ -348,6 +355,11 @@ def check() -> None:
     unit in the last place of the model's floats can cause. --max-regret 0 forgives nothing.
     LEARNED is a POLICY; a Q-table stands for its greedy policy. With --subject-to it has to keep
     the limits too, the regret is against the best policy that keeps them, and nothing is forgiven.
+
+    Several LEARNED are the policies of independent runs of one trainer. They are audited one after
+    the other until it is decided whether at least --share of all runs are within the limits; a
+    share that is still open passes, so that a trainer that is good enough fails with probability
+    --alpha at most, wherever it stops.
     """
 
 

@@ -416,6 +416,7 @@ def check(
     horizon: int | None = None,
     criterion: Criterion = "total",
     subject_to: Mapping[str, Any] | None = None,
+    like: Audit | None = None,
 ) -> Audit:
     """Return how much a policy or Q-table loses against the optimum, where and why.
 
@@ -448,6 +449,9 @@ def check(
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals that the policy has to keep, as `solve` takes them. The regret is
         then against the optimum under these limits, exactly, and nothing is forgiven.
+    like : Audit, optional
+        An audit of another policy by the same model object (`like.mdp is model`): its optimum is
+        not computed again.
 
     Returns
     -------
@@ -504,8 +508,14 @@ def check(
             **limits,
         )
 
+    known = None
+    if like is not None and under is None and like.limits is None:
+        if like.mdp is not mdp or like.criterion != criterion:
+            raise ModelError("the audit is of another model", where="like", fix="give audit.mdp")
+        known = like.regret.optimum
+
     def audit(exactly: bool | None) -> Audit:
-        lost = regret(rewards, chain, exact=exactly)
+        lost = regret(rewards, chain, exact=exactly, optimum=known)
         visits, floats = own_visits(chain, exact=isinstance(lost.at_start, Certified))
         signed = lost.negated() if costs else lost
         return Audit(

@@ -9,6 +9,7 @@ from exact_mdp.analysis.plots.learning import (
     plot_distinct,
     plot_learning_curves,
     plot_regrets,
+    plot_trainer,
     plot_value_bands,
 )
 from exact_mdp.analysis.plots.perception import plot_confusion, plot_prices
@@ -29,6 +30,7 @@ __all__ = [
     "plot_return_distribution",
     "plot_states",
     "plot_status_transitions",
+    "plot_trainer",
     "plot_transitions",
     "plot_value_bands",
     "save",

@@ -9,12 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.learning.outcomes import share_interval
-from exact_mdp.analysis.plots.style import INK, LINES, axes_or_new, level, plain_text
+from exact_mdp.analysis.plots.style import BLUE, INK, LINES, axes_or_new, level, plain_text
 from exact_mdp.mdp.table import Floats
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.learning.curves import LearningCurve
     from exact_mdp.analysis.learning.outcomes import Outcomes
+    from exact_mdp.analysis.learning.trainers import TrainerAudit
 
 
 @plain_text
@@ -150,6 +151,46 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
     ax.set_xlim(left=0)
     ax.set(ylim=(0, 1), xlabel="exact regret of the final policy", ylabel="share of runs")
     ax.legend(loc="lower right")
+    return ax
+
+
+@plain_text
+def plot_trainer(found: TrainerAudit, *, ax: Axes | None = None) -> Axes:
+    """Draw the share of runs within the limits, and its interval, after every run.
+
+    Parameters
+    ----------
+    found : TrainerAudit
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import MDP, check_trainer
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> plot_trainer(check_trainer(mdp, lambda seed: [1, 0], rng=0, runs=9)).get_xlabel()
+    'run'
+    """
+    ax, frame = axes_or_new(ax), found.frame()
+    runs = np.arange(1, len(frame) + 1)
+    ax.fill_between(
+        runs,
+        frame["low"],
+        frame["high"],
+        step="mid",
+        color=BLUE,
+        alpha=0.5,
+        linewidth=0,
+        label=f"interval of confidence {1 - float(found.alpha):.4g} at all runs",
+    )
+    passed = np.cumsum(frame["passed"]) / runs
+    ax.step(runs, passed, where="mid", color=INK[0], label="share of the runs so far")
+    level(ax, float(found.share), "share required")
+    ax.set(xlabel="run", ylabel="share of runs within the limits", ylim=(0, 1.02))
+    ax.legend(loc="best")
     return ax
 
 

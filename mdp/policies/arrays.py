@@ -170,6 +170,14 @@ class _Layout(NamedTuple):
         return {"space": self.space, "actions": self.actions, "rule": rule, **more}
 
 
+def space_read(model: MDP, shape: tuple[int, ...]) -> StateSpace | None:
+    """Return what the rows of a table of some shape are; None where no reading fits."""
+    try:
+        return _layout(model, shape).space
+    except ModelError:
+        return None
+
+
 def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _Layout:
     """Return what an array of some shape is over; raises ModelError where no reading fits.
 

@@ -33,6 +33,7 @@ from exact_mdp.mdp.policies.arrays import (
     numbers_of,
     policy_of_array,
     rows_read,
+    space_read,
 )
 from exact_mdp.mdp.policies.frames import Labelled, labelled
 from exact_mdp.mdp.space import StateSpace
@@ -409,8 +410,10 @@ class Policy(NDArrayOperatorsMixin):
             given = _predicted(model, given.predict)
         elif not isinstance(given, Policy) and hasattr(given, "policy"):
             if hasattr(given, "q") and callable(given.policy):
-                kind = "q" if kind == "auto" else kind
-                return cls(**_of_array(model, numbers_of(given.q), kind))
+                array, own = numbers_of(given.q), getattr(given, "space", None)
+                if isinstance(own, StateSpace) and own != space_read(model, array.shape):
+                    return cls.of(model, given.policy(model))
+                return cls(**_of_array(model, array, "q" if kind == "auto" else kind))
             given = given.policy if isinstance(given.policy, np.ndarray | Policy) else given
         if isinstance(given, Policy):
             found = given

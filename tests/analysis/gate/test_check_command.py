@@ -226,6 +226,12 @@ def test_fails(policy_gate):
     policy_gate("yuan2025", "always:none", set=SMALL)
 
 
+def test_trainer(policy_gate):
+    files = policy_gate("yuan2025", ["best.json"] * 80, set=SMALL, runs=80)
+    assert files.proven and len(files.audits) < 80
+    policy_gate("tea", lambda seed: "random", runs=9, alpha="1/20", rng=0)
+
+
 def test_asserts():
     assert_policy_optimal(Scenario.load("tea"), "random")
 
@@ -260,7 +266,8 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
     )
     assert done.returncode == 1, done.stdout + done.stderr
     assert "3 passed" in done.stdout
-    assert "2 failed" in done.stdout
+    assert "3 failed" in done.stdout
+    assert "failed: the share of runs within the limits is not at least 0.9" in done.stdout
     assert "AssertionError: failed: the regret is not zero" in done.stdout
     assert "gate/check.py" not in done.stdout  # the test's own line is shown, none of ours
     assert "failed: the regret is not zero: it is" in done.stdout

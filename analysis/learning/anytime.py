@@ -1,0 +1,74 @@
+"""An interval for a share that holds at every moment, so that one may look, and stop, at any time.
+
+Of n independent trials k succeeded and m did not; p is the chance of success. If p is the truth,
+whoever bets against it, with stakes that follow the trials so far, has after n trials
+
+    E_n(p) = ∫ q^k (1 - q)^m dBeta(1/2, 1/2)(q) / (p^k (1 - p)^m)
+           = C(2k, k) C(2m, m) / (4^n C(n, k)) / (p^k (1 - p)^m)
+
+times what was there at first, and nothing on average is won: E_n(p) is a martingale of mean 1. So
+P(E_n(p) ≥ 1/α at some n) ≤ α (Ville, Étude critique de la notion de collectif, 1939), and all p
+with E_n(p) < 1/α so far are an interval that holds at all n together with probability 1 - α
+(Robbins, Annals of Mathematical Statistics 41, 1970; Waudby-Smith and Ramdas, Journal of the Royal
+Statistical Society B 86, 2024, for betting). An interval for a fixed n, such as Wilson's, does not:
+looked at after each trial, it misses the truth sooner or later. The mixture over q is Krichevsky's
+and Trofimov's (IEEE Transactions on Information Theory 27, 1981), good near 0 and 1.
+
+All is worked out in integers: no rounding decides what is excluded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from math import comb
+
+GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
+
+
+def excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
+    """Return whether E_n(share) ≥ 1/α after so many trials.
+
+    Examples
+    --------
+    >>> [excluded(Fraction(9, 10), 0, misses, Fraction(1, 100)) for misses in (2, 3)]
+    [False, True]
+    """
+    top, below, n = share.numerator, share.denominator, hits + misses
+    won = comb(2 * hits, hits) * comb(2 * misses, misses) * below**n * alpha.numerator
+    fair = comb(n, hits) * 4**n * top**hits * (below - top) ** misses * alpha.denominator
+    return bool(won >= fair)
+
+
+def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[tuple[Fraction, Fraction]]:
+    """Yield after each trial an interval of the chance of success.
+
+    All of them together hold with probability 1 - α; they only narrow.
+
+    Examples
+    --------
+    >>> for low, high in share_intervals([True] * 40, Fraction(1, 20)):
+    ...     pass
+    >>> round(float(low), 3), float(high)
+    (0.873, 1.0)
+    """
+    low = high = hits = misses = 0
+    for trial in trials:
+        hits, misses = hits + bool(trial), misses + (not trial)
+        low = _raised(low, hits, misses, alpha)
+        high = min(GRID - low, _raised(high, misses, hits, alpha))  # from 1 downwards
+        yield Fraction(low, GRID), Fraction(GRID - high, GRID)
+
+
+def _raised(known: int, hits: int, misses: int, alpha: Fraction) -> int:
+    """Return the greatest number on the grid that is excluded from below, `known` at least."""
+    above = hits * GRID // (hits + misses) + 1  # beyond the share seen, which never is excluded
+    if known + 1 >= above or not excluded(Fraction(known + 1, GRID), hits, misses, alpha):
+        return known
+    while above - known > 1:
+        middle = (known + above) // 2
+        if excluded(Fraction(middle, GRID), hits, misses, alpha):
+            known = middle
+        else:
+            above = middle
+    return known

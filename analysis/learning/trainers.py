@@ -1,0 +1,269 @@
+"""A gate for a trainer that is random: how many of its seeds give a policy within the limits.
+
+    found = check_trainer(model, train, max_regret=…, runs=100, share="9/10", alpha="1/100", rng=0)
+
+`train(seed)` is called for one seed after the other, and each policy is audited exactly
+(`analysis.gate.check`). The share of seeds within the limits has an interval that holds after every
+run at once (`analysis.learning.anytime`), so that the gate ends as soon as it can say:
+
+    failed    the share is proven to be below `share`: whatever the interval is looked at for, this
+              happens by chance with probability α at most
+    passed    it is proven to be at least `share`, or it is still open after all runs (`proven`)
+
+So a trainer that is good enough does not fail more often than α, however many runs there are; with
+`prove`, what is open fails too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from exact_mdp.analysis.gate.check import Audit, check
+from exact_mdp.analysis.learning.anytime import excluded, share_intervals
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import exact, shown
+from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
+from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solver import mdp_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+Interval = tuple[Fraction, Fraction]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TrainerAudit(Pictured):
+    """Which runs of a trainer gave a policy within the limits, and what share of all seeds does.
+
+    Attributes
+    ----------
+    names : tuple
+        What each run is called: its seed, or what was given.
+    audits : tuple of Audit
+        What was found of each run, in the order in which they were done.
+    intervals : tuple of (Fraction, Fraction)
+        The interval of the share after each run; all hold together with probability 1 - α.
+    share : Fraction
+        The share of seeds that has to be within the limits.
+    alpha : Fraction
+    runs : int
+        How many runs there might have been.
+    prove : bool
+        Whether a share that is open fails.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> found = check_trainer(mdp, lambda seed: [seed % 2, 0], rng=0)
+    >>> found.passed, len(found.audits), found.frame()["passed"].tolist()[:4]
+    (False, 19, [True, True, True, False])
+    """
+
+    names: tuple[Any, ...]
+    audits: tuple[Audit, ...]
+    intervals: tuple[Interval, ...]
+    share: Fraction
+    alpha: Fraction
+    runs: int
+    prove: bool = False
+
+    claim: ClassVar[Claim] = Claim.ESTIMATED
+    picture = "exact_mdp.analysis.plots.learning:plot_trainer"
+
+    @property
+    def within(self) -> int:
+        """How many runs gave a policy within the limits."""
+        return sum(audit.passed for audit in self.audits)
+
+    @property
+    def value(self) -> float:
+        """Their share of the runs."""
+        return self.within / len(self.audits)
+
+    @property
+    def interval(self) -> Interval:
+        """The interval of the share after the last run."""
+        return self.intervals[-1]
+
+    @property
+    def proven(self) -> bool | None:
+        """Whether the share of all seeds is at least `share`; None where that is open."""
+        return _decided(self.within, len(self.audits), self.share, self.alpha)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the share is at least `share`, or open and not to be proven."""
+        return self.proven is not False and not (self.prove and self.proven is None)
+
+    @property
+    def worst(self) -> Audit:
+        """The audit of the run that lost most."""
+        return max(self.audits, key=lambda audit: float(audit.value.value))
+
+    def frame(self) -> DataFrame:
+        """Return one row for each run: its regret, and the interval of the share after it."""
+        return pandas.DataFrame(
+            {
+                "run": self.names,
+                "regret": [float(audit.value.value) for audit in self.audits],
+                "passed": [audit.passed for audit in self.audits],
+                "low": [float(low) for low, _ in self.intervals],
+                "high": [float(high) for _, high in self.intervals],
+            }
+        )
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return (
+            f"TrainerAudit({'passed' if self.passed else 'failed'}: {self.within} of "
+            f"{len(self.audits)} runs within the limits, a share from {float(low):.3f} to "
+            f"{float(high):.3f})"
+        )
+
+    def message(self) -> str:
+        """Return in words what was found, and of the run that lost most why."""
+        low, high = self.interval
+        told = {True: "is", False: "is not", None: "is not known to be"}[self.proven]
+        lines = [
+            f"{'passed' if self.passed else 'failed'}: the share of runs within the limits {told} "
+            f"at least {shown(self.share, 10)}",
+            f"{self.within} of {len(self.audits)} runs are, of {self.runs} at most; the share of "
+            f"all is from {float(low):.4f} to {float(high):.4f}, wrong with probability "
+            f"{shown(self.alpha, 10)} at most, whenever one stops",
+        ]
+        if self.within < len(self.audits):
+            worst = self.worst
+            name = self.names[self.audits.index(worst)]
+            lines += [f"the run that lost most, {name}:", worst.message(explain=False)]
+        return "\n".join(lines)
+
+
+def check_trainer(
+    model: MDP | Scenario,
+    train: Callable[[int], PolicyLike] | Iterable[PolicyLike],
+    *,
+    runs: int = 100,
+    share: object = "9/10",
+    alpha: object = "1/100",
+    rng: Seed | None = None,
+    prove: bool = False,
+    **limits: Any,
+) -> TrainerAudit:
+    """Return whether enough of a trainer's seeds give a policy within the limits.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+    train : function of a seed, or an iterable of PolicyLike
+        `train(seed)` returns a policy or Q-table, and draws from that seed alone, an integer below
+        2^32; or the policies themselves, of independent runs.
+    runs : int
+        How many at most. The gate stops before where the share is decided.
+    share : number or "p/q"
+        The share of all seeds that has to be within the limits, above 0 and at most 1.
+    alpha : number or "p/q"
+        How likely the interval may be wrong, and thus a failure by chance: above 0, below 1.
+    rng : int, numpy.random.Generator or SeedSequence
+        What the seeds are drawn from; not needed for policies.
+    prove : bool
+        Fail a share that is still open after all runs. A failure by chance is then as likely as
+        the runs are too few.
+    **limits
+        Of each run, as `check` takes them: `max_regret`, `max_relative_regret`, `kind`, `horizon`
+        and the others.
+
+    Returns
+    -------
+    TrainerAudit
+
+    Raises
+    ------
+    ModelError
+        For shares and counts out of range, no runs at all, and what `check` refuses.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers.learning.q_learning import QLearning
+    >>> mdp = Scenario.load("tea").compile()
+    >>> def train(seed):
+    ...     return QLearning(epochs=200).train(mdp, rng=seed)
+    >>> check_trainer(mdp, train, rng=0, max_relative_regret="1/2", share="1/2")
+    TrainerAudit(passed: 10 of 10 runs within the limits, a share from 0.530 to 1.000)
+    """
+    wanted, risk = _between("share", share), _between("alpha", alpha)
+    if risk == 1:
+        raise ModelError("alpha is 1", where="alpha", fix="choose less: 1/100")
+    if isinstance(runs, bool) or not isinstance(runs, int) or runs < 1:
+        raise ModelError(f"runs is {runs!r}", where="runs", fix="give a whole number > 0")
+    mdp = mdp_of(model)
+    if (horizon := limits.pop("horizon", None)) is not None:
+        mdp = mdp.within(horizon)
+    names, audits = list[Any](), list[Audit]()
+
+    def passes() -> Iterator[bool]:
+        for name, policy in islice(_policies(train, rng), runs):
+            audit = check(mdp, policy, like=audits[0] if audits else None, **limits)
+            names.append(name)
+            audits.append(audit)
+            yield audit.passed
+
+    intervals = list[Interval]()
+    for interval in share_intervals(passes(), risk):
+        intervals.append(interval)
+        if _decided(sum(audit.passed for audit in audits), len(audits), wanted, risk) is not None:
+            break
+    if not audits:
+        raise ModelError("no policies", where="check_trainer", fix="give at least one")
+    return TrainerAudit(
+        names=tuple(names),
+        audits=tuple(audits),
+        intervals=tuple(intervals),
+        share=wanted,
+        alpha=risk,
+        runs=runs,
+        prove=prove,
+    )
+
+
+def _decided(hits: int, n: int, share: Fraction, alpha: Fraction) -> bool | None:
+    """Return whether the chance of success is at least `share`; None where that is open."""
+    return hits > n * share if excluded(share, hits, n - hits, alpha) else None
+
+
+def _policies(
+    train: Callable[[int], PolicyLike] | Iterable[PolicyLike], rng: Seed | None
+) -> Iterator[tuple[Any, PolicyLike]]:
+    """Yield the policies with the names of their runs."""
+    if not callable(train):
+        yield from enumerate(train)
+        return
+    if rng is None:
+        raise ModelError("no seed to draw seeds from", where="rng", fix="give one: rng=0")
+    root, number = as_sequence(rng), 0
+    while True:
+        seed = int(child(root, number).generate_state(1)[0])
+        yield seed, train(seed)
+        number += 1
+
+
+def _between(name: str, number: object) -> Fraction:
+    """Return a number above 0 and at most 1."""
+    try:
+        found = exact(number)
+    except ModelError as error:
+        raise ModelError(error.what, where=name, fix=error.fix) from error
+    if not 0 < found <= 1:
+        raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose from 0 to 1, not 0")
+    return found
