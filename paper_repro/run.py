@@ -40,7 +40,7 @@ from exact_mdp.paper_repro.reading import (
 from exact_mdp.paper_repro.readings.evidence import Evidence, evidence
 from exact_mdp.paper_repro.readings.findings import reading_study
 from exact_mdp.paper_repro.readings.search import search
-from exact_mdp.paper_repro.report import agents, output, readings
+from exact_mdp.paper_repro.report import agents, output, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import entry_of
 from exact_mdp.paper_repro.report.report import render
@@ -101,7 +101,7 @@ def run(
         # The figures of the agents share what they show.
         apart = replace(reading)
         still: dict[str, Callable[[], Any]] = {
-            p.name: partial(p.draw, apart) for p in PICTURES if not p.learns
+            p.name: partial(p.draw, apart) for p in (*PICTURES, *tradeoffs.PICTURES) if not p.learns
         }
         work: list[Work] = [
             partial(draw, {p.name: p.draw for p in agents.PICTURES}),
@@ -130,7 +130,11 @@ def run(
         reading=reading,
         tables=all_tables(reading),
         figures=PICTURES,
-        parts=[readings.readings_part(study), agents.agents_part()],
+        parts=[
+            readings.readings_part(study),
+            tradeoffs.tradeoffs_part(reading),
+            agents.agents_part(),
+        ],
         record=record,
         pinned=off,
         search=study.search,
