@@ -160,6 +160,21 @@ def termination(mdp: MDP) -> Termination:
 _ENDINGS: WeakKeyDictionary[MDP, Termination] = WeakKeyDictionary()
 
 
+def endless(mdp: MDP) -> bool:
+    """Return whether the discount is 1 and some policy never ends, or ends beside a goal.
+
+    Examples
+    --------
+    >>> wait, leave = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
+    >>> endless(MDP.from_arrays([leave, wait], [1, 0])), endless(MDP.from_arrays([leave], [1, 0]))
+    (True, False)
+    """
+    if mdp.discount_exact != 1:
+        return False
+    off = mdp.goal is not None and bool((mdp.terminal & ~mdp.goal).any())
+    return off or not termination(mdp).proven
+
+
 def _termination(mdp: MDP) -> Termination:
     if numbered_in_order(mdp):
         rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])

@@ -26,10 +26,12 @@ from hashlib import sha256
 from itertools import pairwise
 from math import fsum
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.chain import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     EXACT_IN_FLOAT,
@@ -177,6 +179,29 @@ def per_step(model: MDP) -> MDP:
         return model
     names = model.component_names
     return model.with_(discount=1, table=table, component_table=parts, component_names=names)
+
+
+def divided(model: MDP) -> MDP:
+    """Return the model itself, or where some policy never ends, with each row divided by its sum.
+
+    What goes on for ever has a total only where rows sum to 1 exactly. All that is said of such a
+    model is of this one, so that an optimum and a policy's value can be compared.
+
+    Examples
+    --------
+    >>> wait, leave = [[1, 0], [0.1, 0.9]], [[0.3, 0.7], [0, 1]]
+    >>> mdp = MDP.from_arrays([wait, leave], [[1, 1], [0, 0]])
+    >>> mdp.table.sums_to_one, divided(mdp).table.sums_to_one
+    (False, True)
+    """
+    if model.discount_exact != 1 or model.table.sums_to_one or not endless(model):
+        return model
+    if model not in _DIVIDED:
+        _DIVIDED[model] = per_step(model)
+    return _DIVIDED[model]
+
+
+_DIVIDED: WeakKeyDictionary[MDP, MDP] = WeakKeyDictionary()
 
 
 def slack_signs(model: MDP) -> Numbers:

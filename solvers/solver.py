@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, overload
 
 from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import numbered_in_order
+from exact_mdp.mdp.chain import endless, numbered_in_order
 from exact_mdp.mdp.coach.model import Coach
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
@@ -33,7 +33,7 @@ from exact_mdp.solvers.dynamic.operator import solve_operator
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
-from exact_mdp.solvers.endless.total import endless, solve_total
+from exact_mdp.solvers.endless.total import solve_total
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, Status
 
 if TYPE_CHECKING:

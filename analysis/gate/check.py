@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import inf
+from math import inf, isfinite, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -353,7 +353,11 @@ class Audit(Pictured):
         listed = self.disagreements
         lines = [
             f"  {each.label}: yours {each.learned}, optimal {' or '.join(each.optimal)};"
-            f" loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
+            + (
+                f" waits for ever and loses {each.cost:.6g}"
+                if isinf(each.expected_visits) and isfinite(each.cost)
+                else f" loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
+            )
             for each in listed[:most]
         ]
         if len(listed) > most:

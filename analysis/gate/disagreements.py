@@ -28,10 +28,12 @@ import scipy.sparse as sp
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.forgiveness import policy_taking
 from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.analysis.gate.waiting import arrivals, attaining, kept, shares
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import Certified, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits
@@ -54,11 +56,12 @@ class Disagreement:
     optimal : tuple of str
         All optimal actions.
     gap : float
-        Optimal value of the state less that of doing this once and acting optimally from then on.
+        Optimal value of the state less that of doing this once and acting optimally from then on;
+        where the policy waits for ever (`analysis.gate.waiting`), less that of waiting.
     expected_visits : float
         Discounted visits of the policy from the start; at discount 1 their expected number.
     cost : float
-        expected_visits · gap; these sum to the regret.
+        expected_visits · gap, and what is lost by waiting; these sum to the regret.
     gain_if_corrected : float or None
         What the policy's value at the start gains if this state alone is corrected.
     loss_if_alone : float or None
@@ -88,8 +91,8 @@ def own_visits(chain: PolicyChain, *, exact: bool) -> tuple[Floats, bool]:
     Otherwise this raises SolverError.
     """
     if chain.mdp.discount_exact == 1 and not chain.ends_from_start:
-        found = np.where(chain.reached, visits(chain.mdp, chain.undiscounted).value, 0.0)
-        return np.where(chain.reached & chain.stuck, np.inf, found), False
+        label = kept(chain)
+        return np.where(chain.reached & (label >= 0), np.inf, arrivals(chain, label)), False
     try:
         found = visits(chain.mdp, chain.discounted).value
     except SolverError:
@@ -114,6 +117,9 @@ def disagreements(
     if not len(states):
         return ()
     cost = np.where(gap > 0, visited, 0.0) * np.where(visited > 0, gap, 0.0)
+    if np.isinf(visited).any():
+        waits = shares(chain, found.by_state, gap, wrong)
+        gap, cost = np.where(waits > 0, found.by_state, gap), cost + waits
     states = states[np.lexsort((states, -gap[states], -cost[states]))]
     best = policy_taking(mdp, found.optimal_pairs)
     cheap = levels(mdp) is not None or mdp.n_states <= LARGE
@@ -132,17 +138,15 @@ def disagreements(
             None if price is None or np.isnan(price) else price
             for price in next(prices, (None, None))
         )
-        pairs = mdp.pairs_of(state)
+        right = [pair for pair in mdp.pairs_of(state) if found.optimal_pairs[pair]]
+        if isinstance(found.optimum, Certificate):
+            right = attaining(mdp, found.optimum, found.optimal_pairs, state)
         listed.append(
             Disagreement(
                 state=state,
                 label=mdp.space.label(state),
                 learned=action_of(chain, state),
-                optimal=tuple(
-                    mdp.actions[mdp.pair_action[pair]]
-                    for pair in pairs
-                    if found.optimal_pairs[pair]
-                ),
+                optimal=tuple(mdp.actions[mdp.pair_action[pair]] for pair in right),
                 gap=float(gap[state]),
                 expected_visits=float(visited[state]),
                 cost=float(cost[state]),

@@ -44,7 +44,9 @@ from exact_mdp.analysis.gate.forgiveness import (
     policy_taking,
     tie_range,
 )
-from exact_mdp.mdp.chain import components, is_acyclic
+from exact_mdp.analysis.gate.waiting import kept, ways_out
+from exact_mdp.mdp.chain import components, endless, is_acyclic
+from exact_mdp.mdp.exact import divided
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
@@ -53,7 +55,6 @@ from exact_mdp.solvers.bounds.bounds import Bounds, bounds
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.policy_iteration import improved
-from exact_mdp.solvers.endless.total import endless
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
@@ -182,7 +183,7 @@ def regret(
     The model is one of rewards: of costs give `mdp.maximised`, and negate what comes back.
     """
     if endless(mdp):
-        exact = True  # bounds are of models in which every policy ends
+        mdp, exact = divided(mdp), True  # bounds are of models in which every policy ends
     if exact is None:
         exact = cheap(mdp) if optimum is None else isinstance(optimum, Certificate)
     if not exact:
@@ -242,8 +243,8 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             lost = best.start_value - own.start_value
     # What keeps a value without attaining it is found where the policy stays for ever.
     optimal = np.array(best.optimal_pairs)
-    others = np.add.reduceat(optimal.astype(np.int64), mdp.pair_offsets[:-1]) > 1
-    optimal[(chain.stuck & (by_state > 0) & others)[mdp.pair_state] & (chain.chosen > 0)] = False
+    waits = ways_out(mdp, kept(chain), optimal) & (by_state > 0)
+    optimal[waits[mdp.pair_state] & (chain.chosen > 0)] = False
     return Regret(
         optimal=best.start,
         learned=own.start,

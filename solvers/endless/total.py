@@ -17,7 +17,6 @@ from time import perf_counter
 
 import numpy as np
 
-from exact_mdp.mdp.chain import termination
 from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gains
@@ -27,17 +26,6 @@ from exact_mdp.solvers.endless.proven import certify_total
 from exact_mdp.solvers.endless.structure import finite, structure
 from exact_mdp.solvers.proof.checker import policy_pairs
 from exact_mdp.solvers.solution import Solution, SolverError, Status
-
-
-def endless(mdp: MDP) -> bool:
-    """Return whether a model needs this treatment: discount 1, and a policy that never ends.
-
-    So does one with an end that is not its goal.
-    """
-    if mdp.discount_exact != 1:
-        return False
-    off = mdp.goal is not None and bool((mdp.terminal & ~mdp.goal).any())
-    return off or not termination(mdp).proven
 
 
 def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:

@@ -17,7 +17,7 @@ from typing import Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.chain import endless, reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
@@ -26,7 +26,6 @@ from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.endless.proven import certify_total
-from exact_mdp.solvers.endless.total import endless
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.proof.margins import UNIT, alike, gains

@@ -446,7 +446,7 @@ def evaluate(
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
-    ends = chain.ends_from_start
+    mdp, ends = chain.mdp, chain.ends_from_start
     if mdp.discount_exact == 1 and not arrives(chain):
         try:
             chain = rested(chain)

@@ -46,7 +46,7 @@ def rested(chain: PolicyChain) -> PolicyChain:
             fix="choose a discount below 1, stop after N steps (--horizon "
             f"{mdp.time_limit or 'N'}); evaluate() gives the mean, which may be infinite",
         )
-    return PolicyChain(mdp=_ended(mdp, rest), chosen=chain.chosen, policy=chain.policy)
+    return PolicyChain(mdp=ended(mdp, rest), chosen=chain.chosen, policy=chain.policy)
 
 
 def model_of(chain: PolicyChain) -> MDP:
@@ -97,7 +97,7 @@ def _where(chain: PolicyChain) -> str:
     return f"policy, state ({chain.mdp.space.label(state)})"
 
 
-def _ended(mdp: MDP, rest: Mask) -> MDP:
+def ended(mdp: MDP, rest: Mask) -> MDP:
     """Return the model with some states (S,) made terminal."""
     table, still = mdp.table, rest[mdp.pair_state]
     lengths = np.where(still, 1, np.diff(table.offsets))

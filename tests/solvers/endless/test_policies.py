@@ -6,13 +6,13 @@ from math import inf, isnan
 import numpy as np
 import pytest
 from endless_oracle import policies, total
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Pairs, any_models, model_of
 
 from analysis import check
 from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.solvers import evaluate, return_distribution, simulate
+from exact_mdp.solvers import certify, evaluate, return_distribution, simulate
 
 
 @given(model=any_models(5), data=st.data())
@@ -86,3 +86,68 @@ def test_the_gate_tells_a_trap_from_the_way_out() -> None:
     assert not lost.passed
     assert float(lost.regret.at_start.value) == inf
     assert float(lost.regret.learned.value) == inf
+
+
+# ---- what is lost, and where ---------------------------------------------------------------------
+
+
+@settings(max_examples=40)
+@given(model=any_models(4), data=st.data())
+def test_what_is_lost_adds_up_where_it_is_lost(model: Pairs, data: st.DataObject) -> None:
+    size, pairs = model
+    mdp = model_of(size, pairs, F(1))
+    # A third of a float, three times: rows that sum to 1 nearly.
+    floats = MDP.from_outcomes(
+        [(s, a, [(float(p), t, float(r)) for t, p in row.items()]) for s, a, r, row in pairs],
+        start=dict(mdp.start),
+    )
+    chosen = [data.draw(st.sampled_from([a for t, a, *_ in pairs if t == s])) for s in range(size)]
+    for tried in (mdp, floats):
+        try:
+            found = check(tried, np.array(chosen))
+        except ModelError as error:
+            assert "no limit" in str(error)  # noqa: PT017
+            continue
+        lost = found.regret.at_start.value
+        assert lost >= 0
+        assert check(tried, "optimal").regret.at_start.value == 0
+        costs = [each.cost for each in found.disagreements]
+        if lost == 0 or not np.isfinite(float(lost)):
+            continue
+        assert sum(costs) == pytest.approx(float(lost), rel=1e-9)
+
+
+def test_rows_that_do_not_quite_sum_to_1_are_those_of_the_optimum_and_of_the_policy() -> None:
+    def outcomes(state: int, action: str) -> list[tuple[object, int, float]]:
+        if action == "wait":
+            return [(1, 0, 0)]
+        reward = 1 - 5e-7 * (action == "bad")
+        return [(0.999 + 8e-10, 0, reward), (0.001, 1, reward)]
+
+    mdp = MDP.from_function(0, lambda s: [] if s else ["good", "bad", "wait"], outcomes)
+    audit = check(mdp, {0: "bad"}, max_regret=0)
+    assert not audit.passed
+    total = F(0.999 + 8e-10) + F(0.001)
+    (only,) = audit.disagreements
+    assert audit.regret.at_start.value == (1 - F(1 - 5e-7)) * total / F(0.001)
+    assert (only.learned, only.optimal) == ("bad", ("good",))  # waiting earns nothing
+    assert only.cost == pytest.approx(float(audit.regret.at_start.value))
+    best = certify(mdp).start_value
+    for found in (evaluate(mdp, "optimal"), evaluate(mdp, {0: "good"})):
+        assert abs(F(found.mean) - best) <= F(found.start.error)
+
+
+def test_who_waits_is_blamed_where_the_way_out_is() -> None:
+    rows = {"s": [(1, "t", 1)], ("t", "wait"): [(1, "u", 0)], ("t", "go"): [(1, "end", 1)]}
+    rows["u"] = [(1, "t", 0)]
+    mdp = MDP.from_function(
+        "s",
+        lambda s: ["wait", "go"] if s != "end" else [],
+        lambda s, a: rows.get((s, a)) or rows[s],
+    )
+    audit = check(mdp, {"s": "go", "t": "wait", "u": "go"})
+    assert [(e.label, e.learned, e.optimal, e.cost) for e in audit.disagreements] == [
+        ("state t", "wait", ("go",), 1.0)
+    ]
+    assert audit.visits[0] == 1
+    assert "state t: yours wait, optimal go; waits for ever and loses 1" in str(audit)

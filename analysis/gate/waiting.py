@@ -1,0 +1,89 @@
+"""Waiting for ever: at discount 1 an action may keep the optimal value and never attain it.
+
+Where nothing is earned for ever, V*(s) = r + P V* holds for actions that stay, too; the value is
+that of those who leave. Such an action of s belongs to an optimal policy exactly if other optimal
+actions lead from its next states to where the optimum may stay, without coming back to s.
+
+What a policy loses by waiting is lost in a class of states that it never leaves, by the state s at
+which it comes in:
+
+    regret = Σ_s d(s) gap(s) + Σ_s e(s) (V*(s) - V^π(s))
+
+with d the visits of the states that it leaves again, and e(s) the probability that it comes into
+such a class at s. The places to blame are the states of the class with an optimal action that may
+lead out of it; where there are several, each has an equal share.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from exact_mdp.analysis.gate.forgiveness import Flags
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.values.policy_chain import PolicyChain, closure
+from exact_mdp.solvers.values.unending import ended
+from exact_mdp.solvers.values.visits import visits
+
+csgraph = later("scipy.sparse.csgraph")
+
+
+def kept(chain: PolicyChain) -> Integers:
+    """Return (S,) the number of the class that a state is in and a policy never leaves, or -1."""
+    graph, mdp = chain.graph, chain.mdp
+    count, label = csgraph.connected_components(graph, directed=True, connection="strong")
+    source = np.repeat(np.arange(mdp.n_states), np.diff(graph.indptr))
+    left = np.zeros(count, dtype=bool)
+    left[label[source[label[source] != label[graph.indices]]]] = True
+    return np.where(left[label] | mdp.terminal, -1, label)
+
+
+def ways_out(mdp: MDP, label: Integers, optimal: Flags) -> Flags:
+    """Return (S,) states of a class (S,) of `kept` in which an optimal pair may lead out of it."""
+    matrix = mdp.transition
+    pair = np.repeat(np.arange(mdp.n_pairs), np.diff(matrix.indptr))
+    out = np.zeros(mdp.n_pairs, dtype=bool)
+    out[pair[label[matrix.indices] != label[mdp.pair_state[pair]]]] = True
+    return np.logical_or.reduceat(out & optimal, mdp.pair_offsets[:-1]) & (label >= 0)
+
+
+def arrivals(chain: PolicyChain, label: Integers) -> Floats:
+    """Return (S,) expected visits of the states that are left again, arrivals in the classes."""
+    stays = PolicyChain(mdp=ended(chain.mdp, label >= 0), chosen=chain.chosen, policy=chain.policy)
+    return np.where(chain.reached, visits(stays.mdp, stays.discounted).value, 0.0)
+
+
+def shares(chain: PolicyChain, by_state: Floats, gap: Floats, wrong: Flags) -> Floats:
+    """Return (S,) what is lost by waiting, charged to the states (S,) that are `wrong`.
+
+    By the regret and the gap of each state (S,); where a gap is not 0, that is what is lost.
+    """
+    label = kept(chain)
+    inside = (label >= 0) & chain.reached
+    came = arrivals(chain, label)
+    lost = np.where(inside & (came > 0), came * np.where(came > 0, by_state, 0.0), 0.0)
+    whole = np.bincount(label[inside], weights=lost[inside], minlength=len(label))
+    whole[label[inside & (gap > 0)]] = 0.0
+    blamed = inside & wrong & (whole[np.maximum(label, 0)] > 0)
+    number = np.bincount(label[blamed], minlength=len(label))
+    return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
+
+
+def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
+    """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
+    pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
+    claims = best.endless
+    if claims is None or len(pairs) < 2 or claims.rank[state] == 0 or claims.sign[state] < 0:
+        return pairs
+    used = np.flatnonzero(optimal & (mdp.pair_state != state))
+    choice = sp.csr_array(
+        (np.ones(len(used)), (mdp.pair_state[used], used)), (mdp.n_states, mdp.n_pairs)
+    )
+    home = (claims.rank == 0) & (claims.sign == claims.sign[state])
+    arrives = closure((choice @ mdp.transition).T.tocsr(), home)
+    arrives[state] = False
+    found = [pair for pair in pairs if arrives[mdp.transition[[pair]].indices].any()]
+    return found or pairs
