@@ -68,14 +68,16 @@ def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None
     [True, True, False]
     """
     offsets, successors = _successors(mdp, pairs)
-    seen = np.zeros(mdp.n_states, dtype=bool)
     first = [state for state, weight in mdp.start if weight] if states is None else states
-    frontier: Integers = np.unique(np.asarray(first, dtype=np.int64))
-    while len(frontier):
-        seen[frontier] = True
-        found = successors[spans(offsets[frontier], offsets[frontier + 1])]
-        frontier = np.unique(found[~seen[found]])
-    return seen
+    # One more node leads to all first states.
+    successors = np.concatenate([successors, np.asarray(first, dtype=successors.dtype)])
+    offsets = np.append(offsets, len(successors))
+    shape = (mdp.n_states + 1, mdp.n_states + 1)
+    graph = sp.csr_array((np.ones(len(successors)), successors, offsets), shape)
+    order = csgraph.breadth_first_order(graph, mdp.n_states, return_predecessors=False)
+    seen = np.zeros(mdp.n_states + 1, dtype=bool)
+    seen[order] = True
+    return seen[:-1]
 
 
 def components(mdp: MDP) -> tuple[int, Integers]:

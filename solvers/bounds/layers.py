@@ -13,36 +13,53 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
 csgraph = later("scipy.sparse.csgraph")
+FIRST = 16  # layers that may be narrow
 
 
-def layers(source: Numbers, target: Numbers, count: int) -> tuple[Integers, Integers]:
-    """Return the layer and the component (count,) of each node, from edges (M,) between them.
+def strong_components(source: Numbers, target: Numbers, count: int) -> Integers:
+    """Return the component (count,) of each node: edges (M,) lead to the same one, or a lower one.
 
     Examples
     --------
-    >>> layer, component = layers(np.array([0, 1, 2]), np.array([1, 2, 1]), 3)
-    >>> layer.tolist(), bool(component[1] == component[2])
-    ([1, 0, 0], True)
+    >>> strong_components(np.array([0, 1, 2]), np.array([1, 2, 1]), 3).tolist()
+    [1, 0, 0]
     """
     graph = sp.csr_array((np.ones(len(source)), (source, target)), (count, count))
     _, label = csgraph.connected_components(graph, directed=True, connection="strong")
-    # Of several edges between two nodes, the matrix has kept one.
-    here = np.repeat(label, np.diff(graph.indptr))
-    there = label[graph.indices]
+    if (label[source] < label[target]).any():
+        raise RuntimeError("strongly connected components are not numbered from the last one on")
+    return np.asarray(label, dtype=np.int64)
+
+
+def layers(source: Numbers, target: Numbers, label: Integers, *, least: int = 0) -> Integers | None:
+    """Return the layer (count,) of each node, from edges (M,) between them and their components.
+
+    None where layers above the last one have fewer than `least` components on average.
+
+    Examples
+    --------
+    >>> source, target = np.array([0, 1, 2]), np.array([1, 2, 1])
+    >>> layers(source, target, strong_components(source, target, 3)).tolist()
+    [1, 0, 0]
+    """
+    parts = int(label.max(initial=-1)) + 1
+    here, there = label[source], label[target]
     apart = here != there
     here, there = here[apart], there[apart]
-    parts = int(label.max(initial=-1)) + 1
     waiting = np.bincount(here, minlength=parts)
     by_target = np.argsort(there, kind="stable")
     before = np.searchsorted(there[by_target], np.arange(parts + 1))
     predecessors = here[by_target]
     level = np.zeros(parts, dtype=np.int64)
-    frontier, reached = np.flatnonzero(waiting == 0), 0
+    frontier, reached, settled = np.flatnonzero(waiting == 0), 0, 0
     while len(frontier):
         reached += 1
         into = predecessors[spans(before[frontier], before[frontier + 1])]
-        into, edges = np.unique(into, return_counts=True)
-        waiting[into] -= edges
+        into, times = np.unique(into, return_counts=True)
+        waiting[into] -= times
         frontier = into[waiting[into] == 0]
         level[frontier] = reached
-    return level[label], label.astype(np.int64)
+        settled += len(frontier)
+        if settled < least * (reached - FIRST):
+            return None
+    return np.asarray(level[label])

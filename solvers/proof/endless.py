@@ -149,13 +149,15 @@ def endless_violations(
     pairs: Integers,
     optimal: Mask,
     value: Callable[[int], Fraction],
+    value_sign: Integers,
 ) -> list[str]:
     """Return what does not hold of signs, ranks, orders, potentials and means, in words.
 
     The equations of finite states, and which of their pairs are `optimal` (L,), are checked
-    elsewhere. `pairs` (S,) are the policy's; `value` gives that of a finite state.
+    elsewhere. `pairs` (S,) are the policy's; `value` gives that of a finite state, and `value_sign`
+    (S,) its sign.
     """
-    return _Check(claims, mdp, rows, pairs, optimal, value).wrong()
+    return _Check(claims, mdp, rows, pairs, optimal, value, value_sign).wrong()
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +168,7 @@ class _Check:
     pairs: Integers
     optimal: Mask
     value: Callable[[int], Fraction]
+    value_sign: Integers
 
     def wrong(self) -> list[str]:
         claims, rows, mdp = self.claims, self.rows, self.mdp
@@ -229,10 +232,10 @@ class _Check:
     def _vanishing(self, part: BellmanRows, resting: Mask) -> Mask:
         """Return (S,) True for states of rank 0, never left, where E V(X_n) vanishes."""
         found = resting.copy()
-        value = {state: self.value(state) for state in np.flatnonzero(resting).tolist()}
-        if not any(value.values()):
+        if not self.value_sign[resting].any():
             return found
         states = np.flatnonzero(resting)
+        value = {state: self.value(state) for state in states.tolist()}
         rows = [slice(*part.offsets[s : s + 2]) for s in states.tolist()]
         following = [np.searchsorted(states, part.next[row]).tolist() for row in rows]
         for group in _apart(following):
@@ -272,9 +275,13 @@ class _Check:
 
     def _held(self, some: Mask) -> Mask:
         """Return (L,) True for those of `some` pairs where V + w ≥ P w."""
-        potential, found = self.claims.potential, np.zeros(len(some), dtype=bool)
-        for pair, state in _listed(some, self.rows):
-            ahead = _ahead(self.rows, pair, state, potential)
+        potential, rows = self.claims.potential, self.rows
+        flat = np.array([not number for number in potential])
+        plain = some & flat[rows.pair_state]
+        plain &= np.logical_and.reduceat(flat[rows.next], rows.offsets[:-1])
+        found: Mask = plain & (self.value_sign >= 0)[rows.pair_state]
+        for pair, state in _listed(some & ~plain, rows):
+            ahead = _ahead(rows, pair, state, potential)
             found[pair] = self.value(state) + potential[state] >= ahead
         return found
 

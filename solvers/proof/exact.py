@@ -2,13 +2,18 @@
 
 States are taken in the order in which they depend on each other, one stage after the other. Those
 that depend on each other are the strongly connected components of the graph, waiting in place
-aside; a component's level is the greatest number of steps to one without successors. All single
-states of a level make one stage, every larger component, a cycle, makes one of its own. Where all
-transitions lead to higher numbers, runs of consecutive states that do not lead to each other are
-found faster than levels, and do as well. The values of a stage are integers over one denominator,
-a multiple of the denominators that it builds on, so that no fraction is ever reduced; backward
-induction is then one product of integer matrices for each stage. Where common denominators would be
-far larger than those of single states, a stage is split.
+aside; a larger one, a cycle, makes a stage of its own. The single states between two cycles are
+taken one by one, a chain. Where rows are long, products of integer matrices are faster: then all
+single states of a level (the greatest number of steps to the end), or of a run of consecutive
+states that do not lead to each other, make one stage, unless these are narrow.
+
+Values are integers over denominators that states share: of a stage, or of what a state builds on,
+so that few fractions are ever reduced. A common denominator that would be far longer than those of
+single states is not taken.
+
+A cycle that earns nothing and can be left is worth no more than the greatest value that it leads
+to. Often all of it attains that (a probability of 1, most of all), and then nothing is left to
+solve.
 
 The caller makes sure that the equations have one solution; `solvers.proof.certify` proves it.
 """
@@ -17,18 +22,23 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from math import lcm
+from enum import Enum
+from fractions import Fraction
+from functools import cached_property
+from itertools import pairwise
+from math import gcd, lcm
+from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import BellmanRows
+from exact_mdp.mdp.exact import BellmanRows, row_sums
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, Numbers, spans
-from exact_mdp.solvers.bounds.layers import layers
-from exact_mdp.solvers.proof.cycle import LARGEST, Cycle, Product, RightSides, endless
+from exact_mdp.solvers.bounds.layers import layers, strong_components
+from exact_mdp.solvers.proof.cycle import CHUNK, LARGEST, Cycle, Product, RightSides, endless
 
 if TYPE_CHECKING:
     from flint import fmpz
@@ -36,40 +46,58 @@ if TYPE_CHECKING:
 flint = later("flint")
 
 
-RUN = 4  # states in a run, on average, for runs to be used
+RUN = 4  # states in a run or level, on average, for these to be used
+LONG = 10  # transitions of a state, on average, for products of matrices to pay
+
+
+class Kind(Enum):
+    """How the states of a stage depend on each other."""
+
+    APART = "not at all"
+    CHAIN = "each on those before"
+    CYCLE = "all on all"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage:
-    """States (K,) that are settled together; `cyclic` where they depend on each other."""
+    """States (K,) that are settled in one go."""
 
     states: Integers
-    cyclic: bool
+    kind: Kind
 
 
 def stages(rows: BellmanRows) -> Iterator[Stage]:
     """Return the stages of a model in the order of solution, terminal states left out."""
     states = len(rows.scale)
+    live = np.flatnonzero(~rows.terminal)
+    if not len(live):
+        return
     source = np.repeat(np.arange(states), np.diff(rows.offsets[rows.pair_offsets]))
     moving = rows.next != source
+    long = len(rows.next) > LONG * states
     if (rows.next[moving] > source[moving]).all():
-        runs = _runs(states, source[moving], rows.next[moving])
-        if RUN * len(runs) < states:
+        runs = _runs(states, source[moving], rows.next[moving]) if long else []
+        if 0 < RUN * len(runs) < states:
             for first, last in runs:
                 run = np.arange(first, last)[~rows.terminal[first:last]]
                 if len(run):
-                    yield Stage(states=run, cyclic=False)
-            return
-    level, label = layers(source, rows.next, states)
+                    yield Stage(states=run, kind=Kind.APART)
+        else:
+            yield Stage(states=live[::-1], kind=Kind.CHAIN)
+        return
+    label = strong_components(source, rows.next, states)
+    level = layers(source, rows.next, label, least=RUN) if long else None
     cyclic = np.bincount(label)[label] > 1
     group = np.where(cyclic, label + 1, 0)
-    order = np.lexsort((group, level))
-    order = order[~rows.terminal[order]]
-    if not len(order):
-        return
-    fresh = (np.diff(level[order]) != 0) | (np.diff(group[order]) != 0)
-    for part in np.split(order, np.flatnonzero(fresh) + 1):
-        yield Stage(states=part, cyclic=bool(cyclic[part[0]]))
+    key = label if level is None else level
+    order = live[np.lexsort((group[live], key[live]))]
+    fresh = np.diff(group[order]) != 0
+    if level is not None:
+        fresh |= np.diff(level[order]) != 0
+    single = Kind.CHAIN if level is None else Kind.APART
+    for first, last in pairwise([0, *(np.flatnonzero(fresh) + 1).tolist(), len(order)]):
+        kind = Kind.CYCLE if cyclic[order[first]] else single
+        yield Stage(states=order[first:last], kind=kind)
 
 
 def _runs(states: int, source: Numbers, target: Numbers) -> list[tuple[int, int]]:
@@ -112,8 +140,10 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
     if positive:
         solver.require_leaving()
     for stage in stages(rows):
-        if stage.cyclic:
+        if stage.kind is Kind.CYCLE:
             solver.cycle(stage.states, positive)
+        elif stage.kind is Kind.CHAIN:
+            solver.chain(stage.states)
         else:
             solver.induction(stage.states)
     return ExactValues(
@@ -131,9 +161,9 @@ class _Choice(NamedTuple):
 
     state: int
     pivots: list[int]
-    rest: list[fmpz]
+    rest: list[Any]
     best: int
-    worth: fmpz
+    worth: Any
     pivot: int
 
 
@@ -143,11 +173,12 @@ class _Solver:
     def __init__(self, rows: BellmanRows) -> None:
         self.sides = RightSides(rows)
         self.pair_offsets: list[int] = rows.pair_offsets.tolist()
-        self.value = [flint.fmpz(0)] * len(rows.scale)
+        self.value: list[Any] = [0] * len(rows.scale)
         self.group = [0] * len(rows.scale)
-        self.denominator = [flint.fmpz(1)]
+        self.denominator: list[Any] = [1]
+        self._groups = {1: 0}  # by denominator
         self.optimal = [True] * len(rows.constant)
-        self.gap: list[fmpz | None] = [None] * len(rows.scale)
+        self.gap: list[Any] = [None] * len(rows.scale)
         self.gap_scale: list[Any] = rows.scale.tolist()
 
     def require_leaving(self) -> None:
@@ -158,7 +189,93 @@ class _Solver:
         if len(stuck):
             raise endless(f"state {int(state[stuck[0]])}, which an action does not leave")
 
-    # ---- states whose successors are all known -----------------------------------------------
+    # ---- states one by one -------------------------------------------------------------------
+
+    @cached_property
+    def _listed(self) -> tuple[list[int], ...]:
+        """Each pair's constant and offset, each transition's next state and weight."""
+        rows = self.sides.rows
+        listed = (rows.constant, rows.offsets, rows.next, rows.weight)
+        return tuple(each.tolist() for each in listed)
+
+    @cached_property
+    def _follows(self) -> list[int]:
+        """Each state's only successor where its value is that of this one, or -1."""
+        rows = self.sides.rows
+        first = rows.pair_offsets[:-1]
+        found = np.full(len(first), -1)
+        alone = (np.diff(rows.pair_offsets) == 1) & (np.diff(rows.offsets)[first] == 1)
+        pairs = first[alone & self._idle[first]]
+        found[rows.pair_state[pairs]] = rows.next[rows.offsets[pairs]]
+        return found.tolist()
+
+    def chain(self, states: Integers) -> None:
+        """Settle states one after the other, each after those that it leads to."""
+        constant, offsets, following, weight = self._listed
+        value, group, denominator = self.value, self.group, self.denominator
+        for state in states.tolist():
+            if (after := self._follows[state]) >= 0:
+                value[state], group[state] = value[after], group[after]
+                continue
+            first, last = self.pair_offsets[state], self.pair_offsets[state + 1]
+            groups = {group[t] for t in following[offsets[first] : offsets[last]]} or {0}
+            shared: int | None
+            known: Any = value
+            if len(groups) == 1:
+                shared = groups.pop()
+                base: int = denominator[shared]
+            else:
+                shared, found = self._largest(groups)
+                base = int(found)
+                known = self._scaled(following[offsets[first] : offsets[last]], base)
+            rest = []
+            for pair in range(first, last):
+                part = slice(offsets[pair], offsets[pair + 1])
+                ahead = map(mul, weight[part], map(known.__getitem__, following[part]))
+                rest.append(sum(ahead, constant[pair] * base))
+            if len(rest) == 1:
+                factor = self.sides.factor[first]
+                number, times = rest[0] // factor, self.sides.pivot[first] // factor
+            else:
+                choice = self._choice(state, rest)
+                number, times = choice.worth, choice.pivot
+            if times != 1:
+                spare = gcd(number, times)
+                number, times = number // spare, times // spare
+            if len(rest) > 1:
+                self._settle(state, number, *self._losses(choice, number, times))
+            value[state] = number
+            if times != 1 or shared is None:
+                below = base * times
+                # What has become twice as long is put in lowest terms, and common multiples.
+                if shared is None or below.bit_length() >= 1 << base.bit_length().bit_length():
+                    spare = gcd(number, below)
+                    value[state], below = number // spare, below // spare
+                    self.gap_scale[state] *= spare
+                shared = self._groups.setdefault(below, len(denominator))
+                if shared == len(denominator):
+                    denominator.append(below)
+            group[state] = shared
+
+    def _losses(self, choice: _Choice, number: Any, times: int) -> tuple[list[Any], int]:
+        """Return what each pair loses against V(s) = number / times, over a scale."""
+        if self.sides.waits[choice.state]:
+            pairs = zip(choice.pivots, choice.rest, strict=True)
+            return [pivot * number - times * rest for pivot, rest in pairs], 1
+        highest = choice.rest[choice.best]
+        return [highest - rest for rest in choice.rest], times
+
+    def _largest(self, groups: Collection[int]) -> tuple[int | None, Any]:
+        """Return a common multiple of the groups' denominators, and the group that has it."""
+        first = max(groups, key=self.denominator.__getitem__)
+        owner: int | None = first
+        found = self.denominator[first]
+        for group in groups:
+            if found % self.denominator[group]:
+                owner, found = None, flint.fmpz(found).lcm(self.denominator[group])
+        return owner, found
+
+    # ---- states together, whose successors are all known -------------------------------------
 
     def induction(self, states: Integers, *, split: bool = True) -> None:
         """Settle states that lead to settled ones only."""
@@ -204,13 +321,7 @@ class _Solver:
         times //= spare
         for choice, value in zip(chosen, values, strict=True):
             number = value if spare == 1 else value // spare
-            if self.sides.waits[choice.state]:
-                pairs = zip(choice.pivots, choice.rest, strict=True)
-                losses, scale = [pivot * number - times * rest for pivot, rest in pairs], 1
-            else:
-                highest = choice.rest[choice.best]
-                losses, scale = [highest - rest for rest in choice.rest], times
-            self._settle(choice.state, number, losses, scale)
+            self._settle(choice.state, number, *self._losses(choice, number, times))
         self._close([choice.state for choice in chosen], base * times, lowest=lowest)
 
     def _by_groups(self, states: Integers) -> Iterator[Integers]:
@@ -230,16 +341,19 @@ class _Solver:
                 f"a cycle of {len(states)} states is too large to be solved exactly",
                 fix="use certify(mdp, bounded=True), which proves bounds in floating point",
             )
+        rows, inside = self.sides.rows, states.tolist()
+        pairs = spans(rows.pair_offsets[states], rows.pair_offsets[states + 1])
+        ahead = rows.next[spans(rows.offsets[pairs], rows.offsets[pairs + 1])]
+        known = set(ahead.tolist()).difference(inside)
+        if known and self._idle[pairs].all() and self._alike(states, known):
+            return
         products = list(self.sides.products(states))
-        inside = states.tolist()
-        known = {state for product in products for state in product.columns} - set(inside)
         base = self._common({self.group[state] for state in known})
         outer = self._scaled(known, base)
         nothing = dict.fromkeys(inside, base * 0)
         cycle = Cycle.of(self.sides, states, _sums(products, outer | nothing, base))
         policy = cycle.policy()
-        rows, numbers = self.sides.rows, np.arange(len(cycle.pivot))
-        pairs = spans(rows.pair_offsets[states], rows.pair_offsets[states + 1])
+        numbers = np.arange(len(cycle.pivot))
         while True:
             value, below = cycle.values(policy)
             if positive and min(value) <= 0:
@@ -259,18 +373,43 @@ class _Solver:
         for state, own, of_state in zip(inside, value, losses, strict=True):
             self._settle(state, own, of_state)
         self._close(inside, base * below, lowest=True)
+        for state in inside:
+            self.value[state] = int(self.value[state])
+        self.denominator[-1] = int(self.denominator[-1])
+
+    @cached_property
+    def _idle(self) -> NDArray[np.bool_]:
+        """(L,) True for pairs that earn nothing, and whose weights and pivot are in balance."""
+        rows = self.sides.rows
+        flow, pivot = row_sums(rows.weight, rows.offsets), np.array(self.sides.pivot)
+        return np.asarray((flow == pivot) & (flow > 0) & (rows.constant == 0), dtype=bool)
+
+    def _alike(self, states: Integers, ahead: Collection[int]) -> bool:
+        """Settle states by the greatest value ahead, if all attain it; they earn nothing."""
+        found = {(self.value[state], self.group[state]) for state in ahead}
+        value, group = max(
+            found, key=lambda each: Fraction(int(each[0]), int(self.denominator[each[1]]))
+        )
+        below, inside = self.denominator[group], states.tolist()
+        for state in inside:
+            self.value[state], self.group[state] = value, group
+        for part in np.split(states, range(CHUNK, len(states), CHUNK)):
+            self.chain(part)
+            for state in part.tolist():
+                if self.value[state] * below != value * self.denominator[self.group[state]]:
+                    for other in inside:
+                        self.gap_scale[other] = int(self.sides.rows.scale[other])
+                    return False
+        return True
 
     # ---- numbers -----------------------------------------------------------------------------
 
     def _common(self, groups: Collection[int]) -> fmpz:
         """Return a common multiple of the groups' denominators: the largest, as a rule."""
-        found: fmpz = max((self.denominator[g] for g in groups), default=self.denominator[0])
-        for group in groups:
-            if found % self.denominator[group]:
-                found = found.lcm(self.denominator[group])
+        found: fmpz = flint.fmpz(self._largest(groups or {0})[1])
         return found
 
-    def _scaled(self, states: Collection[int], base: fmpz) -> dict[int, fmpz]:
+    def _scaled(self, states: Collection[int], base: fmpz | int) -> dict[int, Any]:
         """Return values of settled states, times `base`."""
         times = {
             group: base // self.denominator[group] for group in {self.group[s] for s in states}

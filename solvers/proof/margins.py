@@ -57,6 +57,8 @@ def undecided(mdp: MDP, found: Claims) -> Integers:
 
     Enough is more than the claimed gap of their state.
     """
+    if mdp.n_pairs == mdp.n_states:
+        return np.arange(mdp.n_pairs)
     below = [found.denominator[group] for group in found.group.tolist()]
     value = np.array([_quotient(a, b) for a, b in zip(found.numerator, below, strict=True)])
     claimed = zip(found.gap, found.gap_scale, below, strict=True)

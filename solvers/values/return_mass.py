@@ -28,7 +28,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers, Numbers, integers
 from exact_mdp.solvers.bounds.gains import TINY
-from exact_mdp.solvers.bounds.layers import layers
+from exact_mdp.solvers.bounds.layers import layers, strong_components
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 
 tqdm = later("tqdm")
@@ -74,7 +74,9 @@ class Flow:
         members = np.flatnonzero(inside)
         matrix = chain.graph[members][:, members].tocsr()
         entries = matrix.tocoo().coords
-        level, _ = layers(entries[1], entries[0], len(members))
+        label = strong_components(entries[1], entries[0], len(members))
+        level = layers(entries[1], entries[0], label)
+        assert level is not None
         order = np.argsort(level, kind="stable")
         place = np.full(mdp.n_states, len(members))
         place[members[order]] = np.arange(len(members))

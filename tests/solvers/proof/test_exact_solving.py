@@ -1,11 +1,12 @@
 """What exact solving is made of: order, products, lowest terms, and two ways to solve equations."""
 
 from fractions import Fraction as F
+from itertools import product
 from math import gcd, lcm
 
 import numpy as np
 import pytest
-from flint import fmpq_mat, fmpz
+from flint import fmpq, fmpq_mat, fmpz
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from large_models import gridworld
@@ -18,7 +19,7 @@ from exact_mdp.solvers.proof import exact
 from exact_mdp.solvers.proof import linear as exact_linear
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.cycle import Cycle, RightSides
-from exact_mdp.solvers.proof.exact import stages
+from exact_mdp.solvers.proof.exact import Kind, stages
 from exact_mdp.solvers.proof.linear import Equations
 from exact_mdp.solvers.proof.rationals import fraction, fractions, primes_of
 
@@ -30,18 +31,12 @@ def check_order(mdp: MDP) -> int:
         own = set(stage.states.tolist())
         assert own.isdisjoint(settled)
         assert len(own) == len(stage.states) > 0
-        after = {
-            (s, t)
-            for s in own
-            for pair in mdp.pairs_of(s)
-            for _, t, _ in mdp.table.row(pair)
-            if t not in settled and mdp.discount_exact
-        }
-        if stage.cyclic:
-            assert len(own) > 1
-            assert {t for _, t in after} <= own
-        else:
-            assert all(s == t for s, t in after)
+        assert stage.kind is not Kind.CYCLE or len(own) > 1
+        known = settled | own if stage.kind is Kind.CYCLE else settled.copy()
+        for s in stage.states.tolist():
+            after = {t for pair in mdp.pairs_of(s) for _, t, _ in mdp.table.row(pair)}
+            assert not mdp.discount_exact or after <= known | {s}
+            known |= {s} if stage.kind is Kind.CHAIN else set()
         settled |= own
         count += 1
     assert len(settled) == mdp.n_states
@@ -102,6 +97,42 @@ def test_right_sides(rows: Rows, unit: int, data: st.DataObject) -> None:
                     for other in mdp.pairs_of(s)
                     for _, t, _ in mdp.table.row(other)
                 )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 4),
+    st.sampled_from([(1, 0), (1, 1), (0, 0), ("1/2", "1/3"), (-1, 0)]),
+    st.data(),
+)
+def test_cycles_that_earn_nothing(
+    size: int, worth: tuple[object, object], data: st.DataObject
+) -> None:
+    """What they lead to decides: all attain the greatest value ahead, or not (brute force)."""
+    ends, rows = (size, size + 1), []
+    for s in range(size):
+        for a in range(data.draw(st.integers(1, 2))):
+            to, out = data.draw(st.integers(0, size - 1)), data.draw(st.sampled_from(ends))
+            rows.append((s, a, [("5/7", to, 0), ("2/7", out, 0)]))
+    rows += [(end, 0, [(1, size + 2, value)]) for end, value in zip(ends, worth, strict=True)]
+    mdp = MDP.from_outcomes([*rows, (size + 2, 0, [(1, size + 2, 0)])])
+    found = certify(mdp)
+    assert found.violations() == []
+    best = [F(-10)] * size
+    for pairs in product(*(mdp.pairs_of(s) for s in range(size))):
+        value = dict(zip(ends, map(F, worth), strict=True))
+        matrix = fmpq_mat(size, size, [fmpq(int(i == j)) for i in range(size) for j in range(size)])
+        right = fmpq_mat(size, 1)
+        for s, pair in enumerate(pairs):
+            for p, t, _ in mdp.table.row(pair):
+                share = fmpq(p.numerator, p.denominator)
+                if t < size:
+                    matrix[s, t] -= share
+                else:
+                    right[s, 0] += share * fmpq(value[t].numerator, value[t].denominator)
+        for s, number in enumerate(matrix.solve(right).entries()):
+            best[s] = max(best[s], F(int(number.p), int(number.q)))
+    assert found.value[:size].tolist() == best
 
 
 NUMBERS = st.one_of(
