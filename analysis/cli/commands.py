@@ -679,6 +679,39 @@ def rationalize() -> None:
     """
 
 
+@command("tradeoff:risk", "The best policy for a risk of the return.", epilog=POLICY_HELP)
+@model
+@click.option(
+    "--cvar",
+    "level",
+    metavar="SHARE",
+    help="The mean return of this share of the episodes, the worst: 0.1 or 1/10.",
+)
+@click.option(
+    "--entropic",
+    "aversion",
+    metavar="X",
+    help="The certainty equivalent - log(E exp(-X return)) / X; X above 0 avoids risk.",
+)
+@click.option(
+    "--policy",
+    "policies",
+    multiple=True,
+    metavar="POLICY",
+    help="With --cvar: a policy to place beside the best ones. May be repeated.",
+)
+@horizon
+@of_model
+def risk() -> None:
+    """Find the policy of MODEL with the least risk of the return, exactly.
+
+    MODEL has discount 1 and no cycles, or a horizon. --cvar: the policy with the greatest mean
+    of the worst episodes, which remembers the reward so far, and those with the most of a weighted
+    mean of this and the mean of all. --entropic: the policy with the greatest certainty equivalent.
+    In a model of costs, the least.
+    """
+
+
 COMMANDS = (
     new,
     lint,
@@ -697,4 +730,5 @@ COMMANDS = (
     perception,
     tradeoff,
     rationalize,
+    risk,
 )

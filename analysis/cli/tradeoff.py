@@ -1,16 +1,20 @@
-"""What `tradeoff` and `rationalize` do: exact fronts, and weights for which a policy is right."""
+"""What `tradeoff`, `rationalize` and `risk` do: fronts, weights that make a policy right, risk."""
 
 from __future__ import annotations
 
 from fractions import Fraction
 from typing import Any
 
-from exact_mdp.analysis.cli.options import given, policy_from
+from exact_mdp.analysis.cli.options import Given, given, policy_from
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.solve import policy_words
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
+from exact_mdp.analysis.tradeoffs.risk import mean_cvar
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.risk import best_entropic
+from exact_mdp.solvers.risk.lattice import share_of
 from exact_mdp.solvers.solution import Certified
 
 
@@ -117,6 +121,83 @@ def rationalize(**shared: Any) -> Report:
         "unchanged",
     )
     return asked.report(result, facts, [table])
+
+
+def risk(
+    *,
+    level: str | None,
+    aversion: str | None,
+    policies: tuple[str, ...],
+    **shared: Any,
+) -> Report:
+    """Find the best policy for a risk of the return."""
+    asked = given(**shared)
+    if (level is None) == (aversion is None):
+        raise ModelError(
+            "no measure of risk" if level is None else "two measures of risk",
+            where="risk",
+            fix="give --cvar SHARE or --entropic X",
+        )
+    if aversion is not None:
+        if policies:
+            fix = "leave it out, or give --cvar SHARE"
+            raise ModelError("--policy does not apply to --entropic", where="--policy", fix=fix)
+        return _entropic(asked, aversion)
+    mdp, share = asked.mdp, share_of(level)
+    picture = mean_cvar(mdp, share, policies={p: policy_from(mdp, p) for p in policies})
+    best = picture.optima[0]
+    points = [
+        {"weight": each.weight, "mean": each.mean, "cvar": each.value, "threshold": each.threshold}
+        for each in picture.optima
+    ]
+    beside = [
+        {"policy": name, "mean": mean, "cvar": value}
+        for name, (mean, value) in picture.policies.items()
+    ]
+    result = {
+        "measure": "cvar",
+        "level": share,
+        "claim": picture.claim,
+        "value": best.value,
+        "mean": best.mean,
+        "threshold": best.threshold,
+        "distribution": best.distribution(),
+        "points": points,
+        "policies": beside,
+    }
+    facts = {
+        "mean of the worst episodes": Certified(value=best.value),
+        "their share": float(share),
+        "mean of all episodes": Certified(value=best.mean),
+        "threshold": float(best.threshold),
+    }
+    table = Table(
+        title="mean against the worst episodes",
+        rows=picture.frame(),
+        columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "CVaR:.10g"},
+        note="the best policies remember the reward so far; each is exact, and best for its weight",
+    )
+    return asked.report(result, facts, [table])
+
+
+def _entropic(asked: Given, aversion: str) -> Report:
+    found = best_entropic(asked.mdp, aversion)
+    result = {
+        "measure": "entropic",
+        "aversion": found.aversion,
+        "claim": found.claim,
+        "value": found.value.value,
+        "error_bound": found.value.error,
+        "mean": found.mean,
+        "distribution": found.distribution(),
+        **_policy(asked.mdp, found.policy),
+    }
+    facts = {
+        "certainty equivalent": found.value,
+        "mean of all episodes": Certified(value=found.mean),
+        "policy": "proven to be the best one",
+    }
+    return asked.report(result, facts, [])
 
 
 def _named(names: tuple[str, ...], values: Any) -> dict[str, Fraction]:

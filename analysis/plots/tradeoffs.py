@@ -1,4 +1,4 @@
-"""The front of two totals: its vertices and edges, and policies beside it."""
+"""The front of two totals, and of the mean and the worst episodes, with policies beside it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.tradeoffs.front import Front
+    from exact_mdp.analysis.tradeoffs.risk import MeanCVaR
 
 
 @plain_text
@@ -38,5 +39,27 @@ def draw_front(
             ax.plot([x, x + sign], [y, y + sign], color=BLACK, linewidth=0.8, linestyle=":")
     ax.set_xlabel(f"expected total of {found.names[0]}")
     ax.set_ylabel(f"expected total of {found.names[1]}")
+    ax.legend()
+    return ax
+
+
+@plain_text
+def plot_mean_cvar(found: MeanCVaR, *, ax: Axes | None = None) -> Axes:
+    """Draw the mean against the mean of the worst episodes: best policies, and given ones."""
+    ax = axes_or_new(ax)
+    across = [float(each.mean) for each in found.optima]
+    up = [float(each.value) for each in found.optima]
+    ax.plot(across, up, linestyle="", color=BLUE, marker="o", label="best for a weight of the mean")
+    for each in dict(zip(zip(across, up, strict=True), found.optima, strict=True)).items():
+        (x, y), best = each
+        ax.annotate(
+            f"{float(best.weight):.3g}", (x, y), xytext=(4, -10), textcoords="offset points"
+        )
+    for number, (name, (mean, value)) in enumerate(found.policies.items()):
+        mark, ink = MARKS[1 + number % (len(MARKS) - 1)], INK[number % len(INK)]
+        ax.plot([float(mean)], [float(value)], linestyle="", marker=mark, color=ink, label=name)
+    what = "return" if found.mdp.sense == "max" else "cost"
+    ax.set_xlabel(f"mean {what} of all episodes")
+    ax.set_ylabel(f"mean {what} of the worst {float(found.level):.3g} of them")
     ax.legend()
     return ax

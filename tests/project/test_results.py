@@ -50,6 +50,7 @@ from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
 from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
+from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp import MDP, Policy, Scenario, moving
 from exact_mdp.mdp.care.perception import independent
 from exact_mdp.mdp.care.process import Process
@@ -60,6 +61,7 @@ from exact_mdp.solvers.learning.mean_field import settle
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
+from exact_mdp.solvers.risk import best_cvar, best_entropic
 from exact_mdp.solvers.robust.robust import solve_robust
 from exact_mdp.solvers.robust.sets import Intervals
 
@@ -99,6 +101,7 @@ MADE: dict[str, Callable[[], object]] = {
     "BoundedCertificate": lambda: certify(care(), bounded=True),
     "BoxExtreme": lambda: box_extreme(SMALL, "optimal", {"base.anger": ("1/25", "3/50")}),
     "BoxOptimum": lambda: box_optimum(SMALL, {"base.anger": ("1/25", "3/50")}),
+    "CVaROptimum": lambda: best_cvar(care(), "1/10"),
     "Certificate": lambda: certify(care()),
     "Blackwell": lambda: blackwell(SMALL),
     "Comparison": lambda: instability.compare(np.array([0.5, 0.5]), np.array([3, 5])),
@@ -109,6 +112,7 @@ MADE: dict[str, Callable[[], object]] = {
     "DeterministicSolution": lambda: solve(
         care(), subject_to={"anger": ">= -50"}, deterministic=True
     ),
+    "EntropicOptimum": lambda: best_entropic(care(), 1),
     "Evaluation": lambda: evaluate(care(), "random"),
     "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),
     "Gradient": lambda: gradient(SMALL),
@@ -116,6 +120,7 @@ MADE: dict[str, Callable[[], object]] = {
     "JointRadius": lambda: joint_radius(SMALL, {"base.anger": (0, 1)}),
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "LossCurve": lambda: expected_loss(SMALL, {"a": "optimal"}, [10, 100], rng=0, n=20),
+    "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
     "MeanField": lambda: settle(care(), [3] * 16, epsilon=0.1),
     "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
     "MultiModel": lambda: multi_model([care(), SMALL.with_(max_trial=2).compile()]),

@@ -1,0 +1,131 @@
+"""The mean of all episodes against the mean of the worst: best policies, and others beside them.
+
+For weights v of the mean, policies with the most of (1 - v) CVaR + v E Z, exact points of the
+trade-off (`solvers.risk.tail`). They are best for their weight among all policies, those with a
+memory included. Between two of them nothing is claimed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import shown
+from exact_mdp.solvers.risk.lattice import share_of, tail_mean
+from exact_mdp.solvers.risk.tail import CVaROptimum, best_cvar
+from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.returns import return_distribution
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+WEIGHTS = (Fraction(0), Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(99, 100))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MeanCVaR(Pictured):
+    """Best policies for several weights of the mean, and given policies.
+
+    Attributes
+    ----------
+    mdp : MDP
+    level : Fraction
+        The share of the worst episodes.
+    optima : tuple of CVaROptimum
+        By rising weight of the mean.
+    policies : {name: (mean, CVaR)}
+    """
+
+    mdp: MDP
+    level: Fraction
+    optima: tuple[CVaROptimum, ...]
+    policies: Mapping[str, tuple[Fraction, Fraction]]
+
+    picture = "exact_mdp.analysis.plots.tradeoffs:plot_mean_cvar"
+    claim = Claim.CERTIFIED
+
+    def __repr__(self) -> str:
+        best = float(self.optima[0].value)
+        return f"MeanCVaR(worst {shown(self.level)}: at best {best:.6g}; certified)"
+
+    def frame(self) -> DataFrame:
+        """Return one row for each best policy, and for each given one."""
+        best = [
+            (f"best, weight {shown(o.weight)} of the mean", o.mean, o.value) for o in self.optima
+        ]
+        rows = [*best, *((name, *point) for name, point in self.policies.items())]
+        return pandas.DataFrame(
+            {"policy": name, "mean": float(mean), "CVaR": float(value), "claim": "certified"}
+            for name, mean, value in rows
+        )
+
+
+def mean_cvar(
+    model: MDP | Scenario,
+    level: object,
+    *,
+    policies: Mapping[str, PolicyLike] | None = None,
+    weights: Sequence[object] = WEIGHTS,
+    horizon: int | None = None,
+) -> MeanCVaR:
+    """Return the mean and the mean of the worst episodes under best and given policies, exactly.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+        With discount 1 and without cycles, or with a horizon.
+    level : number or "p/q"
+        The share of the worst episodes, above 0.
+    policies : {name: PolicyLike}, optional
+        Of the model; with a horizon, of that with the time in its states.
+    weights : sequence of numbers
+        Of the mean, each below 1.
+    horizon : int, optional
+        Stop after so many steps.
+
+    Returns
+    -------
+    MeanCVaR
+
+    Raises
+    ------
+    ModelError
+        As `best_cvar` does.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+    >>> found = mean_cvar(MDP.from_outcomes(rows), "1/2", policies={"bold": [0, 0]})
+    >>> [str(number) for number in found.policies["bold"]]
+    ['5', '0']
+    """
+    mdp = mdp_of(model)
+    mdp, share = mdp if horizon is None else mdp.within(horizon), share_of(level)
+    optima = [best_cvar(mdp, share, weight=weight) for weight in weights]
+    placed = {name: point_of(mdp, share, policy) for name, policy in (policies or {}).items()}
+    return MeanCVaR(
+        mdp=mdp,
+        level=share,
+        optima=tuple(sorted(optima, key=lambda each: each.weight)),
+        policies=placed,
+    )
+
+
+def point_of(mdp: MDP, level: Fraction, policy: PolicyLike) -> tuple[Fraction, Fraction]:
+    """Return the mean and the mean of the worst episodes of a policy."""
+    found = return_distribution(mdp, policy, exact=True)
+    assert found.exact is not None
+    sign = 1 if mdp.sense == "max" else -1
+    both = sorted((sign * value, p) for value, p in zip(found.values, found.exact, strict=True))
+    worst, _ = tail_mean([value for value, _ in both], [p for _, p in both], level)
+    return sign * sum((value * p for value, p in both), Fraction(0)), sign * worst

@@ -1,0 +1,227 @@
+"""Risks of the return, against the distributions of all policies, those with a memory included."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from math import exp, log
+
+import numpy as np
+import pytest
+from cli_runner import run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from exact_mdp.analysis.tradeoffs.risk import mean_cvar
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.solvers import certify, return_distribution
+from exact_mdp.solvers.risk import best_cvar, best_entropic
+
+F = Fraction
+Distribution = tuple[tuple[Fraction, Fraction], ...]
+Rows = list[tuple[int, int, list[tuple[Fraction, int, Fraction]]]]
+
+
+@st.composite
+def trees(draw: st.DrawFn) -> Rows:
+    """Draw a model whose transitions lead to smaller numbers; state 0 ends."""
+    rows: Rows = [(0, 0, [(F(1), 0, F(0))])]
+    gains = st.sampled_from([F(-2), F(-1), F(-1, 2), F(0), F(1), F(3, 2), F(3)])
+    for state in range(1, draw(st.integers(2, 4))):
+        for action in range(draw(st.integers(1, 2))):
+            weights = draw(st.lists(st.sampled_from([1, 1, 2, 9]), min_size=1, max_size=2))
+            ends = [draw(st.integers(0, state - 1)) for _ in weights]
+            own = [
+                (F(w, sum(weights)), to, draw(gains)) for w, to in zip(weights, ends, strict=True)
+            ]
+            rows.append((state, action, own))
+    return rows
+
+
+def mixed(parts: list[tuple[Fraction, Fraction, Distribution]]) -> Distribution:
+    total = dict[Fraction, Fraction]()
+    for p, gain, after in parts:
+        for value, mass in after:
+            total[gain + value] = total.get(gain + value, F(0)) + p * mass
+    return tuple(sorted(total.items()))
+
+
+def distributions(rows: Rows, state: int) -> set[Distribution]:
+    """Every distribution of the return that some policy has, whatever it remembers."""
+    if state == 0:
+        return {((F(0), F(1)),)}
+    found = set[Distribution]()
+    for s, _, outcomes in rows:
+        if s == state:
+            each = [sorted(distributions(rows, to)) for _, to, _ in outcomes]
+            for after in product(*each):
+                own = zip(outcomes, after, strict=True)
+                found.add(mixed([(p, gain, rest) for (p, _, gain), rest in own]))
+    return found
+
+
+def mean(of: Distribution) -> Fraction:
+    return sum((value * p for value, p in of), F(0))
+
+
+def worst(of: Distribution, level: Fraction) -> Fraction:
+    """The mean of the worst share, by Rockafellar and Uryasev's formula at every return."""
+    return max(
+        eta - sum((max(eta - value, F(0)) * p for value, p in of), F(0)) / level for eta, _ in of
+    )
+
+
+def model(rows: Rows, sense: str = "max") -> MDP:
+    return MDP.from_outcomes(rows, start=max(s for s, *_ in rows), sense=sense)
+
+
+levels = st.sampled_from([F(1, 10), F(1, 3), F(1, 2), F(9, 10), F(1)])
+
+
+@settings(max_examples=80, deadline=None)
+@given(trees(), levels, st.sampled_from([F(0), F(1, 3), F(9, 10)]))
+def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight: Fraction) -> None:
+    every = distributions(rows, max(s for s, *_ in rows))
+    most = max((1 - weight) * worst(of, level) + weight * mean(of) for of in every)
+    found = best_cvar(model(rows), level, weight=weight)
+    assert (1 - weight) * found.value + weight * found.mean == most
+    own = tuple(found.distribution().items())
+    assert own in every
+    assert (worst(own, level), mean(own)) == (found.value, found.mean)
+    assert found.violations() == []
+    costs = [(s, a, [(p, to, -gain) for p, to, gain in each]) for s, a, each in rows]
+    turned = best_cvar(model(costs, "min"), level, weight=weight)
+    assert (turned.value, turned.mean) == (-found.value, -found.mean)
+    assert turned.violations() == []
+    assert {-value: p for value, p in turned.distribution().items()} == found.distribution()
+
+
+@settings(max_examples=80, deadline=None)
+@given(trees(), st.sampled_from([F(1, 10), F(1), F(-1), F(4)]))
+def test_entropic_risk(rows: Rows, aversion: Fraction) -> None:
+    every = distributions(rows, max(s for s, *_ in rows))
+
+    def equivalent(of: Distribution) -> float:
+        return -log(sum(float(p) * exp(-aversion * value) for value, p in of)) / float(aversion)
+
+    found = best_entropic(model(rows), aversion)
+    assert found.value.value == pytest.approx(max(map(equivalent, every)), rel=1e-9, abs=1e-9)
+    assert found.value.error < 1e-12
+    own = tuple(found.distribution().items())
+    assert own in every
+    assert equivalent(own) == pytest.approx(found.value.value, rel=1e-9, abs=1e-9)
+    again = return_distribution(model(rows), found.policy, exact=True)
+    assert tuple(zip(again.values, again.exact or (), strict=True)) == own
+    costs = [(s, a, [(p, to, -gain) for p, to, gain in each]) for s, a, each in rows]
+    assert best_entropic(model(costs, "min"), aversion).value == -found.value
+
+
+def test_ties_are_decided_exactly() -> None:
+    """Two actions with one distribution, made in two ways, and one that is a hair better."""
+    rows = [
+        (2, 0, [("1/2", 1, 0), ("1/2", 0, 2)]),
+        (2, 1, [("1/2", 0, 1), ("1/2", 0, 2)]),
+        (2, 2, [("1/2", 0, 1), ("1/2", 0, 2 + F(1, 10**30))]),
+        (1, 0, [(1, 0, 1)]),
+        (0, 0, [(1, 0, 0)]),
+    ]
+    found = best_entropic(MDP.from_outcomes(rows[:2] + rows[3:], start=2), 1)
+    assert found.optimal.all()
+    with pytest.raises(ModelError, match="rounder rewards"):
+        best_cvar(MDP.from_outcomes(rows, start=2), "1/2")
+
+
+def test_a_bet_by_hand() -> None:
+    """The coin decides: after a win it may be played safe, and after a loss no more is risked."""
+    safe, bold = [(F(1), 1, F(0))], [(F(1, 2), 1, F(3)), (F(1, 2), 1, F(-2))]
+    end = (1, 0, [(F(1), 1, F(0))])
+    once = best_cvar(MDP.from_outcomes([(0, 0, safe), (0, 1, bold), end]), "1/2")
+    assert (once.value, once.action(0)) == (0, "0")
+    twice = [(0, 0, [(F(1, 2), 2, F(3)), (F(1, 2), 2, F(-2))]), (2, 0, safe), (2, 1, bold), end]
+    mdp = MDP.from_outcomes(twice)
+    found = best_cvar(mdp, "3/4")
+    own = {found.action(2, gain) for gain in (3, -2)}
+    assert found.value == max(worst(each, F(3, 4)) for each in hand())
+    assert own <= {"0", "1"}
+    with pytest.raises(ModelError, match="multiples of 1"):
+        found.action(2, "1/2")
+
+
+def hand() -> Iterator[Distribution]:
+    """The four policies of the second bet."""
+    safe: Distribution = ((F(0), F(1)),)
+    bold: Distribution = ((F(-2), F(1, 2)), (F(3), F(1, 2)))
+    for won, lost in product((safe, bold), repeat=2):
+        yield mixed([(F(1, 2), F(3), won), (F(1, 2), F(-2), lost)])
+
+
+def test_what_is_false_is_found() -> None:
+    rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+    found = best_cvar(MDP.from_outcomes(rows), "1/2")
+    assert found.violations() == []
+    for change in ({"value": F(5)}, {"mean": F(5)}, {"weight": F(1, 2)}, {"threshold": F(10)}):
+        assert replace(found, **change).violations()
+    own = found.shortages
+    less = [own.lack[0] * 0, *own.lack[1:]]
+    bold = [np.zeros_like(own.choice[0]), *own.choice[1:]]
+    for broken in (replace(own, lack=less), replace(own, choice=bold)):
+        assert replace(found, shortages=broken).violations()
+
+
+def test_the_model_of_the_paper() -> None:
+    """The worst share of all is the mean; both risks lie between the least return and the mean."""
+    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
+    best = certify(mdp).start_value
+    assert best_cvar(mdp, 1).value == best
+    found = mean_cvar(mdp, "1/10", policies={"optimal": "optimal", "random": "random"})
+    average, value = found.policies["optimal"]
+    assert average == best
+    assert found.optima[0].value >= value > found.policies["random"][1]
+    assert found.optima[0].violations() == []
+    careful = best_entropic(mdp, "1/100")
+    assert found.optima[0].value < careful.value.value < float(best)
+    assert len(found.frame()) == 7
+
+
+def test_with_a_horizon_cycles_are_no_matter() -> None:
+    rows = [(0, 0, [("1/2", 0, 1), ("1/2", 0, -1)]), (0, 1, [(1, 0, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    found = best_cvar(mdp, "1/2", horizon=3)
+    assert found.value == found.mean == 0
+    assert abs(best_entropic(mdp, 1, horizon=3).value.value) < 1e-100
+    bold = best_entropic(mdp, -1, horizon=2)
+    assert bold.value.value == pytest.approx(2 * log((exp(1) + exp(-1)) / 2))
+    with pytest.raises(ModelError, match="give a horizon"):
+        best_cvar(mdp, "1/2")
+    with pytest.raises(ModelError, match="choose discount 1"):
+        best_cvar(mdp.with_(discount="1/2"), "1/2", horizon=3)
+
+
+def test_the_command() -> None:
+    words = ("risk", "yuan2025", "--set", "tasks=[1]", "--set", "max_trial=2", "--json")
+    found = run(*words, "--cvar", "1/10", "--policy", "random").result
+    assert found["claim"] == "certified"
+    assert found["points"][0]["weight"] == "0"
+    assert F(found["value"]) >= F(found["policies"][0]["cvar"])
+    assert sum(map(F, found["distribution"].values())) == 1
+    other = run(*words, "--entropic", "1/10").result
+    assert (other["claim"], other["policy"].keys()) == ("bounded", {f"{n:04b}" for n in range(16)})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "--cvar SHARE"),
+        (("--cvar", "1/2", "--entropic", "1"), "two measures"),
+        (("--cvar", "0"), "above 0"),
+        (("--entropic", "0"), "aversion of 0"),
+        (("--entropic", "1", "--policy", "random"), "--policy"),
+        (("--cvar", "1/2", "--discount", "1/2"), "discount 1"),
+    ],
+)
+def test_bad_requests(options: tuple[str, ...], message: str) -> None:
+    done = run("risk", "yuan2025", "--set", "tasks=[1]", *options)
+    assert (done.status, done.out) == (2, "")
+    assert message in done.err
