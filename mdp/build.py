@@ -59,7 +59,13 @@ Parts = dict[str, Any]
 
 
 def from_arrays(
-    P: Any, R: Any, discount: object, *, layout: str | None = None, start: object = 0, **names: Any
+    P: Any,
+    R: Any,
+    discount: object,
+    *,
+    layout: str | None = None,
+    start: object = None,
+    **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_arrays` makes."""
     if layout != "ass" and listed.is_listed(P):
@@ -130,7 +136,7 @@ def from_pairs(
     reward: object,
     discount: object,
     *,
-    start: object = 0,
+    start: object = None,
     **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_pairs` makes."""
@@ -188,7 +194,7 @@ def from_outcomes(
     rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
     discount: object,
     *,
-    start: object = 0,
+    start: object = None,
     **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_outcomes` makes."""

@@ -24,9 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import build, lazy, questions
 from exact_mdp.mdp.components import named_components, wrong_rows
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.horizon import unrolled
+from exact_mdp.mdp.names import Names, object_key, text_of
 from exact_mdp.mdp.parametric.symbolic import (
     arrays_degree,
     changed_degree,
@@ -92,6 +93,8 @@ class MDP(Parts):
         Of a model that `until` made: a run that never reaches one of these states is worth
         `unreached`, which is infinity.
 
+    action_objects : tuple
+        What the actions were made of, where these were objects other than 0 … A-1.
     observations : (L,) int64, optional
         How often each pair was observed, where the model comes from data; 0 for pairs that nobody
         observed and that are certain.
@@ -351,17 +354,22 @@ class MDP(Parts):
         )
 
     def action(self, name: object) -> int:
-        """Return the number of the action of a name; a number that is no name is its own."""
-        if isinstance(name, float) and name.is_integer():
-            name = int(name) if str(name) not in self.actions else name
-        for word in (str(name), repr(name)):
-            if word in self.actions:
-                return self.actions.index(word)
-        word = str(name)
-        if word.isascii() and word.isdigit() and len(word) < 10 and int(word) < self.n_actions:
-            return int(word)
-        raise ModelError(
-            f"unknown action {name!r}", where="actions", fix=suggest(word, self.actions)
+        """Return the number of an action, given as `mdp.names` says; raises ModelError else."""
+        with located("actions"):
+            return self.action_names.number(name)
+
+    @cached_property
+    def action_names(self) -> Names:
+        """Which action is meant by a name, a number, or the object that it was made of."""
+        words = {word: number for number, word in enumerate(self.actions)}
+        made = enumerate(self.action_objects)
+        return Names(
+            what="action",
+            size=self.n_actions,
+            words=words,
+            label=lambda number: f"action {self.actions[number]}",
+            objects={object_key(thing): number for number, thing in made},
+            otherwise=lambda thing: words.get(text_of(thing).removeprefix("action ")),
         )
 
     def backup(self, value: Floats) -> Floats:
@@ -400,6 +408,8 @@ class MDP(Parts):
         """
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
+        if "actions" in parts:
+            parts = {"action_objects": ()} | parts
         if start is not None:
             parts["start"] = as_start(start, parts.get("space", self.space))
         if "table" in parts:
@@ -557,7 +567,7 @@ class MDP(Parts):
         discount: object = 1,
         *,
         layout: str | None = None,
-        start: object = 0,
+        start: object = None,
         **names: Any,
     ) -> MDP:
         """Build from transition and reward arrays, or from dictionaries, lists and quadruples.
@@ -577,6 +587,7 @@ class MDP(Parts):
             Order of the indices action and state. Needed where A = S: P is (A, S, S) unless this
             is "sas"; elsewhere the shape says it.
         start : state, {state: probability}, or (S,) probabilities
+            The first state unless given; `mdp.names` says how a state is named.
         **names
             `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
             are costs; `labels` {name: (S,) truth values}; `components` {name: amounts as `R` or
@@ -611,7 +622,7 @@ class MDP(Parts):
         reward: object,
         discount: object = 1,
         *,
-        start: object = 0,
+        start: object = None,
         **names: Any,
     ) -> MDP:
         """Build from one row per available state-action pair, in any order.
@@ -654,7 +665,7 @@ class MDP(Parts):
         rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
         discount: object = 1,
         *,
-        start: object = 0,
+        start: object = None,
         **names: Any,
     ) -> MDP:
         """Build from (state, action, [(probability, next state, reward), …]) rows, kept exact.

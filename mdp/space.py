@@ -7,6 +7,7 @@ product, such as an absorbing end. Nothing is stored per state, so a million sta
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
+from exact_mdp.mdp.names import Names, ObjectKey, Reading, object_key, text_of
 
 Integers = NDArray[np.int64]
 TIME = "time"
+WHOLE = re.compile(r"-?[1-9]\d{0,17}|0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,19 +47,14 @@ class Column:
         check_names(self.words, "value", where=f"column {self.name}")
 
     @cached_property
-    def _value(self) -> dict[str, int]:
+    def word_values(self) -> dict[str, int]:
         """The value of each word, the first of equal ones."""
         return {word: value for value, word in reversed([*enumerate(self.words)])}
 
     @cached_property
-    def of_object(self) -> dict[Hashable, int]:
-        """The value of each object."""
-        return {thing: value for value, thing in enumerate(self.objects)}
-
-    @cached_property
-    def numeric(self) -> bool:
-        """Whether a word could be taken for the number of a value."""
-        return any(str(value) in self._value for value in range(self.size))
+    def of_object(self) -> dict[ObjectKey, int]:
+        """The value of each object, by `names.object_key`."""
+        return {object_key(thing): value for value, thing in enumerate(self.objects)}
 
     def label(self, value: int) -> str:
         """Return the printed form of one value."""
@@ -69,22 +67,34 @@ class Column:
         if self.objects or not self.words:
             return self.objects[value] if self.objects else value
         word = self.words[value]
-        digits = word.removeprefix("-")
-        whole = digits.isascii() and digits.isdigit() and len(digits) < 19
-        return int(word) if whole and str(int(word)) == word else word
+        return int(word) if self._whole and WHOLE.fullmatch(word) else word
 
     @cached_property
-    def numbered(self) -> bool:
-        """Whether whole numbers are names of values, so that they are not values themselves."""
-        return bool(self.words) and any(isinstance(self.thing(v), int) for v in range(self.size))
+    def _whole(self) -> bool:
+        """Whether some words are whole numbers, and no others consist of digits."""
+        digits = [word for word in self.words if word.removeprefix("-").isdigit()]
+        return bool(digits) and all(WHOLE.fullmatch(word) for word in digits)
+
+    def number(self, value: object) -> int:
+        """Return the value that a text or a number is: see `mdp.names`."""
+        if isinstance(value, str):
+            return self.parse(value)
+        names = Names(
+            what=self.name,
+            size=self.size,
+            words=self.word_values,
+            label=self.label,
+            objects=self.of_object,
+        )
+        return names.number(value)
 
     def parse(self, label: str) -> int:
         """Return the value that prints as `label`; raises ModelError where there is none."""
         text = label.strip()
         if self.words:
             for word in (label, text):
-                if word in self._value:
-                    return self._value[word]
+                if word in self.word_values:
+                    return self.word_values[word]
             fix = suggest(text, self.words)
         elif self.bits:
             if len(text) == self.bits and set(text) <= {"0", "1"}:
@@ -188,11 +198,42 @@ class StateSpace:
         """The number of each state by its printed form."""
         return {self.label(state): state for state in range(self.size)}
 
-    def number(self, state: object, *, wins: bool = True) -> int:
+    @cached_property
+    def _names(self) -> Names:
+        alone = self.columns[0] if len(self.columns) == 1 else None
+        extra = {name: self.regular + place for place, name in enumerate(self.extra)}
+        return Names(
+            what="state",
+            size=self.size,
+            words=extra | (alone.word_values if alone else {}),
+            label=self.label,
+            objects=alone.of_object if alone else {},
+            otherwise=self._in_columns,
+        )
+
+    def _in_columns(self, state: object) -> int | None:
+        """Return the state of a printed form, or of a tuple of values by column."""
+        if len(self.columns) == 1 and self.columns[0].words:  # without a list of all states
+            name = f"{self.columns[0].name} "
+            printed = isinstance(state, str) and state.startswith(name)
+            return (
+                self.columns[0].word_values.get(str(state).removeprefix(name)) if printed else None
+            )
+        if isinstance(state, str):
+            return self._number.get(state)
+        if not isinstance(state, tuple) or len(state) != len(self.columns):
+            return None
+        cells = zip(self.columns, state, strict=True)
+        return self.index(**{column.name: column.number(value) for column, value in cells})
+
+    def readings(self, states: Iterable[object]) -> list[Reading]:
+        """Return the one or two readings of states that are given together: see `mdp.names`."""
+        return self._names.readings(states)
+
+    def number(self, state: object) -> int:
         """Return the number of a state, given as that, as an object, by name or by column values.
 
-        Where states have whole numbers as names, an integer is a name; of a file's own numbers
-        (`wins` False) it is the number wherever a name could be taken for one.
+        `mdp.names` has the rule; raises ModelError for what is no state, or may be two.
 
         Examples
         --------
@@ -203,51 +244,22 @@ class StateSpace:
         >>> [space.number(state) for state in (2, "3", (1, "r"), "row 0, side r", "end")]
         [2, 3, 3, 1, 4]
         """
-        alone = self.columns[0] if len(self.columns) == 1 else Column(name="", size=0)
-        if isinstance(state, Hashable) and state in alone.of_object:
-            return alone.of_object[state]
-        named = self.named(state, wins=wins)
-        if named is not None:
-            return named
-        if isinstance(state, float | np.floating) and state.is_integer() and not alone.words:
-            state = int(state)
-        if isinstance(state, tuple) and len(state) == len(self.columns):
-            cells = zip(self.columns, state, strict=True)
-            return self.index(
-                **{c.name: c.parse(x) if isinstance(x, str) else int(x) for c, x in cells}
-            )
-        if isinstance(state, str):
-            if state in alone._value:
-                return alone._value[state]
-            if state in self._number:
-                return self._number[state]
-            if not (state.isascii() and state.isdigit() and len(state) < 19):
-                known = [*alone.words, *self.extra] or self._number
-                raise ModelError(f"unknown state {state!r}", where="", fix=suggest(state, known))
-            state = int(state)
-        whole = isinstance(state, int | np.integer) and not isinstance(state, bool)
-        of_objects = any(isinstance(thing, int) for thing in alone.objects)
-        if not whole or of_objects or (wins and alone.numbered):
-            raise ModelError(f"{state!r} is not a state", fix="give its number, or its name")
-        return self._inside(int(state))  # type: ignore[call-overload]
+        return self._names.number(state)
 
-    def named(self, state: object, *, wins: bool = True) -> int | None:
-        """Return the state that the text of an object names, where a file kept names alone.
+    def numbers(self, states: Iterable[object]) -> list[int]:
+        """Return the numbers of states that are given together, as `number` does of one."""
+        return self._names.numbers(states)
+
+    def named(self, state: object) -> bool:
+        """Return whether an object is a state of that name.
 
         Examples
         --------
         >>> space = StateSpace(columns=(Column(name="state", size=2, words=("(0, 0)", "7")),))
-        >>> space.named((0, 0)), space.named(7), space.named(1)
-        (0, 1, None)
+        >>> space.named((0, 0)), space.named((0, 1))
+        (True, False)
         """
-        alone = self.columns[0] if len(self.columns) == 1 else None
-        if alone is None or not alone.words or alone.objects or isinstance(state, str):
-            return None
-        if not wins and isinstance(state, int | np.integer) and alone.numeric:
-            return None
-        if isinstance(state, float | np.floating) and state.is_integer():
-            return alone._value.get(str(state), alone._value.get(str(int(state))))
-        return alone._value.get(str(state))
+        return text_of(state) in self._names.words
 
     def _inside(self, state: int) -> int:
         if not 0 <= state < self.size:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from fractions import Fraction
 from math import inf
@@ -21,6 +21,7 @@ from exact_mdp.mdp.errors import (
     suggest,
 )
 from exact_mdp.mdp.forms.numbers import refuse_masked
+from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -61,6 +62,7 @@ class Parts:
     goal: Flags | None = None
     unreached: float = inf
     observations: Integers | None = None
+    action_objects: tuple[Hashable, ...] = ()
 
     @property
     def n_states(self) -> int:
@@ -211,13 +213,19 @@ def _check_discount(value: Fraction) -> None:
 
 
 def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ...]:
-    """Return an initial distribution from a state, from {state: probability}, or from a vector."""
+    """Return an initial distribution from a state, from {state: probability}, or from a vector.
+
+    Without any it is the first state. `mdp.names` says which state is meant.
+    """
     with located("start"):
         refuse_masked(start)
-        if isinstance(start, Mapping):
-            weights = {
-                space.number(state, wins=False): exact(weight) for state, weight in start.items()
-            }
+        if start is None or isinstance(start, ByNumber):
+            weights = {s: exact(p) for s, p in (start or {0: 1}).items()}
+        elif isinstance(start, Mapping):
+            states = space.numbers(start)
+            if len(set(states)) < len(states):
+                raise ModelError("a state appears twice", fix="keep one of them")
+            weights = dict(zip(states, map(exact, start.values()), strict=True))
         elif (isinstance(start, np.ndarray) and start.ndim == 1) or (
             isinstance(start, list | tuple) and not _is_state(start, space)
         ):
@@ -228,7 +236,7 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
                 )
             weights = {state: exact(weight) for state, weight in enumerate(start)}
         else:
-            weights = {space.number(start, wins=False): Fraction(1)}
+            weights = {space.number(start): Fraction(1)}
     return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
 
 
@@ -237,7 +245,7 @@ def _is_state(given: object, space: StateSpace) -> bool:
     if not isinstance(given, tuple):
         return False
     many = len(space.columns) > 1 and len(given) == len(space.columns)
-    return many or any(column.objects for column in space.columns) or space.named(given) is not None
+    return many or any(column.objects for column in space.columns) or space.named(given)
 
 
 def _check_pairs(model: Parts) -> None:

@@ -1,7 +1,7 @@
 """Numbers for states and actions that are given as objects, and the names that these go by.
 
 Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves, also as
-NumPy's integers and as floats. A name
+NumPy's integers, floats and fractions. A name
 is the text of a thing, and its `repr` where two things have the same text. A state without actions
 is an end: it stays put for ever and earns nothing.
 """
@@ -12,9 +12,8 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from typing import Any
 
-import numpy as np
-
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.names import text_of, value_of
 from exact_mdp.mdp.space import Column, StateSpace
 
 Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
@@ -51,9 +50,8 @@ class Numbering:
 
 
 def _is_whole(thing: Any) -> bool:
-    if isinstance(thing, float | np.floating):
-        return float(thing).is_integer()
-    return isinstance(thing, int | np.integer) and not isinstance(thing, bool)
+    value = value_of(thing)
+    return value is not None and value.denominator == 1
 
 
 def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
@@ -64,7 +62,7 @@ def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
     >>> names_of([(0, 1), "up", 1, "1"], "state")
     ('(0, 1)', "'up'", '1', "'1'")
     """
-    for form in (str, repr):
+    for form in (text_of, repr):
         names = tuple(map(form, things))
         if len(set(names)) == len(names):
             return names
@@ -99,4 +97,9 @@ def numbered(
         words=() if plain else words,
         objects=() if plain else tuple(things),
     )
-    return found, {"space": StateSpace(columns=(column,)), "actions": names_of(doing, "action")}
+    done = names_of(doing, "action")
+    return found, {
+        "space": StateSpace(columns=(column,)),
+        "actions": done,
+        "action_objects": () if done == tuple(map(str, range(len(done)))) else tuple(doing),
+    }

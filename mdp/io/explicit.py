@@ -19,6 +19,7 @@ from exact_mdp.mdp.components import ComponentTable, completed, of_columns
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import lcm_by_group
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -126,7 +127,7 @@ def model_of(
         space=space,
         actions=found.action_names,
         discount_exact=as_discount(1 if discount is None else discount),
-        start=as_start(int(initial[0]) if start is None else start, space),
+        start=as_start(ByNumber({int(initial[0]): 1}) if start is None else start, space),
         labels=labels,
         name=found.name,
         **parts,

@@ -35,6 +35,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import as_start
@@ -92,7 +93,7 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
     dynamics = getattr(bare, "dynamics", None)
     if not hasattr(bare, "P") and isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
         given = _of_matrices(bare, dynamics, where)
-        return "from_arrays", given, {"start": dynamics.get("d_0", 0), "layout": "sas"} | names
+        return "from_arrays", given, {"start": dynamics.get("d_0"), "layout": "sas"} | names
     rows, states, actions = _rows(bare, where)
     known, columns = _named(bare, states, actions)
     names.setdefault("actions", known)
@@ -118,7 +119,7 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
     if "labels" not in names:
         over = np.isin(np.arange(space.size), [*ends, *([goal] if appended else [])])
         names["labels"] = ({END: over} if over.any() else {}) | _of_the_map(bare, space.size)
-    return "from_outcomes", (listed,), names | {"start": dict(start), "space": space}
+    return "from_outcomes", (listed,), names | {"start": ByNumber(start), "space": space}
 
 
 def _of_the_map(env: Any, states: int) -> dict[str, Any]:
@@ -296,7 +297,7 @@ def _start(env: Any) -> Any:
             where="start",
             fix="pass start=, a state or {state: probability}",
         )
-    return given if isinstance(given, int) else list(given)
+    return ByNumber({given: 1}) if isinstance(given, int) else list(given)
 
 
 def _time_limit(env: Any) -> int | None:

@@ -27,11 +27,12 @@ Integers are int64 where they fit. Where they do not, the array is uint8 of shap
 is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has the keys `format`
 ("exact-mdp model"), `version` (1), `name`, `discount` ("p/q"), `start` ([[state, "p/q"], …]),
 `actions`, `columns` ([{"name", "size", "bits", "words"}, …]: a state's number is that of its column
-values in row-major order), `extra` (names of the states after those), `component_names`, `events`
+values in row-major order), `objects` (of a column and of the actions: what these were made of),
+`extra` (names of the states after those), `component_names`, `events`,
 `parameters` ([{"name", "value", "low", "high"}, …], low and high may be null), `time_limit` (a
 number of steps or null), `sense` ("max" or "min"), `labels` (their names), `unreached` ("inf" or
 "-inf", what a run that misses the goal is worth) and `arrays` (the names of the others); older
-files lack some of the last five.
+files lack some of the last five and `objects`.
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
 """
@@ -40,9 +41,10 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import fields
 from fractions import Fraction
+from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -54,6 +56,7 @@ from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.names import text_of
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, ones
@@ -76,8 +79,10 @@ def as_header(mdp: MDP) -> dict[str, Any]:
         "actions": list(mdp.actions),
         "columns": [
             {"name": c.name, "size": int(c.size), "bits": int(c.bits), "words": list(c.words)}
+            | _objects(c.objects)
             for c in mdp.space.columns
         ],
+        **_objects(mdp.action_objects),
         "extra": list(mdp.space.extra),
         "component_names": list(mdp.component_names),
         "events": list(mdp.events),
@@ -142,6 +147,7 @@ def parts_of(content: object, *, pairs: int, labels: Sequence[Any] = ()) -> dict
         "discount_exact": _rational(header.get("discount"), "discount"),
         "start": tuple(map(_weight, _of_kind(header.get("start"), "start", list))),
         "actions": _words(header, "actions"),
+        "action_objects": _made(header, _words(header, "actions")),
         "component_names": _words(header, "component_names"),
         "events": _words(header, "events"),
         "parameters": tuple(
@@ -165,7 +171,45 @@ def _column(entry: object) -> Column:
             where="header, columns",
             fix="give one word for each value, or bits for 2^bits of them",
         )
-    return Column(name=_of_kind(column.get("name"), "name", str), size=size, bits=bits, words=words)
+    name = _of_kind(column.get("name"), "name", str)
+    return Column(name=name, size=size, bits=bits, words=words, objects=_made(column, words))
+
+
+def _objects(things: Sequence[Hashable]) -> dict[str, Any]:
+    """Return the objects that states or actions are, where JSON has them; a tuple is a list."""
+    listed = [_json(thing) for thing in things]
+    return {"objects": listed} if listed and None not in listed else {}
+
+
+def _json(thing: Any) -> Any:
+    """Return a number, a word, a truth value or a tuple of these for JSON, None for another."""
+    plain = thing.item() if isinstance(thing, np.generic) else thing
+    if type(plain) is tuple:
+        parts = [_json(part) for part in plain]
+        return None if None in parts else parts
+    kept = type(plain) in (int, str, bool) or (type(plain) is float and isfinite(plain))
+    return plain if kept and len(str(plain)) < LONGEST else None
+
+
+def _made(header: Mapping[str, Any], words: Sequence[str]) -> tuple[Hashable, ...]:
+    """Return the objects that a header lists, whose texts are the words; none of older files."""
+    if "objects" not in header:
+        return ()
+    made = tuple(map(_tuples, _of_kind(header["objects"], "objects", list)))
+    fits = len(made) == len(words) and all(
+        word in (text_of(thing), repr(thing)) for thing, word in zip(made, words, strict=True)
+    )
+    if not fits:
+        raise _wrong("objects", "an object for each name, of that text")
+    return made
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_tuples, value))
+    if type(value) not in (int, float, str, bool):
+        raise _wrong("objects", "numbers, words, truth values, and lists of these")
+    return value
 
 
 def _parameter(entry: object) -> Parameter:

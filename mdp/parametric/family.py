@@ -27,6 +27,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, shown
 
@@ -292,9 +293,10 @@ def moving(
         return MDP.from_outcomes(
             rows,
             values[DISCOUNT],
-            start=dict(model.start),
+            start=ByNumber(model.start),
             space=model.space,
             actions=model.actions,
+            action_objects=model.action_objects,
             name=model.name,
             sense=model.sense,
             labels=model.labels,

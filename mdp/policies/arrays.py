@@ -279,8 +279,9 @@ def rows_read(model: MDP, space: StateSpace) -> Integers:
         theirs = model.space.column(column.name)
         if theirs != column:
             raise ModelError(
-                f"column {column.name} has {column.size} values here and {theirs.size} "
-                "in the model",
+                f"column {column.name} has {column.size} values here and {theirs.size} in the model"
+                if column.size != theirs.size
+                else f"the values of column {column.name} have other names here than in the model",
                 where="policy",
                 fix="use a policy made for this model",
             )

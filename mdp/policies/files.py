@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.names import Reading, text_of
 from exact_mdp.mdp.policies.arrays import (
     Parts,
     check_action,
@@ -25,22 +27,31 @@ from exact_mdp.mdp.policies.arrays import (
     rows_read,
     too_small,
 )
-from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.space import WHOLE, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
 Rows = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
 
-def read(path: str | Path, model: MDP, kind: str = "auto") -> Parts:
+class Form(NamedTuple):
+    """A reading of what is said, and the error to raise where it fits as well and differs."""
+
+    parts: Callable[[], Parts]
+    error: ModelError | None = None
+
+
+def read(path: str | Path, model: MDP, kind: str = "auto") -> list[Form]:
     """Return what a `.json` or `.csv` file says; see `Policy.read`."""
     where, suffix = str(path), Path(path).suffix.lower()
     if suffix == ".json":
         content = json_of(
-            read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=str
+            read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=_digits
         )
         if not isinstance(content, dict):
             raise ModelError("the file is not a JSON object", fix='write {"0000": "none", …}')
+        if "status" not in model.space.names:
+            content = {_digits(key): choice for key, choice in content.items()}
         return from_mapping(model, content, kind)
     if suffix == ".csv":
         return _from_csv(read_text(path), model)
@@ -59,7 +70,12 @@ def _once(items: list[tuple[str, Any]]) -> dict[str, Any]:
     return entries
 
 
-def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Parts:
+def _digits(text: str) -> Any:
+    """Return the number that the digits of a file are, other text as it is."""
+    return int(text) if WHOLE.fullmatch(text.strip()) else text
+
+
+def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> list[Form]:
     """Return what a mapping says: of statuses, {status: action}, or else of states.
 
     Instead of an action there may be {action: probability}; of a state also a row of A
@@ -75,33 +91,51 @@ def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> 
             raise ModelError(f"status {label} appears twice", fix="keep one of them")
         mixed = choice if isinstance(choice, Mapping) else {str(choice): 1}
         with located(f"status {label}"):
-            rows[key] = _shares(mixed, lambda word: check_action(str(word), model.actions, ""))
-    return _complete(model, space, rows)
+            rows[key] = _shares(
+                mixed, (check_action(str(word), model.actions, "") for word in mixed)
+            )
+    return [Form(lambda: _complete(model, space, rows))]
 
 
-def from_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
+def from_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> list[Form]:
     """Return what a function answers: as `from_mapping`, asked of each state with a choice.
 
     It is given the object that the state is, where the model was made of such; else the name, a
-    whole number as an int; the number of a state that has no name.
+    whole number as an int; the number of a state that has no name. Where names are the numbers of
+    other states, it may have been meant of these.
     """
     space = model.space.untimed or model.space
     read = rows_read(model, space)[~model.forced & ~model.terminal]
     column = space.columns[0] if len(space.columns) == 1 else None
-    asked: dict[int, Any] = {}
-    for state in np.unique(read).tolist():
-        answer = ask(column.thing(state) if column and state < column.size else state)
+    states = np.unique(read).tolist()
+    things = dict(zip(states, states, strict=True))
+    if column:
+        things |= {state: column.thing(state) for state in states if state < column.size}
+    forms = from_numbers(model, _answers(space, ask, things), kind)
+    if column and {column.thing(value) for value in range(column.size)} == {*range(column.size)}:
+        error = space.readings(things.values())[-1].error
+        try:
+            others = _answers(space, ask, dict(zip(states, states, strict=True))) if error else {}
+        except Exception:  # the function knows no such states
+            others = {}
+        forms += from_numbers(model, others, kind, error) if others else []
+    return forms
+
+
+def _answers(space: StateSpace, ask: Callable[[Any], Any], things: Mapping[int, Any]) -> Any:
+    """Return what a function says of states, by their numbers."""
+    found = {state: ask(thing) for state, thing in things.items()}
+    for state, answer in found.items():
         if answer is None:
             raise ModelError(
                 "the function returns None",
                 where=f"policy, {space.label(state)}",
                 fix="return an action, {action: probability}, or a row of A numbers",
             )
-        asked[state] = answer
-    return from_numbers(model, asked, kind)
+    return found
 
 
-def from_list(model: MDP, names: Sequence[str], kind: str) -> Parts:
+def from_list(model: MDP, names: Sequence[str], kind: str) -> list[Form]:
     """Return what a list of action names says, one for each state by number."""
     space = model.space.untimed or model.space
     if len(names) > space.size:
@@ -111,40 +145,86 @@ def from_list(model: MDP, names: Sequence[str], kind: str) -> Parts:
     return from_numbers(model, dict(enumerate(names)), kind)
 
 
-def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> Parts:
+def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> list[Form]:
     """Return what is said of states: by number, name, column values, or the object itself."""
     space = model.space.untimed or model.space
-    given: dict[int, Any] = {}
-    for state, choice in entries.items():
-        key = space.number(state)
-        if key in given:
-            raise ModelError(f"{space.label(key)} appears twice", fix="keep one of them")
-        given[key] = choice
     default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
-    if default is not None:
-        given = {key: given[key] if key in given else default() for key in range(space.size)}
-    return from_numbers(model, given, kind)
+    forms: list[Form] = []
+    for reading in space.readings(entries):
+        given: dict[int, Any] = {}
+        for key, choice in zip(reading.numbers, entries.values(), strict=True):
+            if key in given:
+                raise ModelError(f"{space.label(key)} appears twice", fix="keep one of them")
+            given[key] = choice
+        if default is not None:
+            given = {key: given[key] if key in given else default() for key in range(space.size)}
+        forms += from_numbers(model, given, kind, reading.error)
+    return forms
 
 
-def from_numbers(model: MDP, given: Mapping[int, Any], kind: str) -> Parts:
+def from_numbers(
+    model: MDP, given: Mapping[int, Any], kind: str, error: ModelError | None = None
+) -> list[Form]:
     """Return what is said of states by number."""
     space = model.space.untimed or model.space
     given = {key: _unwrapped(choice) for key, choice in given.items()}
-    if given and all(isinstance(row, list | tuple | np.ndarray) for row in given.values()):
-        return _of_rows(model, space, given, kind)
-    rows: Rows = {}
-    for key, choice in given.items():
-        mixed = choice if isinstance(choice, Mapping) else {choice: 1}
+    choices = list(given.values())
+    named = [isinstance(row, tuple) and text_of(row) in model.actions for row in choices]
+    as_rows = Form(lambda: _of_rows(model, space, given, kind), error)
+    forms: list[Form] = []
+    if choices and all(isinstance(row, list | tuple | np.ndarray) for row in choices):
+        if not any(named):
+            return [as_rows]
+        if not model.action_objects and all(len(row) == model.n_actions for row in choices):
+            forms = [as_rows._replace(error=_two_meanings(choices[named.index(True)]))]
+    mixed = {
+        key: choice if isinstance(choice, Mapping) else {_key(space, key, choice): 1}
+        for key, choice in given.items()
+    }
+    for key, row in mixed.items():  # an error of one names its state
         with located(space.label(key)):
-            rows[key] = _shares(mixed, model.action)
-    return _complete(model, space, rows)
+            model.action_names.readings(row)
+    words = [word for row in mixed.values() for word in row]
+    readings = model.action_names.readings(words)
+
+    def parts(numbers: list[int]) -> Parts:
+        meant, rows = iter(numbers), {}
+        for key, row in mixed.items():
+            with located(space.label(key)):
+                rows[key] = _shares(row, meant)
+        return _complete(model, space, rows)
+
+    by_name = [
+        Form(partial(parts, reading.numbers), error or reading.error) for reading in readings
+    ]
+    return by_name + forms
 
 
-def _shares(mixed: Mapping[Any, Any], number: Callable[[Any], int]) -> dict[int, Fraction]:
+def _key(space: StateSpace, state: int, choice: Any) -> Any:
+    """Return an action as a key; raises ModelError where it cannot be one."""
+    try:
+        hash(choice)
+    except TypeError as error:
+        raise ModelError(
+            f"{choice!r} is not an action",
+            where=space.label(state),
+            fix="give an action, {action: probability}, or for all states a row of A numbers",
+        ) from error
+    return choice
+
+
+def _two_meanings(row: Any) -> ModelError:
+    return ModelError(
+        f"{row} may be the action of that name, or a row of numbers for all actions, which differ",
+        fix="give rows as lists, or the action by its name, as text",
+    )
+
+
+def _shares(mixed: Mapping[Any, Any], numbers: Iterator[int]) -> dict[int, Fraction]:
     """Return {action: probability} by the numbers of the actions, each of which is named once."""
     shares: dict[int, Fraction] = {}
     for action, chance in mixed.items():
-        key = number(action)
+        key = next(numbers)
         if key in shares:
             raise ModelError(f"action {action} appears twice", fix="keep one of them")
         shares[key] = _probability(chance)
@@ -173,7 +253,7 @@ def _of_rows(model: MDP, space: StateSpace, given: Mapping[int, Any], kind: str)
     return policy_of_array(model, numbers_of(table), kind)
 
 
-def _from_csv(text: str, model: MDP) -> Parts:
+def _from_csv(text: str, model: MDP) -> list[Form]:
     try:
         lines = list(csv.reader(io.StringIO(text), strict=True))
     except csv.Error as error:
@@ -194,29 +274,50 @@ def _from_csv(text: str, model: MDP) -> Parts:
     space = model.space.untimed or model.space
     if not by_state:
         space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
-    rows: Rows = {}
+    entries: dict[int, dict[str, str]] = {}
     for number, line in enumerate(lines[1:], start=2):
         with located(f"line {number}"):
             if line and len(line) != len(header):
                 raise ModelError(
                     f"{len(line)} values under {len(header)} headings", fix="correct the line"
                 )
-            if line:
-                _add_line(rows, space, model, dict(zip(header, line, strict=True)))
-    return _complete(model, space, rows)
+        if line:
+            entries[number] = dict(zip(header, line, strict=True))
+    by_name = by_state or (len(space.columns) == 1 and bool(space.columns[0].words))
+    if not by_name:
+        readings = [Reading([_in_columns(space, *entry) for entry in entries.items()])]
+    else:
+        states = {number: _digits(entry[columns[0]]) for number, entry in entries.items()}
+        for number, state in states.items():  # an error of one names its line
+            with located(f"line {number}"):
+                space.readings([state])
+        readings = space.readings(states.values())
+
+    def parts(keys: list[int]) -> Parts:
+        rows: Rows = {}
+        for key, (number, entry) in zip(keys, entries.items(), strict=True):
+            with located(f"line {number}"):
+                _add_line(rows, space, key, model, entry)
+        return _complete(model, space, rows)
+
+    return [Form(partial(parts, reading.numbers), reading.error) for reading in readings]
 
 
-def _add_line(rows: Rows, space: StateSpace, model: MDP, entry: Mapping[str, str]) -> None:
+def _in_columns(space: StateSpace, number: int, entry: Mapping[str, str]) -> int:
+    """Return the state of a line, by the printed values of columns."""
+    with located(f"line {number}"):
+        return space.index(**{each.name: each.parse(entry[each.name]) for each in space.columns})
+
+
+def _add_line(
+    rows: Rows, space: StateSpace, key: int, model: MDP, entry: Mapping[str, str]
+) -> None:
     """Add one line of a CSV file, its values by heading, to the rows."""
     word = entry["action"] if entry["action"] in model.actions else entry["action"].strip()
     if "status" in space.names:
         action = check_action(word, model.actions, "")
     else:
         action = model.action(word)
-    if "state" in entry and "state" not in space.names:
-        key = space.number(entry["state"])
-    else:
-        key = space.index(**{each.name: each.parse(entry[each.name]) for each in space.columns})
     chances = rows.setdefault(key, {})
     if action in chances or (chances and "probability" not in entry):
         raise ModelError(
@@ -284,11 +385,11 @@ def _as_csv(space: StateSpace, rows: Mapping[int, Mapping[str, float | str]], mi
             where="CSV",
             fix="name it as always:ACTION instead",
         )
-    out = io.StringIO()
+    out, names = io.StringIO(), _printed(space, rows)
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*space.names, "action", *(["probability"] if mixed else [])])
     for key, taken in rows.items():
-        labels = list(space.as_dict(key).values())
+        labels = [names[key]] if names else list(space.as_dict(key).values())
         for action, chance in taken.items():
             writer.writerow([*labels, action, *([str(chance)] if mixed else [])])
     return out.getvalue()
@@ -301,8 +402,18 @@ def _as_json(space: StateSpace, rows: Mapping[int, Mapping[str, float | str]]) -
             where="JSON",
             fix="write it as .csv",
         )
+    names = _printed(space, rows)
     entries = {
-        space.columns[0].label(key): next(iter(taken)) if len(taken) == 1 else taken
+        names.get(key, space.columns[0].label(key)): next(iter(taken)) if len(taken) == 1 else taken
         for key, taken in rows.items()
     }
     return json.dumps(entries, indent=2) + "\n"
+
+
+def _printed(space: StateSpace, rows: Mapping[int, Any]) -> dict[int, str]:
+    """Return the printed forms of states whose names are numbers of others, else nothing."""
+    if len(space.columns) != 1 or not space.columns[0].words:
+        return {}
+    column = space.columns[0]
+    names = [_digits(column.label(key)) for key in rows if key < column.size]
+    return dict(zip(rows, space.labels(rows), strict=True)) if space.readings(names)[1:] else {}

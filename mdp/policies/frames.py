@@ -13,14 +13,14 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.names import ByNumber, Reading
+
+Readings = list[tuple[Any, ModelError | None]]
+"""What a table may say, each with the error to raise where it fits besides, and differs."""
 
 
-class Labelled(dict[int, Any]):
-    """Actions by the number of a state."""
-
-
-def labelled(model: MDP, policy: Any) -> Any:
-    """Return a table of pandas without its labels, and all else as it is.
+def unlabelled(model: MDP, policy: Any) -> Readings | None:
+    """Return a table of pandas without its labels; None for all else.
 
     Raises
     ------
@@ -29,39 +29,42 @@ def labelled(model: MDP, policy: Any) -> Any:
     """
     pandas = sys.modules.get("pandas")  # who has a table has imported it
     if pandas is None or not isinstance(policy, pandas.DataFrame | pandas.Series):
-        return policy
+        return None
     if policy.ndim == 2 and policy.shape[1] == 1 < model.n_actions:
         policy = policy.iloc[:, 0]
-    rows, size, by_status = _states(model, list(policy.index))
-    if len(set(rows)) < len(rows):
-        raise ModelError("a state appears twice", where="policy, index", fix="keep one of them")
-    if policy.ndim == 1:
-        keys: Any = map(str, policy.index) if by_status else rows
-        said = zip(keys, policy.tolist(), strict=True)
-        found = {row: action for row, action in said if not pandas.isna(action)}
-        return found if by_status else Labelled(found)
-    columns = _actions(model, list(policy.columns))
-    values = policy.to_numpy()
-    if sorted(rows) == list(range(len(rows))):
-        return values[np.argsort(rows)][:, np.argsort(columns)]
-    table = np.full((size, len(columns)), np.nan, dtype=object)
-    table[rows] = values[:, np.argsort(columns)]
-    return table
+    readings, size, by_status = _states(model, list(policy.index))
+    found: Readings = []
+    for rows, error in readings:
+        if len(set(rows)) < len(rows):
+            raise ModelError("a state appears twice", where="policy, index", fix="keep one of them")
+        if policy.ndim == 1:
+            keys: Any = map(str, policy.index) if by_status else rows
+            said = zip(keys, policy.tolist(), strict=True)
+            given = {row: action for row, action in said if not pandas.isna(action)}
+            found.append((given if by_status else ByNumber(given), error))
+            continue
+        for columns, other in _actions(model, list(policy.columns)):
+            values = policy.to_numpy()[:, np.argsort(columns)]
+            table = np.full((size, len(columns)), np.nan, dtype=object)
+            table[rows] = values
+            whole = sorted(rows) == list(range(len(rows)))
+            found.append((values[np.argsort(rows)] if whole else table, error or other))
+    return found
 
 
-def _states(model: MDP, labels: list[Any]) -> tuple[list[int], int, bool]:
-    """Return the row of each label, how many rows there are, and whether they are of statuses."""
+def _states(model: MDP, labels: list[Any]) -> tuple[list[Reading], int, bool]:
+    """Return the rows that labels stand for, how many there are, and whether of statuses."""
     if "status" in model.space.names:
         column = model.space.column("status")
         words = [column.label(value) for value in range(column.size)]
         if set(map(str, labels)) <= set(words):
-            return [words.index(str(label)) for label in labels], len(words), True
+            return [Reading([words.index(str(label)) for label in labels])], len(words), True
     space = model.space.untimed or model.space
     try:
-        return [space.number(label) for label in labels], space.size, False
+        return space.readings(labels), space.size, False
     except ModelError as error:
         if _are_numbers(labels):
-            return [int(label) for label in labels], len(labels), False
+            return [Reading([int(label) for label in labels])], len(labels), False
         raise ModelError(
             f"the index holds no states: {error.what}",
             where="policy, index",
@@ -69,20 +72,19 @@ def _states(model: MDP, labels: list[Any]) -> tuple[list[int], int, bool]:
         ) from error
 
 
-def _actions(model: MDP, labels: list[Any]) -> list[int]:
-    """Return the number of the action that each label stands for."""
-    words = [str(label) for label in labels]
-    if sorted(words) == sorted(model.actions):
-        return [model.actions.index(word) for word in words]
-    numbers = np.unique(model.pair_action[~model.forced[model.pair_state]])
-    if "status" in model.space.names and sorted(words) == sorted(
-        model.actions[number] for number in numbers
-    ):
-        return [model.actions.index(word) for word in words]
-    if _are_numbers(labels):
-        return [int(label) for label in labels]
+def _actions(model: MDP, labels: list[Any]) -> list[Reading]:
+    """Return the numbers of the actions that labels stand for."""
+    used = np.unique(model.pair_action[~model.forced[model.pair_state]]).tolist()
+    whole = [list(range(model.n_actions)), *([used] if "status" in model.space.names else [])]
+    try:
+        readings = model.action_names.readings(labels)
+        if sorted(readings[0].numbers) in whole:
+            return [reading for reading in readings if sorted(reading.numbers) in whole]
+    except ModelError:
+        if _are_numbers(labels):
+            return [Reading([int(label) for label in labels])]
     raise ModelError(
-        f"the columns are {', '.join(words[:6])}",
+        f"the columns are {', '.join(list(map(str, labels))[:6])}",
         where="policy, columns",
         fix=f"name them {', '.join(model.actions[:6])}{' …' * (model.n_actions > 6)}",
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
@@ -23,6 +23,7 @@ from exact_mdp.mdp.errors import ModelError, check_names, located
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.policies import files
 from exact_mdp.mdp.policies.arrays import (
     KINDS,
@@ -35,7 +36,7 @@ from exact_mdp.mdp.policies.arrays import (
     rows_read,
     space_read,
 )
-from exact_mdp.mdp.policies.frames import Labelled, labelled
+from exact_mdp.mdp.policies.frames import unlabelled
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -340,7 +341,10 @@ class Policy(NDArrayOperatorsMixin):
     def _by_pair(self, model: MDP, rule: Numbers) -> tuple[Numbers, Integers]:
         """Return (L,) what a rule gives each pair, and (S,) how many actions each state takes."""
         keys = rows_read(model, self.space)
-        numbers = np.array([*map(model.action, self.actions), -1])
+        known = {name: number for number, name in enumerate(model.actions)}
+        numbers = np.array(
+            [*(known[n] if n in known else model.action(n) for n in self.actions), -1]
+        )
         if rule.ndim == 1:
             chosen = numbers[rule][keys]
             weights: Numbers = (model.pair_action == chosen[model.pair_state]).astype(np.float64)
@@ -405,7 +409,13 @@ class Policy(NDArrayOperatorsMixin):
             array = read_array(policy, called="q")
             with located(str(policy)):
                 return cls(**_of_array(model, array, kind))
-        given: Any = labelled(model, policy)
+        given: Any = policy
+        tables = unlabelled(model, policy)
+        if tables is not None:
+            read = partial(cls.of, model, kind=kind)
+            return cls._agreed(model, [(partial(read, table), error) for table, error in tables])
+        if isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.kind in "UO":
+            given = given.tolist()  # of names, perhaps
         if not isinstance(given, Policy) and callable(getattr(given, "predict", None)):
             given = _predicted(model, given.predict)
         elif not isinstance(given, Policy) and hasattr(given, "policy"):
@@ -414,12 +424,14 @@ class Policy(NDArrayOperatorsMixin):
                 if isinstance(own, StateSpace) and own != space_read(model, array.shape):
                     return cls.of(model, given.policy(model))
                 return cls(**_of_array(model, array, "q" if kind == "auto" else kind))
-            given = given.policy if isinstance(given.policy, np.ndarray | Policy) else given
+            if isinstance(given.policy, np.ndarray):
+                return cls._solved(model, given)
+            given = given.policy if isinstance(given.policy, Policy) else given
         if isinstance(given, Policy):
             found = given
         elif isinstance(given, str | Path):
             found = cls._of_words(model, given, kind)
-        elif isinstance(given, Labelled):
+        elif isinstance(given, ByNumber):
             found = cls._of_states(model, files.from_numbers, given, kind)
         elif isinstance(given, Mapping):
             found = cls._of_states(model, files.from_mapping, given, kind)
@@ -438,10 +450,45 @@ class Policy(NDArrayOperatorsMixin):
         return found
 
     @classmethod
-    def _of_states(cls, model: MDP, read: Callable[..., Parts], given: Any, kind: str) -> Policy:
+    def _solved(cls, model: MDP, found: Solved) -> Policy:
+        """Return the policy of a certificate, by the names of its own model where it knows that."""
+        own = getattr(found, "mdp", None)
+        if isinstance(own, MDP) and np.shape(found.policy) == (own.n_states,):
+            policy = cls(space=own.space, actions=own.actions, rule=np.asarray(found.policy))
+            policy.weights(model)
+            return policy
+        return cls.from_choices(model, found.policy)
+
+    @classmethod
+    def _of_states(
+        cls, model: MDP, read: Callable[..., list[files.Form]], given: Any, kind: str
+    ) -> Policy:
         with located("policy"):
-            found = cls(**read(model, given, kind))
-            found.weights(model)
+            return cls._of_forms(model, read(model, given, kind))
+
+    @classmethod
+    def _of_forms(cls, model: MDP, forms: list[files.Form]) -> Policy:
+        return cls._agreed(model, [(partial(cls._made, form.parts), form.error) for form in forms])
+
+    @classmethod
+    def _made(cls, parts: Callable[[], Parts]) -> Policy:
+        return cls(**parts())
+
+    @classmethod
+    def _agreed(
+        cls, model: MDP, readings: list[tuple[Callable[[], Policy], ModelError | None]]
+    ) -> Policy:
+        """Return the first reading; raise the error of another that fits the model and differs."""
+        found = readings[0][0]()
+        weights = found.weights(model)
+        for make, error in readings[1:]:
+            try:
+                other = make()
+                same = other.shares is None and np.array_equal(weights, other.weights(model))
+            except ModelError:  # it does not fit
+                continue
+            if not same:
+                raise error or AssertionError
         return found
 
     @classmethod
@@ -451,9 +498,7 @@ class Policy(NDArrayOperatorsMixin):
         if isinstance(given, str) and given.startswith("always:"):
             return cls.always(model, given.removeprefix("always:"))
         with located(str(given)):
-            found = cls(**files.read(given, model, kind))
-            found.weights(model)
-        return found
+            return cls._of_forms(model, files.read(given, model, kind))
 
     @classmethod
     def uniform(cls, model: MDP) -> Policy:
@@ -675,9 +720,8 @@ PolicyLike: TypeAlias = (
     Policy | str | Path | Mapping[Any, Any] | Callable[[Any], Any] | ArrayLike | Solved | Predicts
 )
 """What is accepted as a policy: a Policy, its name or file, a mapping, a function, an agent with
-`predict`, an array, a Solution. An integer for a state in a mapping, or given to a function, is
-the state of that name; where no name is a whole number, the state of that number. Arrays and lists
-are by number, and tables of pandas by their labels: names, or else numbers from 0 on."""
+`predict`, an array, a Solution. Arrays, lists and agents go by the numbers of states and actions,
+tables of pandas by their labels; `mdp.names` says which state or action is meant elsewhere."""
 
 
 def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
@@ -685,8 +729,17 @@ def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
     space = model.space.untimed or model.space
     takes = signature(predict).parameters
     settings = {"deterministic": True} if "deterministic" in takes else {}
+    column = space.columns[0]
+    if len(space.columns) == 1 and any(column.thing(n) != n for n in range(column.size)):
+        raise ModelError(
+            "an agent is asked by the number of a state, and these states have names",
+            where="policy",
+            fix="give a function of a state, such as lambda state: agent.predict(state)[0], or an "
+            "array of what it does in each",
+        )
     numbers = np.zeros(space.size, dtype=np.int64)
-    for state in np.unique(rows_read(model, space)[~model.forced & ~model.terminal]).tolist():
+    asked = np.unique(rows_read(model, space)[~model.forced & ~model.terminal])
+    for state in asked.tolist():
         answer = predict(np.array(state), **settings)
         first = answer[0] if isinstance(answer, tuple) else answer
         with located(f"policy, {space.label(state)}"):
@@ -699,7 +752,22 @@ def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
                 fix="let it return the number of an action, or that and a state of its own",
             )
         numbers[state] = action.item()
+    _refuse_names(model, numbers[asked])
     return numbers
+
+
+def _refuse_names(model: MDP, numbers: Numbers) -> None:
+    """Raise ModelError where action numbers may as well be names of actions, which differ."""
+    answers = np.unique(numbers).tolist()
+    try:
+        named = model.action_names.readings(answers)[0].numbers
+    except ModelError:  # these are no names
+        return
+    for number, meant in zip(answers, named, strict=True):
+        if number != meant and number < model.n_actions:
+            error = model.action_names.either(number, meant, number)
+            fix = "give names, such as {state: action}, or Policy.from_choices(model, numbers)"
+            raise ModelError(error.what, where="policy", fix=fix)
 
 
 def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:
@@ -707,6 +775,8 @@ def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:
     if array.ndim == 2 and array.shape[1] == 1 < model.n_actions and not timed:
         array = array[:, 0]  # a column of action numbers
     whole = array.dtype.kind in "iu" and kind != "q"
+    if whole and array.ndim == 1:
+        _refuse_names(model, array)
     if whole and timed and array.ndim == 2 and by_time(model, array, 0).ndim == 1:
         if array.shape[1] != model.n_actions:
             return action_numbers(model, array)

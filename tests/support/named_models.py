@@ -34,7 +34,7 @@ def models(draw: st.DrawFn) -> MDP:
     return MDP.from_outcomes(
         rows,
         draw(st.fractions(0, 1)),
-        start={0: "1/3", size - 1: "2/3"} if size > 1 else 0,
+        start=["1/3", *[0] * (size - 2), "2/3"] if size > 1 else None,
         actions=draw(st.lists(NAMES, min_size=2, max_size=2, unique=True)),
         space=StateSpace(columns=(Column(name=draw(NAMES), size=size, words=tuple(words)),)),
         name=draw(NAMES),

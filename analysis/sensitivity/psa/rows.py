@@ -14,6 +14,7 @@ from fractions import Fraction
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.parametric import Family, moving
 
 MOST_ROWS = 2000
@@ -70,7 +71,7 @@ def _summing_to_one(mdp: MDP) -> MDP:
         rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), scaled))
     if not changed:
         return mdp
-    start, space = dict(mdp.start), mdp.space
+    start, space = ByNumber(mdp.start), mdp.space
     return MDP.from_outcomes(
         rows, mdp.discount_exact, start=start, space=space, actions=mdp.actions, name=mdp.name
     )

@@ -1,0 +1,201 @@
+"""Which state or action is meant: by the object that it is, by its name, or by its number.
+
+The one rule, for states and actions, in constructors, policies, tables, files and commands:
+
+    an object     is the state or action that was made of it (`MDP.from_function`); else the one
+                  whose name is the object's text, as after a model is saved
+    text          is a name, or else the printed form: state 7, or row 0, column 3
+    a number      is a name where names are whole numbers; where none is, it counts from 0 in the
+                  model's order. So are the digits of a text that is no name, and those of a state
+                  in a file, where all is text
+    an array      goes by the model's order, and so does an agent's `predict`
+
+Numbers that are given together, as the keys of a dictionary, are read together. Where they fit both
+readings, as names and in the model's order, and what they say differs, they are refused: of states
+named 3, 1, 2, 0 a dictionary by 0 … 3 may be either. The printed form says which is meant.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError, suggest
+
+NUMBER = re.compile(r"-?(0|[1-9]\d{0,17})(\.\d{1,18}|/[1-9]\d{0,17})?")
+SHOWN = 1000  # of names, where the nearest to a wrong one is looked for
+
+
+ObjectKey = tuple[bool, Hashable]
+
+
+class ByNumber(dict[Any, Any]):
+    """What is said of things by their numbers in the model's order, which are no names."""
+
+
+class Reading(NamedTuple):
+    """What things may be; and the error to raise where this fits as well as the reading before."""
+
+    numbers: list[int]
+    error: ModelError | None = None
+
+
+def text_of(thing: object) -> str:
+    """Return the text of an object, in a tuple of NumPy's numbers that of plain ones.
+
+    Examples
+    --------
+    >>> text_of((np.int64(3), "in")), text_of(np.float64(2))
+    ("(3, 'in')", '2.0')
+    """
+    return str(_plain(thing) if type(thing) is tuple else thing)
+
+
+def _plain(thing: Any) -> Any:
+    if type(thing) is tuple:
+        return tuple(map(_plain, thing))
+    return thing.item() if isinstance(thing, np.generic) else thing
+
+
+def object_key(thing: Any) -> ObjectKey:
+    """Return the key of an object among others: that of True is not that of 1."""
+    return (isinstance(thing, bool | np.bool_), thing)
+
+
+def value_of(thing: object) -> Fraction | None:
+    """Return the value of a number, None of anything else."""
+    if isinstance(thing, bool) or not isinstance(thing, int | float | Fraction | np.number):
+        return None
+    plain: Any = thing.item() if isinstance(thing, np.number) else thing
+    return Fraction(plain) if isinstance(plain, int | Fraction) or _finite(plain) else None
+
+
+def _finite(number: object) -> bool:
+    return isinstance(number, float) and isfinite(number)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Names:
+    """The names of `size` things, the objects that some are, and what else names one.
+
+    Examples
+    --------
+    >>> names = Names(what="state", size=3, words={"2": 0, "7": 1, "0": 2}, label="{}".format)
+    >>> names.numbers([7, "2"]), names.number("0")
+    ([1, 0], 2)
+    >>> [reading.numbers for reading in names.readings([0, 2])]
+    [[2, 0], [0, 2]]
+    """
+
+    what: str
+    size: int
+    words: Mapping[str, int]
+    label: Callable[[int], str]
+    objects: Mapping[ObjectKey, int] = field(default_factory=dict)
+    otherwise: Callable[[object], int | None] = lambda thing: None
+
+    def number(self, thing: object) -> int:
+        """Return the number of one thing; raises ModelError where it is none, or may be two."""
+        return self.numbers([thing])[0]
+
+    def numbers(self, things: Iterable[object]) -> list[int]:
+        """Return the numbers of things; raises ModelError where there are two readings."""
+        found = self.readings(things)
+        if found[-1].error:
+            raise found[-1].error
+        return found[0].numbers
+
+    def readings(self, things: Iterable[object]) -> list[Reading]:
+        """Return the one or two readings of things that are given together."""
+        given = list(things)
+        certain = [self._certain(thing) for thing in given]
+        loose = [place for place, number in enumerate(certain) if number is None]
+        named, counted = list(certain), list(certain)
+        for place in loose:
+            named[place] = self._named(given[place])
+            counted[place] = self._counted(value_of(given[place]))
+            if named[place] is None and (self.numbered or counted[place] is None):
+                raise self._unknown(given[place])
+        chosen = [x if y is None else y for x, y in zip(counted, named, strict=True)]
+        found = [number for number in chosen if number is not None]
+        if chosen == counted or None in counted:
+            return [Reading(found)]
+        place = next(k for k in loose if chosen[k] != counted[k])
+        other = [number for number in counted if number is not None]
+        return [
+            Reading(found),
+            Reading(other, self.either(given[place], found[place], other[place])),
+        ]
+
+    @cached_property
+    def numbered(self) -> bool:
+        """Whether whole numbers are names or objects, so that they count nothing."""
+        values = {*self._of_value, *(value_of(thing) for _, thing in self.objects)} - {None}
+        return any(value.denominator == 1 for value in values if value is not None)
+
+    @cached_property
+    def _of_value(self) -> dict[Fraction, int]:
+        """The names that are numbers."""
+        pairs = [(Fraction(word), n) for word, n in self.words.items() if NUMBER.fullmatch(word)]
+        return dict(reversed(pairs))
+
+    def _named(self, number: object) -> int | None:
+        """Return what a number is the name of."""
+        value = value_of(number)
+        return self.words.get(text_of(number), None if value is None else self._of_value.get(value))
+
+    def _counted(self, value: Fraction | None) -> int | None:
+        """Return the thing that a whole number counts to."""
+        whole = value is not None and value.denominator == 1 and 0 <= value < self.size
+        return int(value) if whole and value is not None else None
+
+    def _certain(self, thing: object) -> int | None:
+        """Return what an object or a text is; None for a number, which has to be read."""
+        try:
+            made = self.objects.get(object_key(thing))
+        except TypeError:  # no key
+            raise self._unknown(thing) from None
+        if value_of(thing) is not None:
+            return made
+        text = text_of(thing)
+        word = text.strip() if isinstance(thing, str) and text not in self.words else text
+        fits = {made, self.words.get(word)} - {None} or {self.otherwise(thing)} - {None}
+        digits = isinstance(thing, str) and word.isascii() and word.isdigit() and len(word) < 19
+        if not fits and digits and not self.numbered:
+            fits = {self._counted(Fraction(word))} - {None}
+        known = sorted(number for number in fits if number is not None)
+        if not known:
+            raise self._unknown(thing)
+        if len(known) > 1:
+            raise self.either(thing, known[0], known[1])
+        return known[0]
+
+    def _unknown(self, thing: object) -> ModelError:
+        digits = isinstance(thing, str) and thing.strip().isdigit()
+        value = value_of(thing)
+        if (digits or (value and value.denominator == 1)) and not self.numbered:
+            return ModelError(
+                f"{self.what} {thing} is outside 0 … {self.size - 1}",
+                fix="choose one in that range",
+            )
+        known = [*self.words] or [self.label(number) for number in range(min(self.size, SHOWN))]
+        said = f"unknown {self.what} {thing!r}"
+        if not isinstance(thing, str):
+            said = f"{thing!r} is not a{'n' * (self.what[0] in 'aeio')} {self.what}"
+        return ModelError(said, fix=suggest(str(thing), known))
+
+    def either(self, thing: object, first: int, second: int) -> ModelError:
+        """Return the error to raise where a thing may be two."""
+        one, two, shown = self.label(first), self.label(second), repr(_plain(thing))
+        return ModelError(
+            f"{shown} may be {one}, by its name, or {two}, number {second} in the model's order, "
+            "which differ",
+            fix=f'write "{one}" or "{two}", or give an array in the model\'s order',
+        )
