@@ -240,6 +240,8 @@ def moving(
     Returns
     -------
     Family
+        Its rows with named entries sum to 1 at every value. Floats that miss 1 are made to, today,
+        too: the entries that are not named share what the named ones leave.
 
     Raises
     ------
@@ -277,9 +279,11 @@ def moving(
     earned = _earned(model, rewards or {})
     gains = [Parameter(name=name, value=reward) for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
+    whole = all(sum(p for p, _, _ in model.table.row(pair)) == 1 for pair in named)
 
     def build(values: Mapping[str, Fraction]) -> MDP:
-        if all(values[p.name] is p.value for p in (*found, *gains)):  # no question of values
+        same = all(values[p.name] is p.value for p in (*found, *gains))  # no question of values
+        if whole and same:
             return model.with_(discount=values[DISCOUNT])
         moved = {r: values[name] for r, name in earned.items() if values[name] is not r}
         rows = []
@@ -422,5 +426,5 @@ def _rebalanced(
     factor = dict.fromkeys(range(mdp.n_states), left / rest)
     for state, name in states.items():
         factor[state] = values[name] / _entry(mdp, pair, state)
-    outcomes = [(p * factor[to], to, gain) for p, to, gain in mdp.table.row(pair)]
+    outcomes = [(factor[to] * p, to, gain) for p, to, gain in mdp.table.row(pair)]
     return [outcome for outcome in outcomes if outcome[0]]
