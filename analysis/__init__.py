@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.gate.check import Audit, assert_policy_optimal, check
     from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
     from exact_mdp.analysis.gate.comparison import PolicyComparison, compare
+    from exact_mdp.analysis.gate.data.off_policy import OffPolicy
+    from exact_mdp.analysis.gate.data.posterior import Posterior
+    from exact_mdp.analysis.gate.data.robust import Robust
     from exact_mdp.analysis.graph import dot
     from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
     from exact_mdp.analysis.pages.explorer import explore
@@ -26,7 +29,10 @@ if TYPE_CHECKING:
 __all__ = [
     "Audit",
     "BestPolicy",
+    "OffPolicy",
     "PolicyComparison",
+    "Posterior",
+    "Robust",
     "TrainerAudit",
     "assert_policy_optimal",
     "best_policy",
@@ -55,6 +61,9 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.analysis.tradeoffs.front": ["tradeoff"],
         "exact_mdp.analysis.tradeoffs.rationalize": ["rationalize"],
         "exact_mdp.analysis.gate.comparison": ["PolicyComparison", "compare"],
+        "exact_mdp.analysis.gate.data.off_policy": ["OffPolicy"],
+        "exact_mdp.analysis.gate.data.posterior": ["Posterior"],
+        "exact_mdp.analysis.gate.data.robust": ["Robust"],
         "exact_mdp.analysis.graph": ["dot"],
         "exact_mdp.analysis.learning.trainers": ["TrainerAudit", "check_trainer"],
         "exact_mdp.analysis.pages.explorer": ["explore"],

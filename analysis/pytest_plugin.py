@@ -4,12 +4,12 @@
         policy_gate("yuan2025", "policy.json", max_regret=0.1)
 
 `policy_gate(model, policy, *, max_regret=None, max_relative_regret=None, set=(), discount=None,
-kind="auto", horizon=None, subject_to=None)` takes an `MDP`, or any MODEL of the command line (a
-scenario's name, a `.toml`, `.npz` or `.umb` file, `gymnasium:ID`) with `set` and `discount` as
-`--set` and `--discount`, and any policy or Q-table that `analysis.check` takes. It looks for files
-beside the test first, then in the working directory. The test fails, naming the costly states,
-where the regret is above a limit, or above zero where none is given; otherwise the audit is
-returned for further assertions:
+kind="auto", horizon=None, subject_to=None, confidence=None, by="robust")` takes an `MDP`, or any
+MODEL of the command line (a scenario's name, a `.toml`, `.npz` or `.umb` file, `gymnasium:ID`) with
+`set` and `discount` as `--set` and `--discount`, and any policy or Q-table that `analysis.check`
+takes. It looks for files beside the test first, then in the working directory. The test fails,
+naming the costly states, where the regret is above a limit, or above zero where none is given;
+otherwise the audit is returned for further assertions:
 
     audit = policy_gate(mdp, q_table, max_relative_regret="1/100")
     assert audit.agreement == 1
@@ -60,6 +60,8 @@ class PolicyGate(Protocol):
         kind: str = "auto",
         horizon: int | None = None,
         subject_to: Mapping[str, Any] | None = None,
+        confidence: object | None = None,
+        by: object = "robust",
     ) -> Audit: ...
 
     @overload
@@ -97,6 +99,8 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
             check = import_module("exact_mdp.analysis.gate.check").check
             found = check(mdp, _beside(request.path, policy), **limits)
             known = {"regret": float(found.regret.at_start.value), "agreement": found.agreement}
+            if found.interval is not None:
+                known["regret_interval"] = str(found.interval)
         request.node.user_properties += [("claim", str(found.claim)), *known.items()]
         if not found.passed:
             pytest.fail(found.message(), pytrace=False)

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from exact_mdp.analysis.cli.options import check_outputs, given, limits_from
+from exact_mdp.analysis.cli.options import check_outputs, given, limits_from, renamed, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate import github
@@ -20,11 +20,28 @@ from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
 from exact_mdp.analysis.pages.audit import audit_page
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.solution import Certified
 
+posterior = later("exact_mdp.analysis.gate.data.posterior")
+off_policy = later("exact_mdp.analysis.gate.data.off_policy")
+robust = later("exact_mdp.analysis.gate.data.robust")
+
 PASSED, FAILED = 0, 1
+RANGES = ("rewards", "returns")
+OF_KIND = {
+    "robust": RANGES,
+    "posterior": ("prior", "draws", "seed", "n_jobs", "scheduler"),
+    "off-policy": (*RANGES, "records", "columns", "behaviour"),
+}
+OF_INTERVAL = (
+    "confidence",
+    "by",
+    *dict.fromkeys(name for kind in OF_KIND.values() for name in kind),
+)
 SHOWN = 10  # disagreements in the table for people
 ON_PAGE = 2000  # and on a page
 LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
@@ -44,12 +61,14 @@ def check(
     certify: bool,
     no_explain: bool,
     subject_to: tuple[str, ...],
-    **shared: Any,
+    **rest: Any,
 ) -> Report:
     """Audit a policy."""
     started = perf_counter()
     check_outputs((junit, (".xml",)), (html, (".html",)))
-    asked = given(policy=learned, **shared)
+    settings = {name: rest.pop(name) for name in OF_INTERVAL}
+    interval = _interval_of(**settings)
+    asked = given(policy=learned, **rest)
     audit = gate.check(
         asked.mdp,
         asked.policy,
@@ -58,6 +77,7 @@ def check(
         exact_values=True if certify else None,
         criterion="average" if asked.average else "total",
         subject_to=limits_from(subject_to) or None,
+        **interval,
     )
     why = None if no_explain else audit.representation
     if junit is not None:
@@ -68,7 +88,7 @@ def check(
         result,
         _facts(audit, why),
         _tables(result, audit),
-        notes=[UNEXPLAINED] if not no_explain and audit.unexplained else [],
+        notes=_notes(audit, explain=not no_explain),
         status=PASSED if audit.passed else FAILED,
     )
     if html is not None:
@@ -78,6 +98,84 @@ def check(
     if not audit.passed:
         github.annotate(title, audit.message(explain=why is not None))
     return report
+
+
+def _interval_of(confidence: str | None, by: str | None, **settings: Any) -> dict[str, Any]:
+    """Return what `check` is told of the interval; raises ModelError for options without one."""
+    stated = {name: value for name, value in settings.items() if value not in (None, ())}
+    if confidence is None:
+        if by is not None or stated:
+            option = _option("by" if by is not None else next(iter(stated)))
+            raise ModelError(
+                f"{option} applies to an interval", where=option, fix="give --confidence 0.95"
+            )
+        return {}
+    kind = by or "robust"
+    if kind not in OF_KIND:
+        raise ModelError(
+            f"unknown kind of interval {kind!r}", where="--by", fix=suggest(kind, OF_KIND)
+        )
+    for name in stated:
+        if name not in OF_KIND[kind]:
+            right = " or ".join(each for each, names in OF_KIND.items() if name in names)
+            raise ModelError(
+                f"{_option(name)} does not apply to {kind}",
+                where=_option(name),
+                fix=f"leave it out, or give --by {right}",
+            )
+    for name in RANGES:
+        if name in stated and not (name == "rewards" and stated[name] == "known"):
+            stated[name] = _range(stated[name], _option(name))
+    if kind == "posterior":
+        seed = whole_of(stated.pop("seed", "0"), "--seed")
+        count = whole_of(stated.pop("draws", str(posterior.DRAWS)), "--draws", 2, 10**8)
+        if "n_jobs" in stated:
+            stated["n_jobs"] = whole_of(stated["n_jobs"], "--n-jobs", 1, 10**6)
+        evidence = posterior.Posterior(n=count, rng=seed, progress=True, **stated)
+    elif kind == "off-policy":
+        stated["columns"] = dict(map(renamed, stated.get("columns", ())))
+        evidence = off_policy.OffPolicy(**stated)
+    else:
+        evidence = robust.Robust(**stated)
+    return {"confidence": confidence, "by": evidence}
+
+
+def _option(name: str) -> str:
+    return f"--{'column' if name == 'columns' else name.replace('_', '-')}"
+
+
+def _range(text: str, option: str) -> tuple[str, str]:
+    """Return the ends of a range that an option states."""
+    low, comma, high = text.partition(",")
+    if not (comma and low.strip() and high.strip()):
+        raise ModelError(f"{text!r} is no range", where=option, fix="write LOW,HIGH, such as 0,1")
+    return low.strip(), high.strip()
+
+
+def _notes(audit: Audit, *, explain: bool) -> list[str]:
+    """Return what a reader should know: above all on what an interval rests."""
+    notes = [UNEXPLAINED] if explain and audit.unexplained else []
+    if audit.interval is not None:
+        notes += [f"assumed: {each}" for each in audit.interval.assumptions]
+        notes.append("this is research software and no medical advice")
+    return notes
+
+
+def _of_interval(audit: Audit) -> dict[str, Any]:
+    """Return the keys of an interval; none where there is none."""
+    found = audit.interval
+    if found is None:
+        return {}
+    more = dict(found.found)
+    if isinstance(found, posterior.PosteriorInterval) and audit.max_regret is not None:
+        more["probability_within"] = found.within(audit.max_regret)
+    return {
+        "regret_interval": audit.regret_interval,
+        "confidence": found.confidence,
+        "by": found.by,
+        "interval": more,
+        "assumptions": found.assumptions,
+    }
 
 
 def _page(report: Report, audit: Audit, model: str, learned: str) -> str:
@@ -124,6 +222,8 @@ def _junit(
         "regret": repr(float(audit.regret.at_start.value)),
         "agreement": repr(audit.agreement),
     }
+    if audit.interval is not None:
+        properties["regret_interval"] = str(audit.interval)
     suite = f"exact-mdp check {model}"
     write_junit(path, suite, cases, seconds=seconds, properties=properties)
 
@@ -143,6 +243,7 @@ def _result(audit: Audit) -> dict[str, Any]:
         "relative_regret": audit.relative_regret,
         "optimal_value": float(lost.optimal.value),
         "learned_value": float(lost.learned.value),
+        **_of_interval(audit),
         "max_regret": audit.max_regret,
         "max_relative_regret": audit.max_relative_regret,
         "checks": audit.verdicts,
@@ -236,8 +337,14 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
     facts: dict[str, Any] = {"verdict": "passed" if audit.passed else "FAILED"}
     for each in audit.verdicts:
         facts[each.name] = f"{'yes' if each.passed else 'no'}: {each.text}"
+    if audit.interval is not None:
+        facts["regret of the process"] = str(audit.interval)
+        for name, value in _of_interval(audit)["interval"].items():
+            facts[f"{audit.interval.by}: {name.replace('_', ' ')}"] = (
+                f"[{value[0]:.6g}, {value[1]:.6g}]" if isinstance(value, tuple) else value
+            )
     facts |= {
-        "regret": lost.at_start,
+        "regret" if audit.interval is None else "regret in the estimated model": lost.at_start,
         "relative regret": relative
         if relative is not None
         else "undefined: the optimal value is, or may be, 0",

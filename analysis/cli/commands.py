@@ -124,6 +124,53 @@ question = together(
     click.option("--minimize", is_flag=True, help="Look for the least: rewards are costs."),
     click.option("--start", metavar="STATE", help="Start in this state, a number or a name."),
 )
+of_interval = together(
+    click.option(
+        "--confidence",
+        metavar="C",
+        help="Of a model from records: decide by an interval at this confidence, such as 0.95.",
+    ),
+    click.option(
+        "--by",
+        metavar="KIND",
+        help="What makes the interval: robust (the default), posterior or off-policy.",
+    ),
+    click.option(
+        "--rewards",
+        metavar="known|LOW,HIGH",
+        help="Rewards are known functions of state, action and next state, or lie in this range; "
+        "unless given, in the range that was seen.",
+    ),
+    click.option(
+        "--returns",
+        metavar="LOW,HIGH",
+        help="Where the total reward from any state lies; needed at discount 1.",
+    ),
+    click.option("--prior", metavar="X", help="posterior: observations a row begins with (1)."),
+    click.option("--draws", metavar="N", help="posterior: models drawn (2000)."),
+    click.option("--seed", metavar="S", help="posterior: seed of the draws (0)."),
+    click.option("--n-jobs", metavar="N", help="posterior: processes (1). Results do not change."),
+    click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="posterior: a Dask cluster, tcp://HOST:PORT or local.",
+    ),
+    click.option(
+        "--records", metavar="FILE", help="off-policy: the trajectories, .csv or .parquet."
+    ),
+    click.option(
+        "--column",
+        "columns",
+        multiple=True,
+        metavar="NAME=COLUMN",
+        help="off-policy: what FILE calls episode, state, action, reward or next_state.",
+    ),
+    click.option(
+        "--behaviour",
+        metavar="POLICY",
+        help="off-policy: the policy that chose the recorded actions; estimated unless given.",
+    ),
+)
 model = click.argument("model")
 policy = click.argument("policy")
 
@@ -343,6 +390,7 @@ def simulate() -> None:
 @click.option(
     "--no-explain", is_flag=True, help="Do not say what the policy's columns cannot express."
 )
+@of_interval
 @criterion
 @of_policy
 @question
@@ -360,6 +408,9 @@ def check() -> None:
     the other until it is decided whether at least --share of all runs are within the limits; a
     share that is still open passes, so that a trainer that is good enough fails with probability
     --alpha at most, wherever it stops.
+
+    With --confidence, MODEL is one that `exact-mdp data` made, and the check passes where the upper
+    end of an interval for the regret in the process behind the records keeps the limit.
     """
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.cli.options import check_outputs, given, whole_of
+from exact_mdp.analysis.cli.options import check_outputs, given, renamed, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.errors import ModelError
@@ -132,7 +132,7 @@ def data(
     least = whole_of(rare or RARE, "--rare", 0, 2**62)
     if Path(out).suffix.lower() != ".npz":
         raise ModelError(f"{out!r} is not named .npz", where="--out", fix="name it MODEL.npz")
-    record = transitions.counted(file, dict(map(_renamed, columns)), progress=True)
+    record = transitions.counted(file, dict(map(renamed, columns)), progress=True)
     mdp = MDP(**record.parts(discount or 1, unseen or transitions.UNAVAILABLE))
     save_model(mdp, out)
     seen = mdp.observations
@@ -167,14 +167,6 @@ def data(
     notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
     table = Table(title=title, rows=rows, columns=shown, first=MOST_RARE)
     return Report(result=result, facts=facts, tables=[table], notes=notes)
-
-
-def _renamed(text: str) -> tuple[str, str]:
-    """Return the name and the file's column of one --column."""
-    name, equals, column = text.partition("=")
-    if not equals or not column.strip():
-        raise ModelError(f"{text!r} names no column", where="--column", fix="write NAME=COLUMN")
-    return name.strip(), column.strip()
 
 
 def convert(

@@ -264,6 +264,14 @@ def whole_of(text: str, option: str, least: int = 0, most: int = 10**18) -> int:
     )
 
 
+def renamed(text: str) -> tuple[str, str]:
+    """Return the name and the file's column of one --column."""
+    name, equals, column = text.partition("=")
+    if not equals or not column.strip():
+        raise ModelError(f"{text!r} names no column", where="--column", fix="write NAME=COLUMN")
+    return name.strip(), column.strip()
+
+
 def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
     """Raise ModelError, before any work, where a file (path, allowed endings) cannot be written."""
     taken = []

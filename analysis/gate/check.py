@@ -9,6 +9,9 @@ Where it is bounded, the upper bound has to keep the limit: what the bounds do n
 pass. Without a limit the regret has to be zero: exactly, but for what the rounding of given floats
 can move (`analysis.gate.forgiveness`).
 
+A model estimated from records may be wrong. With `confidence`, the verdicts are about the process
+that the records are from: an interval for its regret (`analysis.gate.data`) has to keep the limit.
+
 No number in a verdict is sampled: see `analysis.gate.regret` for what is lost,
 `analysis.gate.disagreements` for the price of each state, `analysis.gate.reasons` for what the
 policy's columns cannot express and for the errors of a Q-table. Ties are known: an action as good
@@ -19,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
@@ -30,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.average import average_regret
+from exact_mdp.analysis.gate.data.interval import Evidence, RegretInterval, confidence_of
 from exact_mdp.analysis.gate.disagreements import Disagreement, disagreements, own_visits
 from exact_mdp.analysis.gate.limits import UnderLimits
 from exact_mdp.analysis.gate.reasons import (
@@ -41,7 +45,7 @@ from exact_mdp.analysis.gate.reasons import (
 )
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
@@ -54,7 +58,14 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from exact_mdp.analysis.gate.data.needed import Needed
+
 pandas = later("pandas")
+# Loaded where an audit asks for an interval.
+needed_of = later("exact_mdp.analysis.gate.data.needed")
+off_policy = later("exact_mdp.analysis.gate.data.off_policy")
+posterior = later("exact_mdp.analysis.gate.data.posterior")
+robust = later("exact_mdp.analysis.gate.data.robust")
 
 SHOWN = 5
 AT_A_GLANCE = 3  # of them in `print(audit)`
@@ -80,7 +91,7 @@ class Verdict:
         """
         if self.passed:
             return f"{self.name}: {self.text}"
-        words = "is not known to be" if self.text.endswith(UNDECIDED) else "is not"
+        words = "is not known to be" if self.text.endswith((UNDECIDED, OPEN)) else "is not"
         return f"{self.name.replace(' is', f' {words}', 1)}: {self.text}"
 
 
@@ -108,6 +119,11 @@ class Audit(Pictured):
     limits : UnderLimits, optional
         The limits, the optimum under them and the policy's totals. The regret is against that
         optimum, and values and gaps of states are those of the reward and the priced totals.
+    interval : RegretInterval, optional
+        Where the regret lies in the process behind the records; the verdicts then rest on it, and
+        all other numbers are those of the estimated model.
+    evidence : Evidence, optional
+        What the interval was made by.
 
     Examples
     --------
@@ -127,11 +143,15 @@ class Audit(Pictured):
     max_relative_regret: Fraction | None = None
     criterion: str = "total"
     limits: UnderLimits | None = None
+    interval: RegretInterval | None = None
+    evidence: Evidence | None = None
 
     picture = "exact_mdp.analysis.plots.states:plot_audit"
 
     def __repr__(self) -> str:
         lost = f"regret {_number(self.value)}"
+        if self.interval is not None:
+            lost = f"regret in {self.interval}; estimated {_number(self.value)}"
         return (
             f"Audit({'passed' if self.passed else 'failed'}: {lost} of "
             f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements)"
@@ -193,6 +213,56 @@ class Audit(Pictured):
     # ---- verdicts ----------------------------------------------------------------------------
 
     @property
+    def regret_interval(self) -> tuple[float, float] | None:
+        """The ends of the interval; None where no confidence was asked for."""
+        return None if self.interval is None else (self.interval.low, self.interval.high)
+
+    def needed(self, max_regret: object | None = None, confidence: object | None = None) -> Needed:
+        """Return which pairs' counts leave the verdict open, and how many more would decide it.
+
+        See `analysis.gate.data.needed`. The audit's own limit (0 without one), confidence and, of a
+        robust audit, settings are taken unless given.
+
+        Parameters
+        ----------
+        max_regret : number or "p/q", optional
+        confidence : number, optional
+            0.95 where the audit has none.
+
+        Returns
+        -------
+        Needed
+
+        Raises
+        ------
+        ModelError
+            For a model without counts.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> names = ["episode", "state", "action", "reward", "next_state"]
+        >>> rows = [(n, "ill", "wait", n % 2, None) for n in range(40)]
+        >>> rows += [(n + 40, "ill", "treat", n % 4 > 0, None) for n in range(40)]
+        >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
+        >>> check(mdp, "always:treat").needed(0.1, 0.95).frame()["more"].tolist()
+        [..., ...]
+        """
+        limit = self.max_regret or Fraction(0)
+        if max_regret is not None:
+            limit = limit_of("max_regret", max_regret)
+        share: object = Fraction(19, 20) if self.interval is None else self.interval.confidence
+        found: Needed = needed_of.needed(
+            self.mdp,
+            self.chain.weights,
+            Fraction(self.value.value),
+            limit,
+            confidence_of(share if confidence is None else confidence),
+            self.evidence if isinstance(self.evidence, robust.Robust) else robust.Robust(),
+        )
+        return found
+
+    @property
     def passed(self) -> bool:
         """Whether every limit holds; what bounds cannot decide does not pass."""
         return all(verdict.passed for verdict in self.verdicts)
@@ -209,14 +279,20 @@ class Audit(Pictured):
             Verdict(
                 name=name,
                 passed=decision is True,
-                text=text if decision is not None else f"{text}, {UNDECIDED}",
+                text=text if decision is not None else f"{text}, {self._open}",
             )
             for name, decision, text in self._decisions
         )
 
+    @property
+    def _open(self) -> str:
+        return UNDECIDED if self.interval is None else OPEN
+
     @cached_property
     def _decisions(self) -> tuple[tuple[str, bool | None, str], ...]:
         """What is checked, whether it holds (None: it stays open), and what was found."""
+        if self.interval is not None:
+            return (self._of_process(self.interval),)
         found, text = _kept(self.limits), f"it is {_number(self.value)}"
         held = self.limits is not None and self.limits.best.feasible
         if held:
@@ -235,6 +311,16 @@ class Audit(Pictured):
             name = f"the relative regret is at most {shown(relative, 10)}"
             found.append((name, *self._relative(relative)))
         return tuple(found)
+
+    def _of_process(self, interval: RegretInterval) -> tuple[str, bool | None, str]:
+        """Return what the interval decides, never the estimate."""
+        limit = self.max_regret
+        if limit is None:
+            name, decision = "the regret is zero", interval.decided(self.forgiven)
+        else:
+            name, decision = f"the regret is at most {shown(limit, 10)}", interval.decided(limit)
+        text = f"it is in {interval}; {_number(self.value)} in the estimated model"
+        return name, decision, text
 
     def _relative(self, limit: Fraction) -> tuple[bool | None, str]:
         """Return whether the relative regret keeps a limit, and what it is."""
@@ -371,6 +457,11 @@ UNDECIDED = (
     " max_regret=…), or ask for exact values (--certify, exact_values=True)"
 )
 
+OPEN = (
+    "which leaves the limit open: more records decide it (audit.needed says which), or give a "
+    "limit above the interval"
+)
+
 
 def share_of(cost: float, lost: float) -> float | None:
     """Return a cost as a share of all that is lost; None where that is 0 or infinite."""
@@ -421,6 +512,8 @@ def check(
     criterion: Criterion = "total",
     subject_to: Mapping[str, Any] | None = None,
     like: Audit | None = None,
+    confidence: object | None = None,
+    by: str | Evidence = "robust",
 ) -> Audit:
     """Return how much a policy or Q-table loses against the optimum, where and why.
 
@@ -456,6 +549,12 @@ def check(
     like : Audit, optional
         An audit of another policy by the same model object (`like.mdp is model`): its optimum is
         not computed again.
+    confidence : number, optional
+        Of a model estimated from records: let the verdict rest on an interval, at this confidence,
+        for the regret in the process behind the records, `Audit.interval`. The audit then passes
+        where the upper end keeps `max_regret`.
+    by : "robust", "posterior" or "off-policy", or one of these with settings
+        What the interval is made by: `Robust`, `Posterior` or `OffPolicy(records=…)`.
 
     Returns
     -------
@@ -465,7 +564,8 @@ def check(
     ------
     ModelError
         For a policy that does not fit the model, an array that may be read in two ways, or a limit
-        that is not a number of at least 0; where a total swings for ever at discount 1.
+        that is not a number of at least 0; where a total swings for ever at discount 1; for a
+        confidence where the model has no counts, or with a limit of the relative regret.
     SolverError
         Where floats cannot bound the answer in a model too large for rational arithmetic.
 
@@ -477,6 +577,14 @@ def check(
     >>> audit.passed, round(float(audit.regret.at_start.value), 3), round(audit.agreement, 3)
     (False, 63.062, 0.333)
     """
+    evidence = _evidence(by, confidence)
+    other = max_relative_regret is not None or subject_to is not None or is_average(criterion)
+    if evidence is not None and other:
+        raise ModelError(
+            "records bound the total regret alone",
+            where="confidence",
+            fix="give max_regret, without a relative limit, limits on totals or an average reward",
+        )
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon)
@@ -538,11 +646,14 @@ def check(
     except SolverError:  # floats cannot bound the answer, which rational arithmetic may give
         if exact_values is not None or not cheap(mdp, LAST_CYCLE):
             raise
-        return audit(True)
+        result = audit(True)
     if exact_values is None and result.undecided and cheap(mdp, LAST_CYCLE):
         with suppress(ModelError):  # a cycle that is too ill-conditioned leaves it undecided
-            return audit(True)
-    return result
+            result = audit(True)
+    if evidence is None:
+        return result
+    found = evidence.interval(mdp, chain, confidence_of(confidence))
+    return replace(result, interval=found, evidence=evidence)
 
 
 def assert_policy_optimal(
@@ -555,6 +666,8 @@ def assert_policy_optimal(
     horizon: int | None = None,
     criterion: Criterion = "total",
     subject_to: Mapping[str, Any] | None = None,
+    confidence: object | None = None,
+    by: str | Evidence = "robust",
 ) -> Audit:
     """Raise AssertionError, naming the costly states, unless the regret keeps its limits.
 
@@ -573,6 +686,8 @@ def assert_policy_optimal(
         What counts; see `check`.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals, which the policy has to keep too; see `check`.
+    confidence, by
+        Decide by an interval of the regret in the process behind the records; see `check`.
 
     Returns
     -------
@@ -605,10 +720,34 @@ def assert_policy_optimal(
         horizon=horizon,
         criterion=criterion,
         subject_to=subject_to,
+        confidence=confidence,
+        by=by,
     )
     if not audit.passed:
         raise AssertionError(audit.message())
     return audit
+
+
+def _evidence(by: object, confidence: object | None) -> Evidence | None:
+    """Return what an interval is made by; None where no confidence is asked for."""
+    if confidence is None:
+        if by != "robust":
+            raise ModelError(
+                "no confidence is given for the interval", where="by", fix="give confidence=0.95"
+            )
+        return None
+    if not isinstance(by, str):
+        found: Evidence = by  # type: ignore[assignment]
+        return found
+    kinds = {
+        "robust": lambda: robust.Robust(),
+        "posterior": lambda: posterior.Posterior(),
+        "off-policy": lambda: off_policy.OffPolicy(),
+    }
+    if by not in kinds:
+        raise ModelError(f"unknown kind of interval {by!r}", where="by", fix=suggest(by, kinds))
+    chosen: Evidence = kinds[by]()
+    return chosen
 
 
 def limit_of(name: str, limit: object) -> Fraction:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
@@ -66,8 +66,29 @@ def counted(
     progress: bool = False,
 ) -> Record:
     """Return what was counted in a table of transitions; see `MDP.from_transitions`."""
+    record = record_of(frame, columns)
+    for _, keys in read(record, frame, progress=progress):
+        record.count(keys)
+    return record
+
+
+def record_of(frame: object, columns: Mapping[str, str] | None = None) -> Record:
+    """Return an empty record for a table of transitions."""
     where = str(frame) if isinstance(frame, str | Path) else "transitions"
-    record = Record(where, _named(columns))
+    return Record(where, _named(columns))
+
+
+def read(
+    record: Record,
+    frame: DataFrame | str | Path | Iterable[DataFrame],
+    *,
+    progress: bool = False,
+) -> Iterator[tuple[Integers, Integers]]:
+    """Yield the rows of a table, a million at most at a time, checked and in numbers.
+
+    Of each chunk the episodes (R,), and (R, 4) state, action, next state (-1 where the episode is
+    over) and reward, by the numbers that `record` gives to names.
+    """
     with (
         tqdm.tqdm(desc="transitions", unit=" rows", disable=None if progress else True) as bar,
         closing(_chunks(frame, record.columns.values())) as chunks,
@@ -75,9 +96,8 @@ def counted(
         for chunk in chunks:
             for first in range(0, len(chunk), ROWS):
                 part = chunk.iloc[first : first + ROWS]
-                record.add(part)
+                yield record.numbered(part)
                 bar.update(len(part))
-    return record
 
 
 def _named(columns: Mapping[str, str] | None) -> dict[str, str]:
@@ -212,8 +232,8 @@ class Record:
             more = "" if len(found) == 1 else f" (and in {len(found) - 1:,} more rows)"
             raise ModelError(f"{what}{more}", where=self.row(self.rows + int(found[0])), fix=fix)
 
-    def add(self, chunk: DataFrame) -> None:
-        """Count the rows of a chunk."""
+    def numbered(self, chunk: DataFrame) -> tuple[Integers, Integers]:
+        """Return the episodes and the numbers of the rows of a chunk; see `read`."""
         for name, column in self.columns.items():
             if list(chunk.columns).count(column) > 1:
                 raise ModelError(
@@ -240,12 +260,15 @@ class Record:
         ):  # fmt: skip
             self.refuse(codes < 0, f"no {name}", "fill it in, or leave the row out")
         self._follow(episode, state, then)
-        keys = np.stack([state, action, then, reward], axis=1)
         self._price(reward)
+        self.rows += len(chunk)
+        return episode, np.stack([state, action, then, reward], axis=1)
+
+    def count(self, keys: Integers) -> None:
+        """Count rows by their numbers."""
         self.counts.append(_sums(keys, np.ones(len(keys), dtype=np.int64)))
         if len(self.counts) > 16:
             self.counts = [_merged(self.counts)]
-        self.rows += len(chunk)
 
     def _price(self, reward: Integers) -> None:
         """Read the rewards that are new as the numbers that they are."""

@@ -1,10 +1,14 @@
 """Sets of laws by the divergence from the nominal row, and what nature picks from them.
 
 Likelihood region (Nilim and El Ghaoui, Operations Research 53, 2005, section 4), p the observed
-frequencies: {q : Σ p log(p/q) ≤ β}. For every s > 0, with d = x - min x,
+frequencies: {q : Σ p log(p/q) ≤ β}. For every s ≥ 0, with d = x - min x,
 
     min Σ q x ≥ min x - s + e^-β Π (d_i + s)^p_i       (weighted means), equal for the s at which
     q_i ∝ p_i / (d_i + s) lies on the region's edge.
+
+An outcome of frequency 0 may happen, too. Where all of the least value have frequency 0, and the
+q_i = p_i / d_i · e^-β Π d_i^p_i of the others add up to no more than 1, s is 0: what they leave of
+1 goes to such an outcome.
 
 Relative entropy (same paper, section 3; Iyengar, Mathematics of Operations Research 30, 2005):
 {q : Σ q log(q/p) ≤ β}. For every s > 0,
@@ -23,6 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import UNIT, gamma
@@ -77,7 +82,13 @@ class Likelihood(Ball):
             )
             return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
 
-        return _least(block, payoff, self.radii(block), divergence, law, bound)
+        p, beta = block.probability, self.radii(block)
+        q, short, left = _leaving(p, payoff, beta)
+        rest = np.flatnonzero(~left)
+        if len(rest):
+            found = _least(p[rest], payoff[rest], beta[rest], divergence, law, bound)
+            q[rest], short[rest] = found
+        return q, short
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +121,29 @@ class RelativeEntropy(Ball):
             doubt = float(gamma(2 * d.shape[1] + 16)) * s[:, 0] * (np.abs(log) + beta)
             return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
 
-        return _least(block, payoff, self.radii(block), divergence, law, bound)
+        p, beta = block.probability, self.radii(block)
+        return _least(p, payoff, beta, divergence, law, bound)
+
+
+def _leaving(p: Floats, payoff: Floats, beta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return laws (K, n), tolerances (K,), and where (K,) they hold: where s is 0."""
+    apart = payoff - payoff.min(axis=1, keepdims=True)
+    q, short = p.copy(), np.zeros(len(p))
+    left = ~((p > 0) & (apart == 0)).any(axis=1)
+    rows = np.flatnonzero(left)
+    if not len(rows):
+        return q, short, left
+    p, apart, beta = p[rows], apart[rows], beta[rows]
+    log = np.log(np.where(p > 0, apart, 1.0))
+    mean = (p * log).sum(axis=1) - beta
+    share = p * np.exp(mean[:, None] - log)
+    total = share.sum(axis=1)
+    share[np.arange(len(rows)), apart.argmin(axis=1)] += 1 - total
+    size = np.abs(log).max(axis=1) + beta + 1
+    q[rows] = share
+    short[rows] = float(gamma(4 * p.shape[1] + 64)) * size * np.exp(mean)
+    left[rows] = total <= 1
+    return q, short, left
 
 
 def _mean_log(p: Floats, u: Floats) -> Floats:
@@ -127,14 +160,13 @@ def _log_total(p: Floats, u: Floats, total: Floats) -> Floats:
 
 @np.errstate(over="ignore", under="ignore")
 def _least(
-    block: Block,
+    p: Floats,
     payoff: Floats,
     beta: Floats,
     divergence: Callable[[Floats, Floats, Floats], tuple[Floats, Floats]],
     law: Callable[[Floats, Floats, Floats], Floats],
     bound: Callable[[Floats, Floats, Floats, Floats], Floats],
 ) -> tuple[Floats, Floats]:
-    p = block.probability
     least = payoff.min(axis=1, keepdims=True)
     apart = payoff - least
     span = apart.max(axis=1)

@@ -1,0 +1,132 @@
+"""What records allow one to say of a regret: an interval at a stated confidence.
+
+Each kind of evidence is a frozen object with settings, `Robust`, `Posterior` or `OffPolicy`, whose
+`interval(model, chain, confidence)` gives a `RegretInterval`. A limit is kept where the upper end
+of the interval keeps it, and broken where the lower end breaks it; in between more records decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Protocol
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+Ends = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RegretInterval(Result):
+    """Where the regret at the start lies, in the process that the records are from.
+
+    Attributes
+    ----------
+    low, high : float
+        Ends, in units of reward.
+    confidence : float
+        The share of data sets, of a posterior interval that of the models, that it is to hold for.
+    by : "robust", "posterior" or "off-policy"
+    assumptions : tuple of str
+        What the interval rests on besides the records.
+    found : {name: number or pair}
+        What else this kind of evidence says.
+
+    Examples
+    --------
+    >>> RegretInterval(low=0.0, high=0.5, confidence=0.95, by="robust", assumptions=(), found={})
+    RegretInterval([0, 0.5] at 95 % confidence, robust)
+    """
+
+    low: float
+    high: float
+    confidence: float
+    by: str
+    assumptions: tuple[str, ...]
+    found: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return f"RegretInterval({self})"
+
+    def __str__(self) -> str:
+        level = f"{100 * self.confidence:.10g} % confidence"
+        return f"[{self.low:.6g}, {self.high:.6g}] at {level}, {self.by}"
+
+    def decided(self, limit: Fraction) -> bool | None:
+        """Return whether the regret is at most `limit`; None where the records leave it open."""
+        if self.high <= limit:
+            return True
+        return False if self.low > limit else None
+
+    def frame(self) -> DataFrame:
+        """Return the interval, and what else was found, in one row."""
+        ends = {"low": self.low, "high": self.high, "confidence": self.confidence, "by": self.by}
+        return pandas.DataFrame([ends | dict(self.found)])
+
+
+class Evidence(Protocol):
+    """What an interval is made by; settings are its fields."""
+
+    by: str
+
+    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> RegretInterval:
+        """Return the interval for a policy of a model with counts."""
+
+
+def confidence_of(given: object) -> Fraction:
+    """Return a confidence between 0 and 1.
+
+    Examples
+    --------
+    >>> confidence_of(0.95), confidence_of("0.9")
+    (Fraction(19, 20), Fraction(9, 10))
+    """
+    try:
+        found = exact(str(given) if isinstance(given, float) else given)
+    except ModelError as error:
+        raise ModelError(
+            error.what, where="confidence", fix="give a share, such as 0.95"
+        ) from error
+    if not 0 < found < 1:
+        raise ModelError(
+            f"a confidence of {given}", where="confidence", fix="give more than 0 and less than 1"
+        )
+    return found
+
+
+def observations_of(mdp: MDP) -> Integers:
+    """Return (L,) how often each pair was seen; raises ModelError where nobody counted."""
+    if mdp.observations is None or not mdp.observations.any():
+        raise ModelError(
+            "the model has no counts, so that nothing tells how much it knows",
+            where="confidence",
+            fix="estimate it from records: MDP.from_transitions, or exact-mdp data; a horizon, a "
+            "question or changed rows leave the counts behind",
+        )
+    return mdp.observations
+
+
+def range_of(given: object, what: str) -> Ends | None:
+    """Return the ends of a range that the user states, None where there is none."""
+    if given is None:
+        return None
+    try:
+        low, high = (float(exact(end)) for end in given)  # type: ignore[attr-defined]
+    except (TypeError, ValueError, OverflowError, ModelError) as error:
+        raise ModelError(f"{given!r} is no range", where=what, fix="give (low, high)") from error
+    if not low <= high:
+        raise ModelError(
+            f"the range {low:g} to {high:g}", where=what, fix="give the lower end first"
+        )
+    return low, high

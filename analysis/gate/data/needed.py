@@ -1,0 +1,194 @@
+"""When to stop collecting: which pairs' counts leave a verdict open, and how many more decide it.
+
+The verdict is open while the limit lies inside the robust interval of `analysis.gate.data.robust`.
+The regret of the estimated model says to which side more records will bring it, if they show what
+was seen, in the same shares: the *deciding end* is the upper end where that regret keeps the limit,
+and the lower end elsewhere. Both ends are computed anew, in the model, for every number of
+observations that is asked about; nothing is extrapolated.
+
+*worth* of a pair is the value of information about it: how far the deciding end would move if its
+row were known and all others as they are.
+
+*more* is a plan: together these observations decide the verdict, and of no pair could a tenth of
+them be left out. First all pairs are brought to a common number of observations, the least that
+decides (by bisection). Then, from the pairs that are worth least, each is given up or lowered as
+far as the verdict stays decided. Other plans may need fewer in all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from math import ceil
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
+from exact_mdp.analysis.gate.data.sets import RowSets
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import Floats, Integers
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+
+EXACTLY = 1e15  # observations after which a row counts as known
+MOST = 10**12  # observations of a pair that a plan may ask for
+SPARED = 0.1  # share of a number that is worth another attempt to save
+TRIED = 60  # pairs whose numbers are lowered one by one; of more models the rest stays
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Needed(Pictured):
+    """Which pairs hold a decision open.
+
+    Attributes
+    ----------
+    mdp : MDP
+    limit : Fraction
+    confidence : float
+    low, high : float
+        The robust interval today.
+    decided : bool or None
+        Whether the regret is at most `limit`; None while that is open.
+    expected : bool
+        The verdict if more records show what was seen.
+    possible : bool
+        Whether records can decide it: not where the estimated regret equals the limit.
+    pairs : (K,) int64
+        Pairs that are worth knowing better, or of which the plan asks for more.
+    worth : (K,)
+        What knowing each row would move the deciding end by, in units of reward.
+    more : (K,) int64
+        Observations of each that together decide the verdict; 0 where none does.
+    planned : (float, float)
+        The interval after them.
+    """
+
+    mdp: MDP
+    limit: Fraction
+    confidence: float
+    low: float
+    high: float
+    decided: bool | None
+    expected: bool
+    possible: bool
+    pairs: Integers
+    worth: Floats
+    more: Integers
+    planned: tuple[float, float]
+
+    picture = "exact_mdp.analysis.plots.records:plot_needed"
+
+    def __repr__(self) -> str:
+        now = f"regret in [{self.low:.6g}, {self.high:.6g}], limit {float(self.limit):.6g}"
+        if self.decided is not None:
+            return f"Needed({now}: decided, {'passes' if self.decided else 'fails'})"
+        if not self.possible:
+            return f"Needed({now}: open, and the estimate is at the limit itself)"
+        return (
+            f"Needed({now}: open; {int(self.more.sum()):,} more observations of "
+            f"{np.count_nonzero(self.more)} pairs let it {'pass' if self.expected else 'fail'})"
+        )
+
+    def frame(self) -> DataFrame:
+        """Return a row for each pair, the one that is worth most first."""
+        mdp, pairs = self.mdp, self.pairs
+        seen = mdp.observations
+        assert seen is not None
+        found = {
+            "state": mdp.space.labels(mdp.pair_state[pairs]),
+            "action": [mdp.actions[action] for action in mdp.pair_action[pairs].tolist()],
+            "observations": seen[pairs],
+            "worth": self.worth,
+            "more": self.more,
+        }
+        return pandas.DataFrame(found)
+
+
+def needed(
+    mdp: MDP, own: Floats, estimate: Fraction, limit: Fraction, confidence: Fraction, by: Robust
+) -> Needed:
+    """Return what `Audit.needed` does; `own` (L,) is the policy, `estimate` its regret today."""
+    sets = RowSets.of(mdp, float(1 - confidence), by.rewards)
+    returns, expected = by.range(mdp), estimate <= limit
+
+    def bounds(counts: Floats) -> RobustBounds:
+        return RobustBounds(sets=sets.with_more(counts), own=own, returns=returns)
+
+    def end(counts: Floats) -> float:
+        return bounds(counts).regret_end(most=expected)
+
+    def decides(counts: Floats) -> bool:
+        return end(counts) <= limit if expected else end(counts) > limit
+
+    low, high = bounds(np.zeros(mdp.n_pairs)).regret
+    decided = True if high <= limit else False if low > limit else None
+    worth, more, possible = np.zeros(mdp.n_pairs), np.zeros(mdp.n_pairs), True
+    if decided is None:
+        worth = _worth(sets, end)
+        possible = decides(np.where(sets.counted > 0, EXACTLY, 0.0))
+        if possible:
+            more = _plan(sets.counted, worth, decides)
+    listed = np.flatnonzero((worth > 0) | (more > 0))
+    listed = listed[np.lexsort([-more[listed], -worth[listed]])]
+    return Needed(
+        mdp=mdp,
+        limit=limit,
+        confidence=float(confidence),
+        low=low,
+        high=high,
+        decided=decided,
+        expected=expected,
+        possible=possible,
+        pairs=listed,
+        worth=worth[listed],
+        more=more[listed].astype(np.int64),
+        planned=bounds(more).regret if more.any() else (low, high),
+    )
+
+
+def _worth(sets: RowSets, end: Callable[[Floats], float]) -> Floats:
+    """Return (L,) how far an end moves where one row is known."""
+    found, nothing = np.zeros(len(sets.counted)), np.zeros(len(sets.counted))
+    today = end(nothing)
+    for pair in sets.pairs.tolist():
+        known = nothing.copy()
+        known[pair] = EXACTLY
+        found[pair] = abs(end(known) - today)
+    return np.where(found > 1e-9 * abs(today), found, 0.0)
+
+
+def _plan(counted: Floats, worth: Floats, decides: Callable[[Floats], bool]) -> Floats:
+    """Return (L,) more observations that decide; none of them could be much fewer."""
+    open_ = counted > 0
+
+    def level(height: float) -> Floats:
+        return np.where(open_, np.maximum(height - counted, 0.0), 0.0)
+
+    def least(given: Callable[[float], Floats], low: float, high: float) -> float:
+        """Return about the least number that decides, from one that does not to one that does."""
+        while high - low > 1 and high > low * (1 + SPARED / 2):
+            middle = (low * high) ** 0.5 if low > 1 else (low + high) / 2
+            low, high = (low, middle) if decides(given(middle)) else (middle, high)
+        return high
+
+    high = float(counted.max())
+    while not decides(level(high)) and high < MOST:
+        high *= 2
+    plan = np.ceil(level(least(level, 0.0, high)))
+    used = np.flatnonzero(plan)
+    for pair in used[np.argsort(worth[used], kind="stable")][:TRIED].tolist():
+
+        def with_(number: float, pair: int = pair, plan: Floats = plan) -> Floats:
+            changed = plan.copy()
+            changed[pair] = ceil(number)
+            return changed
+
+        plan = with_(0.0 if decides(with_(0.0)) else least(with_, 0.0, float(plan[pair])))
+    return plan

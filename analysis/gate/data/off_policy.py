@@ -1,0 +1,281 @@
+"""What a policy is worth by the trajectories themselves, which another policy made.
+
+An episode of states, actions and rewards that the behaviour b produced has return G = Σ γ^t r_t,
+and counts for the policy π with the weight w = Π π(a_t | s_t) / b(a_t | s_t):
+
+    E_b[w G] = V^π   (ordinary importance sampling),    V^π ≈ Σ w G / Σ w   (weighted),
+
+of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000; Kong, 1992). A bound
+that holds at a stated confidence, for any weights, is that of Thomas, Theocharous and Ghavamzadeh
+(High-confidence off-policy evaluation, AAAI 2015, theorem 1, all thresholds equal): of n
+independent X ≥ 0, here X = w (G - least return), with Y = min(X, c) and its sample variance s²,
+
+    E X ≥ E Y ≥ mean Y - √(2 s² log(2/δ) / n) - 7 c log(2/δ) / (3 (n - 1)),
+
+an empirical Bernstein bound (Maurer and Pontil, COLT 2009). The first twentieth of the episodes
+chooses the threshold c for the bound that it foretells, and the others give the bound. The upper
+bound is the same of X = w (greatest return - G). An episode that was cut off may go on with any
+return in its range, in both bounds.
+
+The regret needs the optimum, too. No trajectory shows it: V* is bounded by the sets of
+`analysis.gate.data.robust` at half the doubt, and V^π by its trajectories at the other half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from math import log
+from typing import Any, ClassVar
+
+import numpy as np
+
+from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, observations_of
+from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
+from exact_mdp.analysis.gate.data.sets import Given, RowSets
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+transitions = later("exact_mdp.mdp.io.transitions")
+
+HELD_OUT = 20  # one part in so many chooses the threshold
+FEWEST = 60  # episodes: fewer leave the bound at the end of the range
+THRESHOLDS = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicy:
+    """An interval from the trajectories, reweighted to the policy.
+
+    Attributes
+    ----------
+    records : DataFrame, path or iterable of DataFrames
+        The trajectories, as `MDP.from_transitions` takes them.
+    columns : mapping, optional
+        The names that the table has for its columns.
+    behaviour : PolicyLike, optional
+        The policy that chose the recorded actions; unless given it is estimated from the model's
+        counts, which the interval then takes for true.
+    rewards, returns
+        As in `Robust`.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> names = ["episode", "state", "action", "reward", "next_state"]
+    >>> rows = [(n, "ill", ("wait", "treat")[n % 2], n % 2, None) for n in range(2000)]
+    >>> table = pd.DataFrame(rows, columns=names)
+    >>> mdp = MDP.from_transitions(table, discount="1/2")
+    >>> by = OffPolicy(records=table, behaviour="random", returns=(0, 1))
+    >>> found = by.interval(mdp, PolicyChain.of(mdp, "always:wait"), Fraction(19, 20))
+    >>> found.found["effective_sample_size"], found.low > 0.7, round(found.high, 9)
+    (1000.0, True, 1.0)
+    """
+
+    records: Any = None
+    columns: Mapping[str, str] | None = None
+    behaviour: PolicyLike | None = None
+    rewards: Given = None
+    returns: Ends | None = None
+    by: ClassVar[str] = "off-policy"
+
+    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> RegretInterval:
+        """Return the interval; raises ModelError without records, or where they do not fit."""
+        if self.records is None:
+            raise ModelError(
+                "no trajectories, and the model's counts do not keep them",
+                where="records",
+                fix="name the records: by=OffPolicy(records=…), --records FILE",
+            )
+        doubt = float(1 - confidence)
+        robust = Robust(rewards=self.rewards, returns=self.returns)
+        sets = RowSets.of(mdp, doubt / 2, self.rewards)
+        bounds = RobustBounds(sets=sets, own=chain.weights, returns=robust.range(mdp))
+        ratio = _ratios(mdp, chain.weights, self._behaviour(mdp))
+        seen = _trajectories(mdp, ratio, self.records, self.columns)
+        lowest, highest = bounds.range
+        whole = seen.returns[~seen.cut]
+        if len(whole) and not lowest <= whole.min() <= whole.max() <= highest:
+            raise ModelError(
+                f"returns from {whole.min():g} to {whole.max():g} were recorded",
+                where="returns",
+                fix="state a range that holds them",
+            )
+        low, high = seen.bounds(bounds.range, mdp.discount, doubt / 4)
+        best = bounds.at_start(mdp.maximised, "best")
+        ordinary = Estimated(value=seen.ordinary, standard_error=seen.standard_error)
+        sign = 1 if mdp.sense == "max" else -1
+        return RegretInterval(
+            low=max(best[0] - high, 0.0),
+            high=max(best[1] - low, 0.0),
+            confidence=float(confidence),
+            by=self.by,
+            assumptions=(
+                *robust.assumptions(mdp, sets),
+                "episodes are independent, and the policy was not learned from them",
+                "the behaviour is as stated"
+                if self.behaviour is not None
+                else "the behaviour is as estimated from the counts: the confidence is approximate",
+            ),
+            found={
+                "optimal_value": bounds.at_start(mdp, "best"),
+                "learned_value": (low, high) if sign > 0 else (-high, -low),
+                "weighted": sign * seen.weighted,
+                "ordinary": sign * ordinary.value,
+                "standard_error": ordinary.standard_error,
+                "effective_sample_size": seen.effective_sample_size,
+                "episodes": len(seen.weight),
+                "cut_off": int(seen.cut.sum()),
+            },
+        )
+
+    def _behaviour(self, mdp: MDP) -> Floats:
+        """Return (L,) the probabilities of the behaviour."""
+        if self.behaviour is not None:
+            return PolicyChain.of(mdp, self.behaviour).weights
+        seen = observations_of(mdp).astype(np.float64)
+        total = np.add.reduceat(seen, mdp.pair_offsets[:-1])[mdp.pair_state]
+        return np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
+
+
+def _ratios(mdp: MDP, own: Floats, behaviour: Floats) -> Floats:
+    """Return (L,) π / b; raises ModelError where π does what the behaviour never does."""
+    never = (own > 0) & (behaviour <= 0)
+    if never.any():
+        pair = int(np.flatnonzero(never)[0])
+        raise ModelError(
+            "the behaviour never does what the policy does, so that its trajectories tell nothing "
+            f"of it (and in {int(never.sum()) - 1} more pairs)",
+            where=mdp.where(pair),
+            fix="audit by robust sets or the posterior, or give the behaviour's true probabilities",
+        )
+    return np.divide(own, behaviour, out=np.zeros_like(own), where=behaviour > 0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Trajectories:
+    """Weight, return, length (E,) of each episode, and whether it was cut off."""
+
+    weight: Floats
+    returns: Floats
+    steps: Integers
+    cut: np.ndarray
+
+    @cached_property
+    def ordinary(self) -> float:
+        return float((self.weight * self.returns).mean())
+
+    @cached_property
+    def standard_error(self) -> float:
+        terms = self.weight * self.returns
+        return float(terms.std(ddof=1) / len(terms) ** 0.5) if len(terms) > 1 else float("inf")
+
+    @cached_property
+    def weighted(self) -> float:
+        total = float(self.weight.sum())
+        return float(self.weight @ self.returns) / total if total > 0 else float("nan")
+
+    @cached_property
+    def effective_sample_size(self) -> float:
+        square = float(self.weight @ self.weight)
+        return float(self.weight.sum()) ** 2 / square if square > 0 else 0.0
+
+    def bounds(self, ends: Ends, rate: float, doubt: float) -> Ends:
+        """Return bounds of V^π, each wrong with a probability of at most `doubt`."""
+        least, most = ends
+        left = np.where(self.cut, rate**self.steps, 0.0)
+        low = np.clip(self.returns + left * least, least, most)
+        high = np.clip(self.returns + left * most, least, most)
+        return (
+            min(least + mean_at_least(self.weight * (low - least), doubt), most),
+            max(most - mean_at_least(self.weight * (most - high), doubt), least),
+        )
+
+
+def mean_at_least(sample: Floats, doubt: float) -> float:
+    """Return what the mean of independent numbers from 0 up is at least, but for some doubt.
+
+    Examples
+    --------
+    >>> round(mean_at_least(np.tile([0.0, 1.0], 1000), 0.05), 3)
+    0.464
+    >>> mean_at_least(np.ones(10), 0.05)
+    0.0
+    """
+    first, rest = np.split(sample, [len(sample) // HELD_OUT])
+    if len(sample) < FEWEST or not sample.any():
+        return 0.0
+    largest = float(first.max())
+    if not largest > 0:
+        return 0.0
+    grid = largest * np.geomspace(1e-4, 2.0, THRESHOLDS)
+    promised = [_bernstein(np.minimum(first, c), c, doubt, len(rest)) for c in grid]
+    threshold = float(grid[int(np.argmax(promised))])
+    found = _bernstein(np.minimum(rest, threshold), threshold, doubt, len(rest))
+    return max(found, 0.0)
+
+
+def _bernstein(sample: Floats, most: float, doubt: float, n: int) -> float:
+    """Return the bound that n numbers up to `most` give that vary as a sample does."""
+    spread = 2 * float(sample.var(ddof=1)) * log(2 / doubt) / n
+    return float(sample.mean() - spread**0.5 - 7 * most * log(2 / doubt) / (3 * (n - 1)))
+
+
+def _trajectories(
+    mdp: MDP, ratio: Floats, records: Any, columns: Mapping[str, str] | None
+) -> _Trajectories:
+    """Return what the episodes of records weigh and earn, read in chunks."""
+    record = transitions.record_of(records, columns)
+    pair_of = np.full((mdp.n_states, mdp.n_actions), -1)
+    pair_of[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
+    sign = 1.0 if mdp.sense == "max" else -1.0
+    weight, total, steps = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
+    end = np.zeros(0, dtype=bool)
+    over = np.append(mdp.terminal, True)  # the last one where no next state was recorded
+    for episode, keys in transitions.read(record, records):
+        states = _known(record.states.numbers, mdp.space.number, "state", record)
+        actions = _known(record.actions.numbers, mdp.action, "action", record)
+        pair = pair_of[states[keys[:, 0]], actions[keys[:, 1]]]
+        if (pair < 0).any():
+            row = keys[int(np.flatnonzero(pair < 0)[0])]
+            state, action = mdp.space.label(int(states[row[0]])), mdp.actions[actions[row[1]]]
+            raise ModelError(
+                f"action {action} was taken in ({state}), where the model does not offer it",
+                where=record.where,
+                fix="give the records that the model was made from",
+            )
+        more = int(episode[-1]) + 1 - len(weight)
+        weight, total = np.append(weight, np.ones(more)), np.append(total, np.zeros(more))
+        steps, end = np.append(steps, np.zeros(more, np.int64)), np.append(end, np.ones(more, bool))
+        first = np.flatnonzero(np.append(True, episode[1:] != episode[:-1]))
+        length = np.diff(np.append(first, len(episode)))
+        times = np.arange(len(episode)) - np.repeat(first - steps[episode[first]], length)
+        reward = np.array([float(value) for value in record.values])[keys[:, 3]]
+        named = episode[first]
+        total[named] += np.add.reduceat(sign * mdp.discount**times * reward, first)
+        weight[named] *= np.multiply.reduceat(ratio[pair], first)
+        steps[named] += length
+        end[named] = over[np.append(states, -1)[keys[first + length - 1, 2]]]
+    if not len(weight):
+        raise ModelError("no transitions", where=record.where, fix="give at least one row")
+    return _Trajectories(weight=weight, returns=total, steps=steps, cut=~end)
+
+
+def _known(names: Mapping[Any, int], find: Any, what: str, record: Any) -> Integers:
+    """Return the model's number of each name in records."""
+    found = np.empty(len(names), dtype=np.int64)
+    for name, number in names.items():
+        try:
+            found[number] = find(str(name))
+        except ModelError as error:
+            raise ModelError(
+                f"the model has no {what} {str(name)!r}", where=record.where, fix=error.fix
+            ) from error
+    return found

@@ -1,0 +1,322 @@
+"""The posterior distribution of a policy's regret, given what was recorded.
+
+Rows of different pairs are independent. Before the records each is Dirichlet with the same
+parameter for every state that may follow, which add up to `prior` (1 unless given; 1/S for each of
+S states is Perks's prior, Journal of the Institute of Actuaries 73, 1947); after them the counts
+are added. So a state that was never seen to follow stays possible. A reward is one of those that
+were seen with that next state, in proportion to Dirichlet weights of their own counts (Rubin's
+Bayesian bootstrap, Annals of Statistics 9, 1981), and the mean of the pair where a next state was
+never seen to follow.
+
+Every draw is a model: it is solved by policy iteration, the policy is evaluated in it, and the
+difference at the start is one draw of the regret. The credible interval leaves equal tails; its
+ends are moved outward by the 95 % intervals of the sample's quantiles, so that more draws narrow
+it. Draws come in blocks with a stream of random numbers each: the same seed gives the same bytes
+wherever the work is done.
+
+Draws are dense: (L, S) numbers each, which fits into memory up to about 10^8 of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from exact_mdp.analysis.gate.data.interval import RegretInterval, observations_of
+from exact_mdp.analysis.sensitivity.base_case import digest
+from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded, whole_number
+from exact_mdp.analysis.sensitivity.psa.intervals import quantiles, share_of, wilson
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.table import Floats, Integers, exact
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.parallel.many import many
+from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+DRAWS = 2000
+BLOCK = 250  # draws in a piece of work
+ROOM = 2**22  # numbers that are worked on at once
+MOST_ROOM = 10**8  # of one draw
+ROUNDED = 1e-10  # of the values: differences that are rounding
+LONGEST = 1e9  # steps of an episode, at discount 1
+IMPROVEMENTS = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probability(Estimated):
+    """A share of draws, with Wilson's 95 % interval, which is sound where all or none agree."""
+
+    low: float
+    high: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's interval."""
+        return self.low, self.high
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PosteriorInterval(RegretInterval):
+    """A credible interval.
+
+    Attributes
+    ----------
+    draws : (D,)
+        The regret in each model drawn.
+    """
+
+    draws: Floats
+
+    def within(self, limit: Fraction) -> Probability:
+        """Return the probability that the regret is at most `limit`, as the draws show it."""
+        found, count = int((self.draws <= float(limit)).sum()), len(self.draws)
+        share, (low, high) = share_of(found, count), wilson(found, count)
+        return Probability(
+            value=share.value,
+            standard_error=share.standard_error,
+            low=float(low),
+            high=float(high),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posterior:
+    """A credible interval of the regret under a Dirichlet prior.
+
+    Attributes
+    ----------
+    prior : number
+        Observations that each row begins with, spread evenly over all states.
+    n : int
+        Draws.
+    rng : int or Generator
+    n_jobs, scheduler, folder, progress
+        Where the work is done, as `solvers.parallel.many.many` takes it; results do not change.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> names = ["episode", "state", "action", "reward", "next_state"]
+    >>> rows = [(n, "ill", "wait", n % 2, None) for n in range(40)]
+    >>> rows += [(n + 40, "ill", "treat", n % 4 > 0, None) for n in range(40)]
+    >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
+    >>> chain = PolicyChain.of(mdp, "always:treat")
+    >>> found = Posterior(n=500).interval(mdp, chain, Fraction(19, 20))
+    >>> found.low, found.high < 0.1, found.within(Fraction(0)).value > 0.95
+    (0.0, True, True)
+    """
+
+    prior: object = 1
+    n: int = DRAWS
+    rng: RNG = 0
+    n_jobs: int | None = 1
+    scheduler: str | None = None
+    folder: str | Path | None = None
+    progress: bool = False
+    by: ClassVar[str] = "posterior"
+
+    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> PosteriorInterval:
+        """Return the interval; raises ModelError without counts, for a bad prior or number."""
+        prior, seed = _prior(self.prior), seed_of(self.rng)
+        count = whole_number(self.n, "draws", 2)
+        model = _Model.of(mdp, chain.weights, prior)
+        pieces, _ = seeded(seed, count, BLOCK)
+        key = {
+            "model": fingerprint(mdp),
+            "policy": digest(chain.weights),
+            "prior": prior,
+            "seed": seed,
+            "draws_per_file": BLOCK,
+        }
+        if self.folder is not None:
+            key["draws"] = count
+        blocks = many(
+            partial(_block, model),
+            pieces,
+            key=key,
+            n_jobs=self.n_jobs,
+            scheduler=self.scheduler,
+            folder=self.folder,
+            progress=self.progress,
+            what="draws",
+        )
+        draws = joined(blocks)["regret"]
+        tail = float((1 - confidence) / 2)
+        low, high = quantiles(draws, [tail, 1 - tail])
+        return PosteriorInterval(
+            low=low.low,
+            high=high.high,
+            confidence=float(confidence),
+            by=self.by,
+            assumptions=(
+                "the process has the states and actions that were recorded, and what follows a "
+                "state and an action depends on these alone",
+                "episodes begin as the model says",
+                f"before the records, rows are Dirichlet, each worth {prior:g} observations that "
+                "are spread evenly over all states",
+                "rewards are among those that were seen",
+            ),
+            found={
+                "mean": float(draws.mean()),
+                "draws": count,
+                "prior": prior,
+                "seed": seed,
+            },
+            draws=draws,
+        )
+
+
+def _prior(given: object) -> float:
+    try:
+        found = float(exact(given))
+    except (ModelError, OverflowError) as error:
+        raise ModelError(f"the prior is {given!r}", where="prior", fix="give a number") from error
+    if not 1e-6 <= found <= 1e9:
+        raise ModelError(
+            f"the prior is {found:g} observations", where="prior", fix="give 1e-6 to 1e9, such as 1"
+        )
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Model:
+    """What every draw starts from, in arrays that can be sent to other processes.
+
+    Entries are (pair, next state) of counted pairs, N of them with a reward each, and M of states
+    that were never seen to follow.
+    """
+
+    discount: float
+    pair_offsets: Integers
+    start: Floats
+    own: Floats  # (L,) the policy
+    first: Integers  # (S,) the pairs of the estimated optimum
+    over: Integers  # states where all is over
+    transition: Floats  # (L, S) rows that are certain; the others are 0
+    reward: Floats  # (L,)
+    seen: tuple[Integers, Integers]  # (N,), (N,)
+    seen_weight: Floats  # (N,) Dirichlet parameters
+    seen_reward: Floats  # (N,)
+    unseen: tuple[Integers, Integers]  # (M,), (M,)
+    unseen_weight: float
+
+    @classmethod
+    def of(cls, mdp: MDP, own: Floats, prior: float) -> _Model:
+        observed, model = observations_of(mdp), mdp.maximised
+        states, pairs = model.n_states, model.n_pairs
+        if states * pairs > MOST_ROOM:
+            raise ModelError(
+                f"a draw has {states * pairs:,} numbers, more than {MOST_ROOM:,}",
+                where="posterior",
+                fix="ask for a robust interval, or group the states",
+            )
+        table, counted = model.table, observed > 0
+        kept = np.repeat(counted, np.diff(table.offsets))
+        row = np.repeat(np.arange(pairs), np.diff(table.offsets))[kept]
+        then = table.next[kept].astype(np.int64)
+        place = row * states + then
+        _, which, many_rewards = np.unique(place, return_inverse=True, return_counts=True)
+        never = np.ones((pairs, states), dtype=bool)
+        never[row, then] = False
+        never[~counted] = False
+        unseen = np.nonzero(never)
+        certain = model.transition.toarray()
+        certain[counted] = 0.0
+        terminal = model.terminal & np.logical_and.reduceat(~counted, model.pair_offsets[:-1])
+        return cls(
+            discount=model.discount,
+            pair_offsets=np.array(model.pair_offsets),
+            start=np.array(model.start_distribution),
+            own=np.array(own),
+            first=np.array(solve(model).pairs),
+            over=np.flatnonzero(terminal),
+            transition=certain,
+            reward=np.array(model.reward),
+            seen=(row, then),
+            seen_weight=table.weight[kept] + prior / states / many_rewards[which],
+            seen_reward=table.gains()[kept],
+            unseen=(unseen[0], unseen[1]),
+            unseen_weight=prior / states,
+        )
+
+    def drawn(self, rng: np.random.Generator, count: int) -> tuple[Floats, Floats]:
+        """Return `count` models: rows (count, L, S) and rewards (count, L)."""
+        shape = (count, *self.transition.shape)
+        rows = np.zeros(shape)
+        weight = rng.gamma(self.seen_weight, size=(count, len(self.seen_weight)))
+        unseen = rng.gamma(self.unseen_weight, size=(count, len(self.unseen[0])))
+        draw = np.arange(count)[:, None]
+        np.add.at(rows, (draw, *self.seen), weight)
+        rows[(draw, *self.unseen)] = unseen
+        total = rows.sum(axis=2)
+        sure = total == 0
+        rows /= np.where(sure, 1.0, total)[:, :, None]
+        rows += self.transition
+        # An outcome that was seen has its own reward in place of the mean of its pair.
+        earned = np.zeros(shape[:2])
+        pair = self.seen[0]
+        np.add.at(earned, (draw, pair), weight * (self.seen_reward - self.reward[pair]))
+        return rows, self.reward + earned / np.where(sure, 1.0, total)
+
+    def regret(self, rows: Floats, reward: Floats) -> Floats:
+        """Return (D,) the regret at the start in each of the models drawn."""
+        first = self.pair_offsets[:-1]
+        state = np.repeat(np.arange(len(first)), np.diff(self.pair_offsets))
+        draw = np.arange(len(rows))[:, None]
+        chosen = np.tile(self.first, (len(rows), 1))
+        for _ in range(IMPROVEMENTS):
+            value = self.value(rows[draw, chosen], reward[draw, chosen])
+            worth = reward + self.discount * np.einsum("dls,ds->dl", rows, value)
+            best = np.maximum.reduceat(worth, first, axis=1)
+            size = np.abs(value).max(axis=1) + np.abs(reward).max(axis=1)
+            noise = ROUNDED * size[:, None]
+            better = best > worth[draw, chosen] + noise
+            if not better.any():
+                break
+            number = np.where(worth == best[:, state], np.arange(worth.shape[1]), worth.shape[1])
+            chosen = np.where(better, np.minimum.reduceat(number, first, axis=1), chosen)
+        share = self.own[None, :, None]
+        mixed = np.add.reduceat(rows * share, first, axis=1)
+        own = self.value(mixed, np.add.reduceat(reward * self.own, first, axis=1))
+        lost = (value - own) @ self.start
+        return np.where(lost > noise[:, 0], lost, 0.0)
+
+    def value(self, rows: Floats, reward: Floats) -> Floats:
+        """Return (D, S) the values of chains (D, S, S) with rewards (D, S)."""
+        rows = rows * self.discount
+        rows[:, self.over] = 0.0
+        reward = reward.copy()
+        reward[:, self.over] = 0.0
+        given = np.stack([reward, np.ones_like(reward)], axis=2)
+        try:
+            found = np.linalg.solve(np.eye(rows.shape[1]) - rows, given)
+        except np.linalg.LinAlgError:
+            found = np.full_like(given, np.inf)
+        steps = found[:, :, 1]
+        if not ((steps > 0.5) & (steps < LONGEST)).all():
+            raise ModelError(
+                "in a model drawn from the posterior some episode never ends",
+                where="posterior",
+                fix="choose a discount below 1, or a larger prior",
+            )
+        return np.asarray(found[:, :, 0])
+
+
+def _block(model: _Model, piece: tuple[SeedSequence, int]) -> Arrays:
+    sequence, count = piece
+    rng = np.random.default_rng(sequence)
+    size = max(1, ROOM // model.transition.size)
+    found = [
+        model.regret(*model.drawn(rng, min(size, count - done))) for done in range(0, count, size)
+    ]
+    return {"regret": np.concatenate(found)}

@@ -1,0 +1,352 @@
+"""Regret bounded for every model that the records allow, distribution-free.
+
+The sets of `analysis.gate.data.sets` hold all rows at once with the stated confidence, and so do
+bounds that hold for every model P within them. Values come from four robust solves (Iyengar,
+Mathematics of Operations Research 30, 2005; Nilim and El Ghaoui, Operations Research 53, 2005):
+
+    L^π ≤ V^π ≤ U^π,      L* ≤ V* ≤ U*,      hence  V* - V^π ≤ U* - L^π.
+
+That difference lets nature choose one model for the optimum and another for the policy. Under one
+and the same P, the regret D = V* - V^π is the optimum of a model whose rewards are the advantages
+of the policy's own values (the performance difference lemma: Kakade and Langford, ICML 2002):
+
+    D(s) = max over pairs l of s of  A_P(l) + γ P_l D,      A_P(l) = Q^π(l) - V^π(s).
+
+An action that the policy takes for certain has advantage 0 in every model, so that what is unsure
+about both sides cancels. With c between U^π and L^π, h half their distance and π(l) the policy's
+probability of l,
+
+    A_P(l) = (1 - π(l)) (r_l + γ P_l c) - Σ_{k ≠ l} π(k) (r_k + γ P_k c) + γ (P_l - P_π) (V^π - c),
+
+and the last term is at most γ Σ |P_l - P_π| h: h at the shares that were seen, and what a row may
+move by (Pinsker: Σ |q - p| ≤ √(2 KL)) times the largest h. With the first terms each at its worst,
+this bounds D by dynamic programming from above, and from below likewise; in every state the better
+of this bound and that by two separate models is taken.
+
+Every bound is that of a monotone operator T, a contraction where γ < 1: T v ≤ v + e gives
+v + e / (1 - γ) as an upper bound, whatever v is, and policy iteration finds a good v. At discount 1
+T is applied to a range that the user states, and keeps it valid however often.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, range_of
+from exact_mdp.analysis.gate.data.sets import Given, Rows, RowSets
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+IMPROVEMENTS = 50
+SWEEPS = 1000
+SMALL = 1e-10  # of the values' range: steps that are not worth another one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robust:
+    """An interval that assumes no distribution: it holds for every model that fits the records.
+
+    Attributes
+    ----------
+    rewards : "known", or (low, high), optional
+        Rewards that state, action and next state decide, and which are as seen; or a range in which
+        rewards lie. The range that was seen unless given, which is then an assumption.
+    returns : (low, high), optional
+        Where the total reward from any state lies; needed at discount 1.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> names = ["episode", "state", "action", "reward", "next_state"]
+    >>> rows = [(n, "ill", "wait", 0, None) for n in range(60)]
+    >>> rows += [(n + 60, "ill", "treat", 1, None) for n in range(60)]
+    >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
+    >>> chain = PolicyChain.of(mdp, "always:treat")
+    >>> print(Robust(rewards="known").interval(mdp, chain, Fraction(19, 20)))
+    [0, 0] at 95 % confidence, robust
+    """
+
+    rewards: Given = None
+    returns: Ends | None = None
+    by: ClassVar[str] = "robust"
+
+    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> RegretInterval:
+        """Return the interval; raises ModelError without counts or a range that is needed."""
+        sets = RowSets.of(mdp, float(1 - confidence), self.rewards)
+        found = RobustBounds(sets=sets, own=chain.weights, returns=self.range(mdp))
+        low, high = found.regret
+        return RegretInterval(
+            low=low,
+            high=high,
+            confidence=float(confidence),
+            by=self.by,
+            assumptions=self.assumptions(mdp, sets),
+            found={
+                "optimal_value": found.at_start(mdp, "best"),
+                "learned_value": found.at_start(mdp, "own"),
+            },
+        )
+
+    def range(self, mdp: MDP) -> Ends | None:
+        """Return where total rewards lie, of rewards even where the model is one of costs."""
+        ends = range_of(self.returns, "returns")
+        if ends is None or mdp.sense == "max":
+            return ends
+        return -ends[1], -ends[0]
+
+    def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
+        """Return what the sets rest on besides the records."""
+        low, high = sets.rewards if mdp.sense == "max" else (-sets.rewards[1], -sets.rewards[0])
+        told = [
+            "the process has the states and actions that were recorded, and what follows a state "
+            "and an action depends on these alone",
+            "episodes begin as the model says",
+        ]
+        if sets.known:
+            told.append(
+                "rewards are those seen for state, action and next state; where a next state was "
+                f"never seen they lie from {low:g} to {high:g}, as all that were seen"
+            )
+        elif self.rewards is None:
+            told.append(f"rewards lie from {low:g} to {high:g}, as all that were seen")
+        else:
+            told.append(f"rewards lie from {low:g} to {high:g}, as stated")
+        if self.returns is not None:
+            told.append(f"total rewards lie from {self.returns[0]} to {self.returns[1]}, as stated")
+        if (sets.counted[~mdp.terminal[mdp.pair_state]] == 0).any():
+            told.append("actions that nobody took are worth what the model says")
+        return tuple(told)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """An operator at some values: a bound of what it gives (S,), and its linear piece there."""
+
+    bound: Floats
+    piece: Callable[[], tuple[sp.csr_array, Floats]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobustBounds:
+    """Values and regret of a policy for every model within sets of rows.
+
+    Attributes
+    ----------
+    sets : RowSets
+    own : (L,)
+        The policy's probabilities of pairs.
+    returns : (float, float), optional
+        Where total rewards lie.
+    """
+
+    sets: RowSets
+    own: Floats
+    returns: Ends | None = None
+
+    @property
+    def mdp(self) -> MDP:
+        """The model of rewards."""
+        return self.sets.mdp
+
+    @cached_property
+    def range(self) -> Ends:
+        """Where the values of all states lie."""
+        rate = self.mdp.discount_exact
+        if self.returns is not None:
+            return self.returns
+        if rate == 1:
+            raise ModelError(
+                "at discount 1 the records alone do not say how long an episode may go on",
+                where="returns",
+                fix="state where total rewards lie: returns=(low, high), --returns LOW,HIGH; or "
+                "choose a discount below 1",
+            )
+        certain = self.mdp.reward[self.sets.counted == 0]
+        least = min(0.0, self.sets.rewards[0], *certain) / float(1 - rate)
+        most = max(0.0, self.sets.rewards[1], *certain) / float(1 - rate)
+        return least * SLACK, most * SLACK
+
+    @cached_property
+    def own_values(self) -> tuple[Floats, Floats]:
+        """(S,) and (S,) bounds of V^π."""
+        return self._settled(self._under_policy(False), 0), self._settled(
+            self._under_policy(True), 1
+        )
+
+    @cached_property
+    def best_values(self) -> tuple[Floats, Floats]:
+        """(S,) and (S,) bounds of V*."""
+        return self._best_value(0), self._best_value(1)
+
+    def _best_value(self, side: int) -> Floats:
+        return self._settled(self._optimum(side == 1), side)
+
+    def at_start(self, mdp: MDP, whose: str) -> Ends:
+        """Return the bounds of a value at the start, in the sense of the model given."""
+        ends = self.best_values if whose == "best" else self.own_values
+        low, high = self._start(ends[0], -1), self._start(ends[1], 1)
+        return (low, high) if mdp.sense == "max" else (-high, -low)
+
+    @property
+    def regret(self) -> Ends:
+        """Bounds of the regret at the start."""
+        return self.regret_end(most=False), self.regret_end(most=True)
+
+    def regret_end(self, *, most: bool) -> float:
+        """Return one of these bounds, at about half the work."""
+        if most:
+            return self._start(self.most_regret, 1)
+        return max(self._start(self.least_regret, -1), 0.0)
+
+    @cached_property
+    def most_regret(self) -> Floats:
+        """(S,) upper bounds of V* - V^π."""
+        best = self._best_value(1)
+        apart = best - self.own_values[0]
+        ceiling = self.sets.worth(best, most=True).bound
+        ceiling = ceiling - self.own_values[0][self.mdp.pair_state]
+        return self._settled(self._gaining(ceiling, True), 1, np.maximum(apart, 0.0))
+
+    @cached_property
+    def least_regret(self) -> Floats:
+        """(S,) lower bounds of V* - V^π."""
+        best = self._best_value(0)
+        apart = best - self.own_values[1]
+        floor = self.sets.worth(best, most=False).bound
+        floor = floor - self.own_values[1][self.mdp.pair_state]
+        return self._settled(self._gaining(floor, False), 0, np.maximum(apart, 0.0))
+
+    # ---- operators -------------------------------------------------------------------------------
+
+    def _under_policy(self, most: bool) -> Callable[[Floats], Step]:
+        mixing = self._mixing
+
+        def step(value: Floats) -> Step:
+            rows = self.sets.worth(value, most=most)
+
+            def piece() -> tuple[sp.csr_array, Floats]:
+                laws, reward = rows.chosen
+                return sp.csr_array(mixing @ laws), np.asarray(mixing @ reward)
+
+            return Step(bound=mixing @ rows.bound, piece=piece)
+
+        return step
+
+    def _optimum(self, most: bool) -> Callable[[Floats], Step]:
+        def step(value: Floats) -> Step:
+            rows = self.sets.worth(value, most=most)
+            taken = self._best(rows.bound)
+
+            def piece() -> tuple[sp.csr_array, Floats]:
+                laws, reward = rows.chosen
+                return laws[taken], reward[taken]
+
+            return Step(bound=rows.bound[taken], piece=piece)
+
+        return step
+
+    def _gaining(self, apart: Floats, most: bool) -> Callable[[Floats], Step]:
+        """Return the operator of D: `apart` (L,) bounds it with a model for each side."""
+        advantage = self._advantages[most]
+        choose = np.minimum if most else np.maximum
+
+        def step(value: Floats) -> Step:
+            rows: Rows = self.sets.worth(value, most=most, rewards=False)
+            joint = advantage + rows.bound
+            bound = choose(joint, apart)
+            taken = self._best(bound)
+
+            def piece() -> tuple[sp.csr_array, Floats]:
+                laws, _ = rows.chosen
+                alone = (joint == bound)[taken].astype(np.float64)
+                constant = np.where(alone, advantage[taken], apart[taken])
+                return sp.csr_array(laws[taken].multiply(alone.reshape(-1, 1))), constant
+
+            return Step(bound=bound[taken], piece=piece)
+
+        return step
+
+    @cached_property
+    def _advantages(self) -> tuple[Floats, Floats]:
+        """(L,) and (L,) bounds of A_P(l) in every model P of the sets."""
+        mdp, own, mixing, rate = self.mdp, self.own, self._mixing, self.mdp.discount
+        low, high = self.own_values
+        middle = (low + high) / 2
+        half = np.maximum(high - middle, middle - low)
+        least = self.sets.worth(middle, most=False).bound
+        most = self.sets.worth(middle, most=True).bound
+        moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
+        state = mdp.pair_state
+        apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
+        others = (mixing @ moved)[state] - own * moved
+        coupled = rate * (apart + (1 - own) * moved + others) * SLACK
+        size = np.maximum(np.abs(least), np.abs(most))
+        doubt = 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
+        found = []
+        for mine, theirs, sign in ((least, most, -1), (most, least, 1)):
+            rest = (mixing @ theirs)[state] - own * theirs
+            free = (1 - own) * mine - rest + sign * (coupled + doubt)
+            found.append(np.where(own == 1, 0.0, free))
+        return found[0], found[1]
+
+    @cached_property
+    def _mixing(self) -> sp.csr_array:
+        """(S, L) the policy."""
+        mdp = self.mdp
+        return sp.csr_array((self.own, np.arange(mdp.n_pairs), mdp.pair_offsets))
+
+    def _best(self, worth: Floats) -> Integers:
+        """Return (S,) the best pair of each state."""
+        first, state = self.mdp.pair_offsets[:-1], self.mdp.pair_state
+        best = np.maximum.reduceat(worth, first)
+        number = np.where(worth == best[state], np.arange(len(worth)), len(worth))
+        return np.minimum.reduceat(number, first)
+
+    # ---- fixed points ----------------------------------------------------------------------------
+
+    def _settled(
+        self, step: Callable[[Floats], Step], side: int, first: Floats | None = None
+    ) -> Floats:
+        """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
+
+        `first` (S,) are such bounds, the ends of the range unless given.
+        """
+        sign, take = (1, np.minimum) if side else (-1, np.maximum)
+        known = np.full(self.mdp.n_states, self.range[side]) if first is None else first
+        rate, left = self.mdp.discount, float(1 - self.mdp.discount_exact)
+        scale = SMALL * (self.range[1] - self.range[0])
+        if not left:
+            for _ in range(SWEEPS):
+                value = take(known, step(known).bound)
+                if np.abs(value - known).max() <= scale:
+                    break
+                known = value
+            return value
+        value = known
+        for _ in range(IMPROVEMENTS):
+            found = step(value)
+            over = max(float((sign * (found.bound - value)).max()), 0.0) / left * SLACK
+            known = take(known, value + sign * (over + 4 * UNIT * (np.abs(value) + over)))
+            chain, constant = found.piece()
+            target = LinearSystem(chain, rate).approximate(constant)
+            if np.abs(target - value).max() <= scale:
+                break
+            value = target
+        return np.asarray(known)
+
+    def _start(self, value: Floats, sign: int) -> float:
+        """Return a bound of the value at the start, rounded outward."""
+        weights = self.mdp.start_distribution
+        rounding = (np.count_nonzero(weights) + 2) * 2 * UNIT * float(weights @ np.abs(value))
+        return float(weights @ value + sign * rounding)

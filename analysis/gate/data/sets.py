@@ -1,0 +1,285 @@
+"""Which rows the records allow: a set around each counted row, all of them right at once.
+
+A pair seen n times, c_i times leading to state i of the m states, has a row q that is unknown. For
+any prior w over rows, chosen without the records, the likelihood ratio
+
+    M_n = ∫ Π_i (q'_i / q_i)^c_i w(dq')        has mean 1 under q, whatever q is, at every n,
+
+so that by Ville's inequality (1939) it ever exceeds 1/δ with probability at most δ. With w the
+Dirichlet distribution of parameters 1/m, whose integral is known, M_n ≤ 1/δ says of the shares p =
+c/n
+
+    n KL(p ‖ q) ≤ log(1/δ) + Σ c_i log p_i - log [ Γ(1) / Γ(n + 1) Π Γ(c_i + 1/m) / Γ(1/m) ].
+
+(Jonsson, Kaufmann, Ménard, Darwiche Domingues, Leurent and Valko, NeurIPS 2020, proposition 1, is
+this with the uniform prior and its integral bounded.) It holds for all n at once, hence for the
+random n of recorded episodes, and however their actions were chosen. States that were never seen to
+follow are allowed for, by Dirichlet parameters that add up to 1 at small cost. What a policy was
+learned from does not matter, because the sets hold for all rows and not for one value function.
+
+Rewards: the mean μ of a pair's rewards, which lie in a stated range (here scaled to [0, 1]), obeys
+
+    n kl(mean seen, μ) ≤ log((n + 1) / δ),    kl that of two coins, for all n at once,
+
+by the same argument with the uniform prior: (q/μ)^X ((1 - q)/(1 - μ))^(1 - X) is convex in X in
+[0, 1] and so has a mean of at most 1, and ∫ exp(-n kl(x, q)) dq ≥ 1/(n + 1), because kl(x, q) is at
+most -log(1 - t) where q is t of the way from x to an end. Or rewards are *known*: a function of
+state, action and next state, of which the range bounds those that were never seen.
+
+Each of the K = states × actions that could have been counted gets δ = (1 - confidence) / K, half of
+it for its rewards unless they are known. Rows that nobody counted are as certain as the model says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import log
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from exact_mdp.analysis.gate.data.interval import Ends, observations_of, range_of
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.robust.divergence import Likelihood
+from exact_mdp.solvers.robust.sets import Block, Inner, entries, inner
+
+special = later("scipy.special")
+
+KNOWN = "known"
+HALVINGS = 60
+ONE_BLOCK = 2**14  # outcomes that are asked about together, however long the rows
+Given = Literal["known"] | tuple[object, object] | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RowSets:
+    """A set of rows for each pair of a model with counts.
+
+    Attributes
+    ----------
+    mdp : MDP
+        Of rewards, not costs.
+    counted : (L,)
+        Observations of each pair; 0 for rows that are certain. Some may be only imagined.
+    doubt : float
+        The probability that some row is outside of its set.
+    known : bool
+        Whether rewards are known.
+    rewards : (float, float)
+        Where they lie.
+    """
+
+    mdp: MDP
+    counted: Floats
+    doubt: float
+    known: bool
+    rewards: Ends
+
+    @classmethod
+    def of(cls, mdp: MDP, doubt: float, rewards: Given = None) -> RowSets:
+        """Return the sets of a model's counts; `rewards` as `Robust` has them."""
+        seen = observations_of(mdp).astype(np.float64)
+        table = mdp.table
+        gains = table.gains()[np.repeat(seen > 0, np.diff(table.offsets))]
+        ends = (float(gains.min()), float(gains.max()))
+        known = isinstance(rewards, str)
+        if known and rewards != KNOWN:
+            raise ModelError(
+                f"rewards are {rewards!r}", where="rewards", fix="give 'known', or (low, high)"
+            )
+        stated = None if known else range_of(rewards, "rewards")
+        if stated is not None:
+            if not stated[0] <= ends[0] <= ends[1] <= stated[1]:
+                raise ModelError(
+                    f"rewards from {ends[0]:g} to {ends[1]:g} were seen",
+                    where="rewards",
+                    fix="state a range that holds them",
+                )
+            ends = stated
+        if mdp.sense == "min":
+            ends = (-ends[1], -ends[0])
+        return cls(mdp=mdp.maximised, counted=seen, doubt=doubt, known=known, rewards=ends)
+
+    def with_more(self, more: Floats) -> RowSets:
+        """Return the sets after `more` (L,) observations that show what was seen, in proportion."""
+        return replace(self, counted=np.asarray(self.counted + more))
+
+    @cached_property
+    def pairs(self) -> Integers:
+        """(U,) the pairs that were counted."""
+        return np.flatnonzero(self.counted > 0)
+
+    @cached_property
+    def share(self) -> float:
+        """The doubt that is left to each pair."""
+        states = np.unique(self.mdp.pair_state[self.pairs])
+        return self.doubt / (len(states) * self.mdp.n_actions)
+
+    @cached_property
+    def radius(self) -> Floats:
+        """(L,) how far a row may be, by KL divergence from the shares that were seen; in nats."""
+        counts, states = self.counts, self.mdp.n_states
+        part, n = 1 / states, self.counted[self.pairs]
+        row = np.repeat(np.arange(len(n)), np.diff(counts.indptr))
+        p = counts.data / np.bincount(row, counts.data)[row]
+        c = p * n[row]
+        terms = c * np.log(p) - special.gammaln(c + part) + special.gammaln(part)
+        total = np.bincount(row, terms) + special.gammaln(n + 1)
+        doubt = self.share if self.known else self.share / 2
+        found = (total + log(1 / doubt)) / n
+        size = np.bincount(row, np.abs(c * np.log(p)) + np.abs(special.gammaln(c + part)))
+        found += 64 * UNIT * (size + special.gammaln(n + 1) + log(states)) / n
+        radius = np.zeros(self.mdp.n_pairs)
+        radius[self.pairs] = found if states > 1 else 0.0
+        return radius
+
+    @cached_property
+    def reward(self) -> tuple[Floats, Floats]:
+        """(L,) and (L,) bounds of each pair's expected reward; unless rewards are known."""
+        low, high = self.mdp.reward.copy(), self.mdp.reward.copy()
+        least, most = self.rewards
+        if most > least:
+            n = self.counted[self.pairs]
+            mean = np.clip((low[self.pairs] - least) / (most - least), 0.0, 1.0)
+            edge = np.log((n + 1) / (self.share / 2)) / n * SLACK
+            low[self.pairs] = least + (most - least) * (1 - _highest(1 - mean, edge))
+            high[self.pairs] = least + (most - least) * _highest(mean, edge)
+        return low, high
+
+    @cached_property
+    def counts(self) -> sp.csr_array:
+        """(U, S) how often each counted pair was seen to lead to each state."""
+        counts = self.mdp.counts
+        assert counts is not None
+        return counts[self.pairs]
+
+    @cached_property
+    def gains(self) -> Floats:
+        """The reward of each entry of `counts`, where rewards are known."""
+        mdp, table = self.mdp, self.mdp.table
+        kept = np.repeat(self.counted > 0, np.diff(table.offsets))
+        row = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))[kept]
+        then, gain = table.next[kept], table.gains()[kept]
+        order = np.lexsort([then, row])
+        row, then, gain = row[order], then[order], gain[order]
+        again = (row[1:] == row[:-1]) & (then[1:] == then[:-1])
+        if (unlike := again & (gain[1:] != gain[:-1])).any():
+            raise ModelError(
+                "two rewards were seen for the same next state, so that rewards are not known",
+                where=mdp.where(int(row[1:][unlike][0])),
+                fix="state where rewards lie: rewards=(low, high), --rewards LOW,HIGH",
+            )
+        return np.asarray(gain[np.append(True, ~again)])
+
+    def blocks(self, gain: float) -> list[Block]:
+        """Return the counted rows, each with one more outcome that nobody saw, of reward `gain`.
+
+        The states' numbers end with one for that outcome.
+        """
+        counts, pairs = self.counts, self.pairs
+        length = np.diff(counts.indptr)
+        gains = self.gains if self.known else np.zeros(counts.nnz)
+        width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
+        if len(width) * width.max() <= ONE_BLOCK:
+            width[:] = width.max()
+        found = []
+        for n in np.unique(width).tolist():
+            place = np.flatnonzero(width == n)
+            filled = np.arange(n) >= length[place][:, None]
+            at = counts.indptr[place][:, None] + np.where(filled, 0, np.arange(n))
+            p = np.where(filled, 0.0, counts.data[at])
+            p /= p.sum(axis=1, keepdims=True)
+            one = np.ones((len(place), 1))
+            earned = np.hstack([gains[at], gain * one * self.known])
+            found.append(
+                Block(
+                    place=place,
+                    pair=pairs[place],
+                    outcome=np.hstack([at, (-one).astype(np.int64)]),
+                    filled=np.hstack([filled, one < 0]),
+                    next=np.hstack([counts.indices[at], one.astype(np.int64) * self.mdp.n_states]),
+                    probability=np.hstack([p, 0 * one]),
+                    gain=earned,
+                    largest=np.abs(earned).max(axis=1),
+                )
+            )
+        return found
+
+    @cached_property
+    def _blocks(self) -> tuple[list[Block], list[Block]]:
+        return self.blocks(self.rewards[0]), self.blocks(self.rewards[1])
+
+    def worth(self, value: Floats, *, most: bool, rewards: bool = True) -> Rows:
+        """Return what nature makes of every pair at values (S,): as much or as little as it can."""
+        mdp, pairs = self.mdp, self.pairs
+        far = int(value.argmax() if most else value.argmin())
+        blocks = self._blocks[most]
+        found = inner(
+            Likelihood(radius=self.radius),
+            blocks,
+            np.append(value, value[far]),
+            discount=mdp.discount,
+            against=not most,
+            rewards=rewards and self.known,
+        )
+        sign = 1 if most else -1
+        bound = np.asarray(mdp.discount * (mdp.transition @ value))  # of rows that are certain
+        reward = self.reward[most] if rewards and not self.known else np.zeros(mdp.n_pairs)
+        if rewards and self.known:
+            reward = np.where(self.counted > 0, 0.0, mdp.reward)
+        bound[pairs] = found.high if most else found.low
+        size = np.abs(value).max() + rewards * (np.abs(reward) + np.abs(self.rewards).max())
+        length = np.diff(mdp.transition.indptr) + 8
+        bound = bound + reward + sign * (length * 4 * UNIT * size + TINY * (size > 0))
+        return Rows(sets=self, bound=bound, reward=reward, blocks=blocks, found=found, far=far)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """What nature makes of all pairs at some values.
+
+    Attributes
+    ----------
+    bound : (L,)
+        A bound, rounding included, of the reward and the discounted value that follows.
+    """
+
+    sets: RowSets
+    bound: Floats
+    reward: Floats
+    blocks: list[Block]
+    found: Inner
+    far: int
+
+    @cached_property
+    def chosen(self) -> tuple[sp.csr_array, Floats]:
+        """(L, S) the laws that nature chose, and (L,) the rewards under them."""
+        sets, mdp = self.sets, self.sets.mdp
+        place, following, weight, earned = entries(self.blocks, self.found.laws)
+        following = np.where(following == mdp.n_states, self.far, following)
+        certain = mdp.transition.multiply((sets.counted == 0).reshape(-1, 1)).tocoo()
+        row = np.concatenate([sets.pairs[place], certain.coords[0]])
+        column = np.concatenate([following, certain.coords[1]])
+        laws = sp.csr_array((np.append(weight, certain.data), (row, column)), mdp.transition.shape)
+        reward = self.reward.copy()
+        reward[sets.pairs] += earned
+        return laws, reward
+
+
+def _highest(mean: Floats, edge: Floats) -> Floats:
+    """Return (U,) no less than the greatest μ with kl(mean, μ) ≤ edge, kl that of two coins."""
+    low, high = mean.copy(), np.ones_like(mean)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            up = np.where(mean > 0, mean * np.log(mean / middle), 0.0)
+            down = np.where(mean < 1, (1 - mean) * np.log((1 - mean) / (1 - middle)), 0.0)
+            outside = up + down > edge
+            low, high = np.where(outside, low, middle), np.where(outside, middle, high)
+    return np.minimum(high * SLACK, 1.0)

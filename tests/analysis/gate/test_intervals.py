@@ -1,0 +1,554 @@
+"""Intervals for the regret in the process behind records: they hold, and are what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from fractions import Fraction as F
+from math import lgamma, log
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, optimize
+
+from exact_mdp.analysis import check
+from exact_mdp.analysis.gate.data.interval import Evidence
+from exact_mdp.analysis.gate.data.off_policy import OffPolicy, mean_at_least
+from exact_mdp.analysis.gate.data.posterior import Posterior, _Model
+from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
+from exact_mdp.analysis.gate.data.sets import RowSets
+from exact_mdp.analysis.sensitivity.psa.intervals import wilson
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+NAMES = ["episode", "state", "action", "reward", "next_state"]
+LEVEL = F(19, 20)
+
+# States 0, 1, 2 and the end, actions 0 and 1; a reward is 1 with a chance of its own.
+ROWS = np.array(
+    [
+        [[0.1, 0.5, 0.1, 0.3], [0.2, 0.1, 0.4, 0.3]],
+        [[0.0, 0.3, 0.3, 0.4], [0.3, 0.3, 0.0, 0.4]],
+        [[0.2, 0.2, 0.3, 0.3], [0.1, 0.0, 0.2, 0.7]],
+    ]
+)
+CHANCES = np.array([[0.2, 0.7], [0.5, 0.4], [0.9, 0.1]])
+POLICY = [0, 1, 0, 0]
+RATE = 0.9
+
+
+def recorded(rng: np.random.Generator, episodes: int) -> pd.DataFrame:
+    """Return episodes of a behaviour that takes both actions equally often, all at once."""
+    parts, state, alive, time = [], np.zeros(episodes, dtype=int), np.arange(episodes), 0
+    while len(alive):
+        action = rng.integers(2, size=len(alive))
+        total = ROWS[state, action].cumsum(axis=1)
+        then = (rng.random((len(alive), 1)) > total).sum(axis=1).clip(max=3)
+        reward = (rng.random(len(alive)) < CHANCES[state, action]).astype(int)
+        parts.append(np.stack([alive, np.full_like(alive, time), state, action, reward, then], 1))
+        state, alive, time = then[then < 3], alive[then < 3], time + 1
+    rows = np.concatenate(parts)
+    rows = rows[np.lexsort([rows[:, 1], rows[:, 0]])]
+    frame = pd.DataFrame(rows[:, [0, 2, 3, 4]], columns=NAMES[:4])
+    return frame.assign(next_state=pd.array(rows[:, 5], dtype="Int64").astype(object)).assign(
+        next_state=lambda table: table["next_state"].where(table["next_state"] < 3, None)
+    )
+
+
+def truth() -> tuple[float, float]:
+    """Return the optimum's value and the regret of POLICY, by equations of this file's own."""
+
+    def value(policy: tuple[int, ...]) -> float:
+        chain = np.array([ROWS[s, a, :3] for s, a in enumerate(policy)])
+        earned = np.array([CHANCES[s, a] for s, a in enumerate(policy)])
+        return float(np.linalg.solve(np.eye(3) - RATE * chain, earned)[0])
+
+    best = max(value((a, b, c)) for a in (0, 1) for b in (0, 1) for c in (0, 1))
+    return best, best - value((0, 1, 0))
+
+
+def estimated(frame: pd.DataFrame) -> tuple[MDP, PolicyChain]:
+    mdp = MDP.from_transitions(frame, discount="9/10")
+    assert mdp.n_states == 4
+    return mdp, PolicyChain.of(mdp, POLICY)
+
+
+# ---- coverage ----------------------------------------------------------------------------------
+
+KINDS: dict[str, Callable[[pd.DataFrame, int], Evidence]] = {
+    "robust": lambda frame, seed: Robust(rewards=(0, 1)),
+    "posterior": lambda frame, seed: Posterior(n=400, rng=seed),
+    "off-policy": lambda frame, seed: OffPolicy(records=frame, behaviour="random", rewards=(0, 1)),
+}
+
+
+def held(kind: str, episodes: int, sets: int) -> int:
+    """Return how many of `sets` data sets give an interval that holds the true regret."""
+    _, lost = truth()
+    found = 0
+    for seed in range(sets):
+        frame = recorded(np.random.default_rng([episodes, seed]), episodes)
+        interval = KINDS[kind](frame, seed).interval(*estimated(frame), LEVEL)
+        found += interval.low <= lost <= interval.high
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_intervals_hold_the_truth(kind: str) -> None:
+    """The stated share is not above the Wilson interval of the share that hold it."""
+    assert float(wilson(held(kind, 300, 25), 25)[1]) >= float(LEVEL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("episodes", [100, 400, 1600])
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_400_data_sets_the_stated_share_holds_the_truth(kind: str, episodes: int) -> None:
+    assert float(wilson(held(kind, episodes, 400), 400)[1]) >= float(LEVEL)
+
+
+# ---- robust: sets ------------------------------------------------------------------------------
+
+
+def test_the_radius_is_the_likelihood_ratio_of_the_prior() -> None:
+    """Of two states the mixture is an integral over one number."""
+    rows = [(n, "a", "x", 0, "a" if n % 3 else "b") for n in range(12)]
+    rows += [(100 + n, "b", "x", 0, "b") for n in range(5)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
+    sets = RowSets.of(mdp, 0.1, "known")
+    for pair, (a, b) in enumerate([(8, 4), (0, 5)]):
+
+        def density(q: float, a: int = a, b: int = b) -> float:
+            return float(q ** (a - 0.5) * (1 - q) ** (b - 0.5)) / np.pi  # Beta(1/2, 1/2)
+
+        mixture, _ = integrate.quad(density, 0, 1, points=[0.01, 0.99])
+        likelihood = sum(k * log(k / (a + b)) for k in (a, b) if k)
+        wanted = (likelihood - log(mixture) + log(2 / 0.1)) / (a + b)  # of two pairs
+        assert sets.radius[pair] == pytest.approx(wanted, rel=1e-6)
+        assert sets.radius[pair] >= wanted * (1 - 1e-7)
+
+
+def test_the_sets_hold_at_every_time_at_once() -> None:
+    """A likelihood ratio exceeds 1/δ at some time of 400 in a share δ of the runs, at most."""
+    rng, q, doubt = np.random.default_rng(5), np.array([0.6, 0.3, 0.1, 0.0]), 0.1
+    drawn = rng.random((1000, 400, 1)) > q.cumsum()[:3]
+    counts = np.cumsum(np.eye(4)[drawn.sum(axis=2)], axis=1)
+    n = np.arange(1, 401)
+    gammas = np.array([[lgamma(k + part) for k in range(401)] for part in (0.25, 1.0)])
+    mixed = gammas[0][counts.astype(int)].sum(axis=2) - 4 * lgamma(0.25) - gammas[1][n]
+    own = (counts[:, :, :3] * np.log(q[:3])).sum(axis=2)
+    broken = ((mixed - own) > log(1 / doubt)).any(axis=1)
+    assert float(wilson(int(broken.sum()), 1000)[0]) <= doubt
+
+
+@given(st.integers(0, 10**6))
+def test_nature_may_send_a_row_where_nobody_saw_it_go(seed: int) -> None:
+    """The optimum over rows, next states without counts among them, by an optimiser."""
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 12, size=4) * (rng.random(4) < 0.7)
+    counts[0] += 1
+    rows = [(0, "0", "x", 0, str(s)) for s in np.repeat(np.arange(4), counts)]
+    rows = [(n, *row[1:]) for n, row in enumerate(rows)]
+    rows += [(100 + s, str(s), "x", 0, None) for s in range(1, 4)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
+    sets = RowSets.of(mdp, 0.1, "known")
+    value, p = rng.normal(size=mdp.n_states), counts / counts.sum()
+    kept = np.append(p, np.zeros(mdp.n_states - 4))
+    found = {most: sets.worth(value, most=most) for most in (False, True)}
+    positive = kept > 0
+    for most, worth in found.items():
+        sign = -1.0 if most else 1.0
+        law = worth.chosen[0][[0]].toarray()[0]
+        assert law.sum() == pytest.approx(1)
+        assert (kept[positive] @ np.log(kept[positive] / law[positive])) <= sets.radius[0] + 1e-9
+        assert abs(worth.bound[0] - value @ law / 2) < 1e-8
+        # The dual of Nilim and El Ghaoui, maximised by a search on one number.
+        x = sign * value
+        apart = x - x.min()
+
+        def dual(t: float, apart: np.ndarray = apart, x: np.ndarray = x) -> float:
+            s = np.exp(t) * positive_or_zero(t)
+            mean = kept[positive] @ np.log(apart[positive] + s)
+            return -(x.min() - s + np.exp(mean - sets.radius[0]))
+
+        best = max(
+            -optimize.minimize_scalar(dual, bounds=(low, low + 10), method="bounded").fun
+            for low in range(-60, 20, 10)
+        )
+        assert sign * worth.bound[0] * 2 <= best + 1e-6
+        assert sign * worth.bound[0] * 2 >= best - 1e-5
+
+
+def positive_or_zero(t: float) -> float:
+    return 1.0 if t > -59 else 0.0
+
+
+# ---- robust: regret ----------------------------------------------------------------------------
+
+
+def inside(rng: np.random.Generator, sets: RowSets, known: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows and rewards of a model on the edge of the sets, drawn towards a corner."""
+    mdp = sets.mdp
+    rows, reward = mdp.transition.toarray(), mdp.reward.copy()
+    for pair in sets.pairs.tolist():
+        p, aim = rows[pair].copy(), rng.dirichlet(np.full(mdp.n_states, 0.1))
+        seen, low, high = p > 0, 0.0, 1.0
+        for _ in range(50):
+            t = (low + high) / 2
+            q = (1 - t) * p + t * aim
+            fits = p[seen] @ np.log(p[seen] / q[seen]) <= sets.radius[pair]
+            low, high = (t, high) if fits else (low, t)
+        rows[pair] = (1 - low) * p + low * aim
+        if not known:
+            reward[pair] = sets.reward[int(rng.integers(2))][pair]
+    return rows, reward
+
+
+def lost(mdp: MDP, rows: np.ndarray, reward: np.ndarray, own: np.ndarray) -> tuple[float, float]:
+    """Return V* and V^π at the start, by value iteration in arrays."""
+    first, value = mdp.pair_offsets[:-1], np.zeros((2, mdp.n_states))
+    for _ in range(400):
+        worth = reward + mdp.discount * value @ rows.T
+        value = np.stack(
+            [np.maximum.reduceat(worth[0], first), np.add.reduceat(own * worth[1], first)]
+        )
+    start = mdp.start_distribution
+    return float(value[0] @ start), float(value[1] @ start)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10**6), st.integers(20, 2000), st.booleans(), st.booleans())
+def test_no_model_of_the_sets_has_another_regret(
+    seed: int, episodes: int, known: bool, mixed: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    frame = recorded(rng, episodes)
+    if known:
+        frame["reward"] = [
+            (0.2, 0.7, 0.5)[s] + a for s, a in zip(frame.state, frame.action, strict=True)
+        ]
+    mdp = MDP.from_transitions(frame, discount="9/10")
+    chain = PolicyChain.of(mdp, "random" if mixed else POLICY[: mdp.n_states])
+    sets = RowSets.of(mdp, 0.05, "known" if known else (0, 1))
+    bounds = RobustBounds(sets=sets, own=chain.weights)
+    low, high = bounds.regret
+    for _ in range(6):
+        rows, reward = inside(rng, sets, known)
+        best, own = lost(mdp, rows, reward, chain.weights)
+        assert low - 1e-7 <= best - own <= high + 1e-7
+        for whose, value in (("best", best), ("own", own)):
+            least, most = bounds.at_start(mdp, whose)
+            assert least - 1e-7 <= value <= most + 1e-7
+
+
+def test_the_bound_is_narrower_than_that_by_two_models() -> None:
+    """What is unsure of the optimum and of the policy alike does not widen the interval."""
+    mdp, chain = estimated(recorded(np.random.default_rng(1), 3000))
+    sets = RowSets.of(mdp, 0.05, (0, 1))
+    best = PolicyChain.of(mdp, "optimal").weights
+    for own in (chain.weights, best):
+        bounds = RobustBounds(sets=sets, own=own)
+        (least, most), (low, high) = bounds.at_start(mdp, "best"), bounds.at_start(mdp, "own")
+        assert max(least - high, 0) <= bounds.regret[0] <= bounds.regret[1] < most - low
+    assert bounds.regret[1] < (most - low) / 2
+
+
+def test_with_ever_more_records_the_interval_is_the_regret() -> None:
+    mdp, chain = estimated(recorded(np.random.default_rng(1), 300))
+    sets = RowSets.of(mdp, 0.05, (0, 1))
+    sets = sets.with_more(np.where(sets.counted > 0, 1e14, 0.0))
+    found = RobustBounds(sets=sets, own=chain.weights).regret
+    wanted = float(check(mdp, POLICY).value.value)
+    assert found == (pytest.approx(wanted, abs=1e-4), pytest.approx(wanted, abs=1e-4))
+
+
+def test_costs_have_the_interval_of_rewards() -> None:
+    frame = recorded(np.random.default_rng(1), 300)
+    rewards, chain = estimated(frame)
+    costs = MDP.from_transitions(frame.assign(reward=-frame.reward), "9/10", sense="min")
+    one = Robust(rewards=(0, 1)).interval(rewards, chain, LEVEL)
+    other = Robust(rewards=(-1, 0)).interval(costs, PolicyChain.of(costs, POLICY), LEVEL)
+    assert (one.low, one.high) == pytest.approx((other.low, other.high))
+    assert one.found["learned_value"][0] == pytest.approx(-other.found["learned_value"][1])
+
+
+def test_at_discount_1_a_range_of_returns_is_needed() -> None:
+    frame = recorded(np.random.default_rng(1), 4000)
+    mdp = MDP.from_transitions(frame)
+    with pytest.raises(ModelError, match="how long an episode"):
+        check(mdp, POLICY, confidence=0.95)
+    audit = check(mdp, POLICY, confidence=0.95, by=Robust(rewards=(0, 1), returns=(0, 20)))
+    assert audit.regret_interval is not None
+    low, high = audit.regret_interval
+    assert low <= float(audit.value.value) <= high < 20
+
+
+# ---- posterior ---------------------------------------------------------------------------------
+
+
+def test_a_draw_is_a_model_that_is_solved() -> None:
+    """Batches of dense equations agree with the toolkit's own solver, draw by draw."""
+    mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
+    model = _Model.of(mdp, chain.weights, 1.0)
+    rows, reward = model.drawn(np.random.default_rng(0), 20)
+    found = model.regret(rows, reward)
+    for draw in range(20):
+        # A row of floats sums to 1 but for rounding.
+        drawn = MDP.from_pairs(
+            mdp.pair_state, mdp.pair_action, rows[draw], reward[draw], "9/10", start=0
+        )
+        assert found[draw] == pytest.approx(
+            float(check(drawn, POLICY, exact_values=False).value.value), abs=1e-8
+        )
+
+
+def test_drawn_rows_are_dirichlet() -> None:
+    mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
+    model = _Model.of(mdp, chain.weights, 2.0)
+    rows, reward = model.drawn(np.random.default_rng(0), 4000)
+    assert mdp.observations is not None
+    assert mdp.counts is not None
+    for pair in np.flatnonzero(mdp.observations).tolist():
+        alpha = mdp.counts[[pair]].toarray()[0] + 0.5  # 2 observations over 4 states
+        n, mean = alpha.sum(), alpha / alpha.sum()
+        spread = np.sqrt(mean * (1 - mean) / (n + 1))
+        assert rows[:, pair].mean(axis=0) == pytest.approx(mean, abs=5 * spread.max() / 60)
+        assert rows[:, pair].std(axis=0) == pytest.approx(spread, rel=0.1)
+    assert reward.mean(axis=0) == pytest.approx(mdp.reward, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"n_jobs": 2, "threads": True},
+        pytest.param({"n_jobs": 2}, marks=pytest.mark.slow),
+        pytest.param({"scheduler": "local", "n_jobs": 2}, marks=pytest.mark.slow),
+    ],
+)
+def test_the_same_seed_gives_the_same_bytes_wherever(how: dict[str, Any], tmp_path: Path) -> None:
+    mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
+
+    def draws(**how: Any) -> bytes:
+        return Posterior(n=600, rng=3, **how).interval(mdp, chain, LEVEL).draws.tobytes()
+
+    here = draws(folder=tmp_path)
+    assert here == draws(folder=tmp_path)  # read, not drawn
+    with joblib.parallel_config("threading") if how.pop("threads", False) else nullcontext():
+        assert draws(**how) == here
+    assert Posterior(n=600, rng=4).interval(mdp, chain, LEVEL).draws.tobytes() != here
+
+
+def test_the_probability_is_a_share_of_the_draws() -> None:
+    mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
+    found = Posterior(n=600).interval(mdp, chain, LEVEL)
+    share = found.within(F(1, 2))
+    assert share.value == np.mean(found.draws <= 0.5)
+    assert share.interval == tuple(float(end) for end in wilson(share.value * 600, 600))
+    assert found.within(F(1000)).interval[0] < 1  # all draws agree, and some doubt is left
+    assert found.low <= np.quantile(found.draws, 0.025) <= np.quantile(found.draws, 0.975)
+    assert np.quantile(found.draws, 0.975) <= found.high
+
+
+# ---- off-policy --------------------------------------------------------------------------------
+
+
+def test_weights_and_returns_are_those_of_the_episodes() -> None:
+    rows = [
+        (1, "a", "x", 1, "b"), (1, "b", "y", 2, None),
+        (2, "a", "y", 4, "a"), (2, "a", "x", 8, "b"), (2, "b", "x", 16, "b"),
+        (3, "a", "x", 3, None),
+    ]  # fmt: skip
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    chain = PolicyChain.of(mdp, {"a": "x", "b": "x"})
+    weights = np.array([0.0, 0.0, 2.0])  # π/b is 2, or 0; the second episode takes y first
+    returns = np.array([2.0, 12.0, 3.0])
+    for records in (frame, [frame.iloc[n : n + 1] for n in range(6)]):
+        by = OffPolicy(records=records, behaviour="random")
+        found = by.interval(mdp, chain, LEVEL).found
+        assert found["ordinary"] == pytest.approx(float((weights * returns).mean()))
+        assert found["weighted"] == pytest.approx(float(weights @ returns / weights.sum()))
+        assert (found["effective_sample_size"], found["cut_off"]) == (1.0, 1)
+    # Estimated, the behaviour takes x in a with 3/4 and in b with 1/2.
+    found = OffPolicy(records=frame).interval(mdp, chain, LEVEL).found
+    assert found["ordinary"] == pytest.approx(float(4 / 3 * 3 / 3))
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10**6))
+def test_the_bound_is_that_of_the_theorem(seed: int) -> None:
+    """Theorem 1 of Thomas and others as it is printed, with its double sum."""
+    sample = np.random.default_rng(seed).exponential(size=120) ** 2
+    found, doubt = mean_at_least(sample, 0.05), 0.05
+    rest = sample[6:]
+    n = len(rest)
+
+    def theorem(c: float) -> float:
+        y = np.minimum(rest, c)
+        double = np.square(np.subtract.outer(y / c, y / c)).sum()
+        scale = 1 / (n / c)
+        middle = 7 * n * log(2 / doubt) / (3 * (n - 1))
+        return float(
+            scale * (y / c).sum()
+            - scale * middle
+            - scale * (log(2 / doubt) / (n - 1) * double) ** 0.5
+        )
+
+    grid = sample[:6].max() * np.geomspace(1e-4, 2.0, 200)
+    assert found == 0 or min(abs(found - theorem(c)) for c in grid) < 1e-9
+    assert found <= max(0.0, *(theorem(c) for c in grid)) + 1e-9
+
+
+# ---- what needs more records -------------------------------------------------------------------
+
+
+def two_treatments(n: int) -> pd.DataFrame:
+    """Return n records of each of two actions in one state, of rewards 1/4 and 3/4 on average."""
+    rows = [(k, "ill", "wait", int(k % 4 == 0), None) for k in range(n)]
+    rows += [(k + n, "ill", "treat", int(k % 4 > 0), None) for k in range(n)]
+    return pd.DataFrame(rows, columns=NAMES)
+
+
+def longer() -> tuple[pd.DataFrame, PolicyLike]:
+    return recorded(np.random.default_rng(3), 600), POLICY
+
+
+@pytest.mark.parametrize(
+    ("records", "policy", "limit", "expected"),
+    [
+        (two_treatments(40), "always:treat", "1/10", True),
+        (two_treatments(40), "always:wait", "1/10", False),
+        pytest.param(*longer(), "9/10", True, marks=pytest.mark.slow),
+    ],
+)
+def test_a_plan_decides_and_nothing_of_it_could_be_left_out(
+    records: pd.DataFrame, policy: PolicyLike, limit: str, expected: bool
+) -> None:
+    mdp = MDP.from_transitions(records, discount="9/10")
+    audit = check(mdp, policy, max_regret=limit, confidence=0.95, by=Robust(rewards=(0, 1)))
+    found = audit.needed()
+    assert audit.undecided
+    assert found.decided is None
+    assert found.expected is expected
+    sets, own = RowSets.of(mdp, 0.05, (0, 1)), audit.chain.weights
+
+    def end(more: np.ndarray) -> float:
+        """Return the end that decides, less the limit, below 0 where it decides."""
+        low, high = RobustBounds(sets=sets.with_more(more), own=own).regret
+        return high - float(F(limit)) if expected else float(F(limit)) - low
+
+    plan = np.zeros(mdp.n_pairs)
+    plan[found.pairs] = found.more
+    assert end(plan) <= 0 < end(0 * plan)
+    for pair in np.flatnonzero(plan).tolist():
+        fewer = plan.copy()
+        fewer[pair] *= 0.8
+        assert end(fewer) > 0
+    known = 0 * plan
+    known[found.pairs[0]] = 1e15
+    assert found.worth[0] == pytest.approx(end(0 * plan) - end(known))
+    assert found.worth[0] == found.worth.max() > 0
+    table = found.frame()
+    assert list(table) == ["state", "action", "observations", "worth", "more"]
+    assert found.plot().get_xlabel()
+    assert "more observations" in repr(found)
+
+
+def test_records_that_show_the_same_again_count_as_the_sets_foresee() -> None:
+    frame = recorded(np.random.default_rng(3), 60)
+    twice = pd.concat([frame, frame.assign(episode=frame.episode + 10**6)])
+    one, other = (RowSets.of(MDP.from_transitions(x, "9/10"), 0.05, (0, 1)) for x in (frame, twice))
+    assert other.radius == pytest.approx(one.with_more(one.counted).radius)
+    assert other.reward[1] == pytest.approx(one.with_more(one.counted).reward[1])
+
+
+def test_what_is_decided_needs_nothing() -> None:
+    mdp, _ = estimated(recorded(np.random.default_rng(3), 100))
+    audit = check(mdp, POLICY, max_regret=20, confidence=0.95)
+    assert audit.passed
+    assert not audit.needed().more.any()
+    at = audit.value.value
+    assert not audit.needed(at).possible
+
+
+# ---- the gate ----------------------------------------------------------------------------------
+
+
+def test_the_gate_passes_on_the_bound_and_never_on_the_estimate() -> None:
+    frame = recorded(np.random.default_rng(4), 200)
+    mdp, _ = estimated(frame)
+    point = check(mdp, POLICY).value.value
+    limit = point + F(1, 100)
+    assert check(mdp, POLICY, max_regret=limit).passed
+    for kind, make in KINDS.items():
+        audit = check(mdp, POLICY, max_regret=limit, confidence=0.95, by=make(frame, 0))
+        assert audit.regret_interval is not None
+        low, high = audit.regret_interval
+        assert low <= limit < high, kind
+        assert not audit.passed
+        assert audit.undecided
+        assert "not known to be at most" in audit.message()
+        assert kind in audit.message()
+        assert check(mdp, POLICY, max_regret=high, confidence=0.95, by=make(frame, 0)).passed
+        if low > 0:
+            failed = check(mdp, POLICY, max_regret=low / 2, confidence=0.95, by=make(frame, 0))
+            assert not failed.undecided
+            assert not failed.passed
+
+
+def test_a_policy_that_is_best_beyond_doubt_passes_without_a_limit() -> None:
+    rows = [(n, "ill", "wait", 0, None) for n in range(60)]
+    rows += [(n + 60, "ill", "treat", 1, None) for n in range(60)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
+    by = Robust(rewards="known")
+    assert check(mdp, "always:treat", confidence=0.95, by=by).regret_interval == (0.0, 0.0)
+    assert check(mdp, "always:treat", confidence=0.95, by=by).passed
+    assert not check(mdp, "always:wait", confidence=0.95, by=by).passed
+
+
+@pytest.mark.parametrize(
+    ("asked", "what"),
+    [
+        ({"by": "posterior"}, "no confidence"),
+        ({"confidence": 95}, "a confidence of 95"),
+        ({"confidence": "high"}, "high"),
+        ({"confidence": 0.95, "by": "bootstrap"}, "unknown kind"),
+        ({"confidence": 0.95, "by": "off-policy"}, "no trajectories"),
+        ({"confidence": 0.95, "max_relative_regret": 1}, "total regret alone"),
+        ({"confidence": 0.95, "criterion": "average"}, "total regret alone"),
+        ({"confidence": 0.95, "horizon": 5}, "no counts"),
+        ({"confidence": 0.95, "by": Robust(rewards=(0, "1/2"))}, "rewards from 0 to 1"),
+        ({"confidence": 0.95, "by": Robust(rewards=(1, 0))}, "the range"),
+        ({"confidence": 0.95, "by": Robust(rewards="all")}, "rewards are 'all'"),
+        ({"confidence": 0.95, "by": Robust(rewards="known")}, "two rewards"),
+        ({"confidence": 0.95, "by": Posterior(prior=0)}, "the prior"),
+        ({"confidence": 0.95, "by": Posterior(n=1)}, "draws"),
+    ],
+)
+def test_what_cannot_be_is_refused(asked: dict[str, Any], what: str) -> None:
+    mdp, _ = estimated(recorded(np.random.default_rng(4), 100))
+    with pytest.raises(ModelError, match=what):
+        check(mdp, POLICY, **asked)
+
+
+def test_records_that_do_not_fit_are_refused() -> None:
+    frame = recorded(np.random.default_rng(4), 100)
+    mdp, chain = estimated(frame)
+
+    def refused(what: str, records: pd.DataFrame = frame, **how: Any) -> None:
+        with pytest.raises(ModelError, match=what):
+            OffPolicy(records=records, **how).interval(mdp, chain, LEVEL)
+
+    refused("never does what the policy does", behaviour="always:1")
+    refused("no state '9'", frame.assign(state=9, next_state=None, episode=range(len(frame))))
+    refused("no action 'left'", frame.assign(action="left"))
+    refused("no column", frame.drop(columns="reward"))
+    refused("returns from", returns=(0, "1/2"))
+    with pytest.raises(ModelError, match="no counts"):
+        check(MDP.from_arrays([[[1]]], [1], "1/2"), [0], confidence=0.95)
