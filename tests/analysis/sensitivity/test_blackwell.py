@@ -6,7 +6,10 @@ from fractions import Fraction
 from itertools import pairwise
 
 import pytest
+from average_oracle import best, gain_and_bias
+from cases import BY_NAME
 from cli_runner import run
+from forest import forest
 from hypothesis import given, settings
 from strategies import Rows, models
 
@@ -84,3 +87,64 @@ def test_one_parameter_is_named(more: tuple[str, ...]) -> None:
     done = run("sensitivity", "tea", "curve", *more)
     assert (done.status, done.out) == (2, "")
     assert "--parameter NAME" in done.err
+
+
+@settings(max_examples=20, deadline=None)
+@given(rows=models(discounts=(F(1, 2),)))
+def test_it_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:
+    """V = g / (1 - γ) + h + …: its first two terms (Puterman 1994, theorem 10.1.5)."""
+    mdp = rows.model()
+    found = blackwell(mdp)
+    chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(found.policy)]
+    gain, bias = gain_and_bias(chosen)
+    assert (gain, bias) == best(rows.n_states, rows.pairs)
+    average = certify(mdp, criterion="average")
+    assert tuple(average.gain) == gain
+    pairs = [mdp.pair(s, int(a)) for s, a in enumerate(found.policy)]
+    assert average.optimal_pairs[pairs].all()
+
+
+def test_howards_taxicab_at_every_discount() -> None:
+    """Howard (1960), chapter 4: the stand in every town, at discount 1 and at those near to it."""
+    case = BY_NAME["howard-taxicab"]
+    mdp = Rows(n_states=3, pairs=case.pairs, discount=case.discount).model()
+    found, curve = blackwell(mdp), value_function(mdp, "discount")
+    assert found.policy.tolist() == [1, 1, 1]
+    assert curve.violations() == []
+    assert curve.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()
+    last = curve.pieces[-1].value
+    gain = sum(c for c in last.numerator) / -sum(k * c for k, c in enumerate(last.denominator))
+    assert gain == certify(mdp, criterion="average").gain[0]  # the residue at 1
+
+
+def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
+    # pymdptoolbox src/tests/test_PolicyIteration.py: values at 0.9 and 0.96, never cut
+    found = value_function(forest("1/2"), "discount", (0, "99/100"))
+    assert (found.at("9/10"), found.at("24/25")) == (F("26.244"), F("74.6496"))
+    assert found.violations() == []
+    last, before = found.pieces[-1], found.pieces[-2]
+    assert blackwell(forest("1/2")).policy.tolist() == [0, 0, 0]
+    # Waiting in the middle is worth it from γ on where 9/10 (1 + 9/10 γ …) pays for the cut's 1:
+    # 1 + γ V_0 = γ (V_0 / 10 + 9/10 V_2), with V_2 = 4 + γ (V_0 / 10 + 9/10 V_2).
+    low, high = before.high
+    for at, sign in ((low, 1), (high, -1)):
+        mdp = forest("1/2").with_(discount=at)
+        value = certify(mdp).value
+        gain = 1 + at * value[0] - at * (value[0] / 10 + F(9, 10) * value[2])
+        assert gain * sign >= 0
+    assert last.optimal[[mdp.pair(s, 0) for s in range(3)]].all()
+
+
+@pytest.mark.slow
+def test_two_hundred_states() -> None:
+    """A ring with shortcuts: each policy's values are ratios of degree 200."""
+    rows = [
+        (s, a, [("1/2", (s + 1) % 200, (7 * s) % 5), ("1/2", (a * 37 + s * s) % 200, a)])
+        for s in range(200)
+        for a in range(2)
+    ]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    found = blackwell(mdp)
+    for at in (found.high + (1 - found.high) / 10**6, 1 - (1 - found.high) / 10**6):
+        assert certify(mdp.with_(discount=at)).optimal_pairs[found.optimal].all()
+    assert certify(mdp, criterion="average").optimal_pairs[found.optimal].all()

@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
+from pathlib import Path
 
 import flint
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.sensitivity import gap_polynomials, thresholds, value_function
+from exact_mdp.analysis.sensitivity import (
+    curve_checker,
+    gap_polynomials,
+    thresholds,
+    value_function,
+)
 from exact_mdp.analysis.sensitivity.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.curve_checker import nonnegative, positive
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
@@ -247,3 +253,10 @@ def test_limits_that_say_nothing_are_refused() -> None:
     (only,) = held.within()  # optimal from 10/11 on: Puterman (1994), section 3.1
     assert only.low[0] <= F(10, 11) <= only.low[1]
     assert only.high == (F(99, 100),) * 2
+
+
+def test_the_checker_imports_no_solver() -> None:
+    source = Path(curve_checker.__file__).read_text("utf-8")
+    assert "import exact_mdp" not in source
+    homes = {line.split()[1] for line in source.splitlines() if line.startswith("from exact_mdp")}
+    assert all(home.startswith("exact_mdp.mdp.") for home in homes)
