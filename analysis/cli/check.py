@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from fractions import Fraction
-from math import inf, nextafter
+from math import inf, isinf, nextafter
 from time import perf_counter
 from typing import Any
 
@@ -47,7 +47,7 @@ ON_PAGE = 2000  # and on a page
 LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
 COLUMNS = (
     "yours: what the policy does; optimal: what it should do; value lost: expected visits times "
-    "what each loses; share: of all that is lost"
+    "what each loses; share: of all that is lost; if corrected: gained by changing this state alone"
 )
 
 
@@ -347,6 +347,8 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
         "regret" if audit.interval is None else "regret in the estimated model": lost.at_start,
         "relative regret": relative
         if relative is not None
+        else "undefined: the optimal value is infinite"
+        if isinf(lost.optimal.value)
         else "undefined: the optimal value is, or may be, 0",
         "optimal value": lost.optimal,
         "learned value": lost.learned,
@@ -414,6 +416,7 @@ def _tables(result: dict[str, Any], audit: Audit) -> list[Table]:
                 "value lost": "cost:.6g",
                 "visits": "expected_visits:.6g",
                 "share": "share:.1%",
+                "if corrected": "gain_if_corrected:.6g",
             },
             first=SHOWN,
         ),

@@ -98,9 +98,18 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
 
 
 def exact_visits(chain: PolicyChain) -> Floats:
-    """Return (S,) expected discounted visits from the start, each rounded once from a rational.
+    """Return (S,) expected discounted visits from the start, each rounded once from a rational."""
+    return _visited(chain).value_float
 
-    These solve the transposed equations d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached.
+
+def visited_exactly(chain: PolicyChain) -> list[Fraction]:
+    """Return the same as rationals, one for each state."""
+    return _visited(chain).value
+
+
+def _visited(chain: PolicyChain) -> ExactPolicy:
+    """Solve the transposed equations d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached.
+
     Terminal states count arrivals.
     """
     mdp = chain.mdp
@@ -108,10 +117,9 @@ def exact_visits(chain: PolicyChain) -> Floats:
     equations, found = flow(mdp, rows, np.flatnonzero(chain.reached & ~mdp.terminal))
     if not _holds(equations, found):
         raise RuntimeError("exact visits of a policy do not solve their equations")
-    counted = ExactPolicy(
+    return ExactPolicy(
         mdp=mdp, numerator=found.numerator, group=found.group, denominator=found.denominator
     )
-    return counted.value_float
 
 
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:

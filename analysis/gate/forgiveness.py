@@ -1,24 +1,24 @@
 """How far the rounding of given floats can move a value: all that a verdict on zero forgives.
 
-A float stands for whatever it was rounded from, half a unit in its last place to either side. One
-use of pair l can move the value of a policy, by what was rounded in its own row, by at most
+A float stands for whatever it was rounded from, half a unit in its last place to either side. What
+is rounded in the row of pair l moves the difference of two values, to first order, by at most
 
-    e(l) = Σ_i p_i ρ_i + γ (Σ_i ω_i) (max V(s_i) - min V(s_i))
+    f(l) = |u*(l) - u(l)| Σ_i p_i ρ_i + γ (Σ_i ω_i) (max x_i - min x_i)
+    x_i = u*(l) V*(s_i) - u(l) V^π(s_i)
 
-with ρ_i and ω_i the rounding of its rewards and probabilities, and the last factor the span of the
-values that this row can reach. Adding up the uses from a start,
-
-    F(s) = e_π(s) + γ Σ_s' P_π(s, s') F(s')
-
-Two policies whose values differ by at most F^π + F^* cannot be told apart by those who know no more
-than the floats, F^* being that of an optimal policy. Nothing outside what is reached from the start
-has any say in it, and it is 0 where all numbers are exact. It is computed from below and above, and
-as a rational where these two do not decide.
+with ρ_i and ω_i the rounding of its rewards and probabilities, and u, u* the uses of the pair from
+the start by the policy and by an optimal one: what both do alike moves both alike. A policy whose
+regret is at most Σ_l f(l) cannot be told from the optimum by those who know no more than the
+floats. Nothing outside what is reached from the start has any say in it, and it is 0 where all
+numbers are exact. It is computed from below and above, and as a rational where these two do not
+decide.
 
 A pair ties with the best action where its gap is at most what rounding can move: by using the pair
 and then acting optimally, and by acting optimally,
 
     gap(s, a) ≤ e(s, a) + γ Σ_s' P(s, a, s') F*(s') + F*(s)
+    e(l) = Σ_i p_i ρ_i + γ (Σ_i ω_i) (max V*(s_i) - min V*(s_i))
+    F*(s) = e_*(s) + γ Σ_s' P_*(s, s') F*(s')
 """
 
 from __future__ import annotations
@@ -31,13 +31,19 @@ from math import inf, isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
+from exact_mdp.analysis.gate.exact_policy import (
+    ExactPolicy,
+    exact_gaps,
+    exact_policy,
+    visited_exactly,
+)
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 Flags = NDArray[np.bool_]
 
@@ -55,13 +61,19 @@ def of_floats(mdp: MDP) -> bool:
     return bool(mdp.table.weight_rounding().any() or mdp.table.gain_rounding().any())
 
 
-def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
-    """Return e(l) of every pair, (L,), for values (S,) known up to an error (S,)."""
+def _roundings(mdp: MDP) -> tuple[Floats, Floats]:
+    """Return what is rounded in each pair (L,): its expected reward, and its row in all."""
     table, first = mdp.table, mdp.table.offsets[:-1]
     rounded = table.gain_rounding()
     if len(rounded) != table.pairs:
         rounded = np.add.reduceat(table.probabilities() * rounded, first)
-    moved = np.add.reduceat(table.weight_rounding(), first)
+    return rounded, np.add.reduceat(table.weight_rounding(), first)
+
+
+def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
+    """Return e(l) of every pair, (L,), for values (S,) known up to an error (S,)."""
+    table, first = mdp.table, mdp.table.offsets[:-1]
+    rounded, moved = _roundings(mdp)
     # What is not known (NaN) lies where the policy never comes.
     there = np.nan_to_num(value, nan=0.0)[table.next]
     off = np.nan_to_num(error, nan=0.0, posinf=0.0)[table.next]
@@ -75,6 +87,13 @@ def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
 
 def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
     """Return e(l) of one pair as a rational, for exact values of all states."""
+    rewards, moved = _exact_roundings(mdp, pair)
+    reached = [value[following] for _, following, _ in mdp.table.row(pair)]
+    return rewards + mdp.discount_exact * moved * (max(reached) - min(reached))
+
+
+def _exact_roundings(mdp: MDP, pair: int) -> tuple[Fraction, Fraction]:
+    """Return what is rounded in a pair, exactly: its expected reward, and its row in all."""
     table = mdp.table
     begin, end = int(table.offsets[pair]), int(table.offsets[pair + 1])
     rounding, moved = table.gain_rounding(), table.weight_rounding()[begin:end]
@@ -84,18 +103,13 @@ def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
     else:
         each = map(Fraction, rounding[begin:end].tolist())
         rewards = sum((p * r for (p, _, _), r in zip(row, each, strict=True)), Fraction(0))
-    reached = [value[following] for _, following, _ in row]
-    span = max(reached) - min(reached)
-    return rewards + mdp.discount_exact * sum(map(Fraction, moved.tolist()), Fraction(0)) * span
+    return rewards, sum(map(Fraction, moved.tolist()), Fraction(0))
 
 
-def in_all(chain: PolicyChain, each: Range, *, reached: bool = False) -> Range:
-    """Return F (S,) of a policy, from e(l) of every pair; up to infinity where floats fail.
-
-    With `reached`, what the policy never reaches from the start is left out.
-    """
+def in_all(chain: PolicyChain, each: Range) -> Range:
+    """Return F (S,) of a policy, from e(l) of every pair; up to infinity where floats fail."""
     mdp = chain.mdp
-    counted = ~mdp.terminal & (chain.reached if reached else True)
+    counted = ~mdp.terminal
     if mdp.discount_exact == 1:
         counted &= chain.ends
     low, high = (
@@ -133,16 +147,75 @@ class Forgiveness:
         return regret <= self.low
 
 
-def bounds_at_start(mdp: MDP, *parts: Range) -> tuple[Fraction, Fraction | float]:
-    """Return bounds of the sum of several F over the start distribution."""
-    low, high = Fraction(0), Fraction(0)
-    for state, weight in mdp.start:
-        for part in parts:
-            if weight and not np.isfinite(part.high[state]):
-                return Fraction(0), inf
-            low += weight * Fraction(float(part.low[state]))
-            high += weight * Fraction(float(part.high[state]))
-    return low, high
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Side:
+    """A policy with its values (S,) and how far these may be off (S,)."""
+
+    chain: PolicyChain
+    value: Floats
+    error: Floats
+
+    def uses(self) -> tuple[Floats, Floats]:
+        """Return the uses (L,) of every pair from the start, and their errors; SolverError."""
+        chain, mdp = self.chain, self.chain.mdp
+        found = visits(mdp, chain.discounted)
+        live = (chain.reached & ~mdp.terminal)[mdp.pair_state]
+        many = np.where(live, found.value[mdp.pair_state], 0.0)
+        off = np.where(live, found.error[mdp.pair_state], 0.0)
+        return many * chain.weights, (off + 4 * UNIT * many) * chain.weights
+
+    def worth(self) -> tuple[Floats, Floats]:
+        """Return the values (S,) and errors; 0 where they are not known, which is not reached."""
+        off = np.where(np.isnan(self.value), 0.0, np.nan_to_num(self.error, posinf=0.0))
+        return np.nan_to_num(self.value, nan=0.0), off
+
+
+def moved_at_start(mdp: MDP, own: Side, best: Side) -> tuple[Fraction, Fraction | float]:
+    """Return bounds of what rounding can move in the difference of two values at the start."""
+    try:
+        (u, du), (v, dv) = own.uses(), best.uses()
+    except SolverError:
+        return Fraction(0), inf
+    (a, da), (b, db) = own.worth(), best.worth()
+    table, first = mdp.table, mdp.table.offsets[:-1]
+    rounded, moved = _roundings(mdp)
+    pair, there = table.pair, table.next
+    with np.errstate(over="ignore", invalid="ignore"):
+        mine, ideal = u[pair] * a[there], v[pair] * b[there]
+        off = du[pair] * np.abs(a[there]) + (u + du)[pair] * da[there]
+        off += dv[pair] * np.abs(b[there]) + (v + dv)[pair] * db[there]
+        off = (off + 3 * UNIT * (np.abs(mine) + np.abs(ideal))) * SLACK + TINY
+        x = ideal - mine
+        span = np.maximum.reduceat(x, first) - np.minimum.reduceat(x, first)
+        doubt = 2 * np.maximum.reduceat(off, first)
+        apart, unsure = np.abs(v - u), (du + dv) * SLACK + 2 * UNIT * np.abs(v - u)
+        least = rounded * np.maximum(apart - unsure, 0.0)
+        least += mdp.discount * (moved * np.maximum(span - doubt, 0.0))
+        most = rounded * (apart + unsure) + mdp.discount * (moved * (span + doubt))
+        low, high = float(least.sum()) / SLACK, float(most.sum()) * SLACK
+    if not isfinite(high):
+        return Fraction(0), inf
+    return Fraction(low), Fraction(high)
+
+
+def _exactly_at_start(
+    mdp: MDP, own: tuple[PolicyChain, Numbers], best: tuple[PolicyChain, Numbers]
+) -> Fraction:
+    """Return the same as a rational, for exact values (S,)."""
+    uses: list[dict[int, Fraction]] = []
+    for chain, _ in (own, best):
+        many = visited_exactly(chain)
+        states = np.flatnonzero(chain.reached & ~mdp.terminal).tolist()
+        uses.append({p: many[s] * w for s in states for p, w in chain.exact_weights(s).items()})
+    mine, ideal = uses
+    (_, a), (_, b) = own, best
+    total = Fraction(0)
+    for pair in mine.keys() | ideal.keys():
+        u, v = mine.get(pair, Fraction(0)), ideal.get(pair, Fraction(0))
+        rewards, moved = _exact_roundings(mdp, pair)
+        x = [v * b[t] - u * a[t] for _, t, _ in mdp.table.row(pair)]
+        total += abs(v - u) * rewards + mdp.discount_exact * moved * (max(x) - min(x))
+    return total
 
 
 def policy_taking(mdp: MDP, marked: Flags) -> PolicyChain:
@@ -197,19 +270,16 @@ def exact_forgiveness(
     """Return what rounding can move at the start, for exact values of a policy and the optimum."""
     if not of_floats(mdp):
         return Forgiveness(low=Fraction(0), high=Fraction(0))
-    both = ((chain, own), (policy_taking(mdp, best.optimal_pairs), best))
+    ideal = policy_taking(mdp, best.optimal_pairs)
+    sides = []
+    for of, values in ((chain, own), (ideal, best)):
+        worth = values.value_float  # rounded once
+        sides.append(Side(chain=of, value=worth, error=UNIT * np.abs(worth) + TINY))
+    low, high = moved_at_start(mdp, *sides)
 
     def make() -> Fraction:
-        total = Fraction(0)
-        for of, values in both:
-            moved = _exactly_in_all(of, list(values.value))
-            total += sum((weight * moved[state] for state, weight in mdp.start), Fraction(0))
-        return total
+        return _exactly_at_start(
+            mdp, (chain, np.array(own.value, object)), (ideal, np.array(best.value, object))
+        )
 
-    parts = []
-    for of, values in both:
-        worth = values.value_float
-        error = UNIT * np.abs(worth) + TINY  # these values were rounded once
-        parts.append(in_all(of, per_use(mdp, worth, error), reached=True))
-    low, high = bounds_at_start(mdp, *parts)
     return Forgiveness(low=low, high=high, make=make)

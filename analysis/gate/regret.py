@@ -35,17 +35,17 @@ from exact_mdp.analysis.gate.exact_policy import Values, exact_gaps, exact_polic
 from exact_mdp.analysis.gate.forgiveness import (
     Flags,
     Forgiveness,
-    bounds_at_start,
+    Side,
     exact_forgiveness,
     exact_ties,
-    in_all,
+    moved_at_start,
     of_floats,
-    per_use,
     policy_taking,
     tie_range,
 )
 from exact_mdp.analysis.gate.waiting import kept, ways_out
 from exact_mdp.mdp.chain import components, endless, is_acyclic
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import divided
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
@@ -101,7 +101,7 @@ class Regret(Brief):
         What vouches for the optimal values; None of an average reward.
     forgiveness : Forgiveness
         What the rounding of the given floats can move at the start; 0 in an exact model. Of a
-        bounded optimum, the policy's own part alone.
+        bounded optimum, against the policy that its bounds are about.
     """
 
     optimal: Certified | Bounded
@@ -205,11 +205,14 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     if endless(mdp):
         return _without_end(mdp, chain, best)
     own = best if best.optimal_pairs[chain.pairs].all() else exact_policy(chain)
+    lost, forgiven = best.start_value - own.start_value, exact_forgiveness(mdp, chain, own, best)
     optimal, gap = _gaps(mdp, best)
+    if optimal[chain.pairs].all() and not forgiven.covers(lost):
+        optimal, gap = _gaps(mdp, best, ties=False)  # each loses little, and all of them too much
     return Regret(
         optimal=best.start,
         learned=Certified(value=own.start_value),
-        at_start=Certified(value=best.start_value - own.start_value),
+        at_start=Certified(value=lost),
         optimal_value=best.value_float,
         learned_value=own.value_float,
         by_state=_differences(best, own),
@@ -217,7 +220,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=gap,
         optimum=best,
-        forgiveness=exact_forgiveness(mdp, chain, own, best),
+        forgiveness=forgiven,
     )
 
 
@@ -228,6 +231,14 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     own model, in which it is the only one.
     """
     own = proven(model_of(chain))
+    if own.start_value == best.start_value and isinstance(best.start_value, float):
+        worth = "+∞" if best.start_value > 0 else "-∞"
+        raise ModelError(
+            f"the optimum and the policy are both worth {worth}, so that nothing can be compared",
+            where="the total reward at discount 1",
+            fix="give a discount below 1 (discount=…, --discount), a number of steps (horizon=…, "
+            '--horizon), or judge the reward per step (criterion="average", --criterion average)',
+        )
     value, mine = best.value_float, own.value_float
     same = best.value == own.value  # infinite ones, too
     with np.errstate(invalid="ignore"):
@@ -272,7 +283,7 @@ def _differences(best: Values, own: Values) -> Floats:
     return np.array(found)
 
 
-def _gaps(mdp: MDP, best: Certificate) -> tuple[Flags, Floats]:
+def _gaps(mdp: MDP, best: Certificate, *, ties: bool = True) -> tuple[Flags, Floats]:
     """Return which pairs are optimal, ties of floats included, and the gaps of the others."""
     near = gains(mdp, best.value_float)
     # The noise covers that the values are rounded, too.
@@ -280,7 +291,7 @@ def _gaps(mdp: MDP, best: Certificate) -> tuple[Flags, Floats]:
     optimal = np.array(best.optimal_pairs)
     others = ~optimal & ~mdp.terminal[mdp.pair_state]
     rough = others & (doubt > ACCURATE * gap)
-    if of_floats(mdp):
+    if ties and of_floats(mdp):
         value = best.value_float
         ideal = policy_taking(mdp, best.optimal_pairs)
         tie = tie_range(mdp, value, UNIT * np.abs(value) + TINY, ideal)
@@ -335,17 +346,15 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
 def _bounded_forgiveness(
     mdp: MDP, chain: PolicyChain, value: Floats, error: Floats, optimum: Bounds
 ) -> tuple[Forgiveness, Floats]:
-    """Return what rounding can move at the start, of the policy's own part, and at most by pair."""
+    """Return what rounding can move at the start, against the policy bounded, and by pair."""
     if not of_floats(mdp):
         return Forgiveness(low=Fraction(0), high=Fraction(0)), np.zeros(mdp.n_pairs)
     taken = np.zeros(mdp.n_pairs, dtype=bool)
     taken[optimum.pairs] = True
     ideal = policy_taking(mdp, taken)
     tie = tie_range(mdp, optimum.value, optimum.state_error, ideal)
-    own = in_all(chain, per_use(mdp, value, error), reached=True)
-    best = in_all(ideal, per_use(mdp, optimum.value, optimum.state_error), reached=True)
-    low, _ = bounds_at_start(mdp, own)
-    _, high = bounds_at_start(mdp, own, best)
+    best = Side(chain=ideal, value=optimum.value, error=optimum.state_error)
+    low, high = moved_at_start(mdp, Side(chain=chain, value=value, error=error), best)
     return Forgiveness(low=low, high=high), tie.high
 
 

@@ -106,11 +106,12 @@ def test_what_is_lost_adds_up_where_it_is_lost(model: Pairs, data: st.DataObject
         try:
             found = check(tried, np.array(chosen))
         except ModelError as error:
-            assert "no limit" in str(error)  # noqa: PT017
+            assert "no limit" in str(error) or "nothing can be compared" in str(error)  # noqa: PT017
             continue
         lost = found.regret.at_start.value
         assert lost >= 0
-        assert check(tried, "optimal").regret.at_start.value == 0
+        if np.isfinite(float(found.regret.optimal.value)):
+            assert check(tried, "optimal").regret.at_start.value == 0
         costs = [each.cost for each in found.disagreements]
         if lost == 0 or not np.isfinite(float(lost)):
             continue
