@@ -23,12 +23,13 @@ Memory: 8 bytes for each state's value and 1 for its action, and the tables of w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from os import cpu_count
 from time import perf_counter
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -131,55 +132,34 @@ def solve_coach(model: Coach, tol: float | None = None) -> CoachSolution:
     """
     check_tolerance("solve", tol)
     started, asked = perf_counter(), TOLERANCE if tol is None else tol
-    shape = (model.n_users, len(STEPS), len(BEHAVIOURS), model.n_memory)
-    value, choice = np.zeros(shape), np.zeros(shape, np.int8)
-    rate, leak = (
-        float(part) for part in (model.numbers["discount"], 1 - model.numbers["discount"])
-    )
+    block, behaviours = model.n_states // model.n_users, len(BEHAVIOURS)
+    value = np.zeros((model.n_users, block))
+    choice = np.zeros((model.n_users, block), np.int8)
+    rate, leak = float(model.numbers["discount"]), float(1 - model.numbers["discount"])
     memory = model.memory
     tables = (
         np.array([[STEPS.index(step) for step in row] for row in NEXT]),
         np.array([BEHAVIOURS.index(right.split()[0]) for right in RIGHT]),
         np.array(model.asked),
-        memory.stayed,
-        memory.moved,
-        memory.effect,
+        np.stack([memory.stayed, memory.moved, memory.effect, memory.price])
+        .transpose(2, 1, 0)
+        .copy(),
+        memory.waited,
     )
-    rewards = np.array([float(reward) for reward in model.rewards()])
-    stalls = np.array([float(stall) for stall in model.stalls])
+    stalls, rewards = _floats(model.stalls), _floats(model.rewards())
     repeat = float(model.repeat)
 
     def work(user: int) -> tuple[float, int]:
-        effects = np.array([float(effect) for effect in model.effects]) * model.responds(user)
-        prices = np.array([float(price) for price in model.prices(user)])
-        weights = np.array([[float(weight) for weight in row] for row in model.weights(user)])
+        effects = _floats(model.effects) * model.responds(user)
+        prices, weights = _floats(model.prices(user)), _floats(model.weights(user))
         earned = float(np.abs(rewards).max() + np.abs(prices).max()) + abs(repeat)
-        room = (
-            np.empty(len(BEHAVIOURS)),
-            np.empty(model.n_actions),
-            np.empty(model.n_actions, int),
-        )
-        size = 0.0
+        room = (np.empty(behaviours), *np.empty((2, behaviours), int), np.empty(model.n_actions))
+        known, size = np.empty(model.n_actions, int), 0.0
 
         def sweep(*, improve: bool) -> tuple[float, float]:
-            found = np.array([0.0, 0.0])
-            loops.sweep(
-                value[user],
-                choice[user],
-                weights,
-                *tables,
-                effects,
-                memory.price,
-                prices,
-                memory.waited,
-                stalls,
-                rewards,
-                repeat,
-                rate,
-                improve,
-                *room,
-                found,
-            )
+            found = np.zeros(2)
+            numbers = (effects, prices, stalls, rewards, repeat, rate, improve)
+            loops.sweep(value[user], choice[user], weights, *tables, *numbers, *room, known, found)
             return float(found[0]), float(found[1])
 
         for number in range(1, MOST_SWEEPS + 1):
@@ -207,3 +187,8 @@ def solve_coach(model: Coach, tol: float | None = None) -> CoachSolution:
         sweeps=max(sweeps),
         seconds=perf_counter() - started,
     )
+
+
+def _floats(numbers: Sequence[Any]) -> Floats:
+    """Return exact numbers, in rows or not, each rounded once."""
+    return np.array(numbers, dtype=object).astype(np.float64)

@@ -6,7 +6,7 @@ See `mdp.coach.model` for the rules and `solvers.dynamic.coach` for the algorith
 from __future__ import annotations
 
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import compiled
+from exact_mdp.solvers.kernels.compiling import at, compiled
 
 
 @compiled
@@ -17,19 +17,18 @@ def sweep(
     following: Numbers,
     helped: Numbers,
     asked: Numbers,
-    stayed: Numbers,
-    moved: Numbers,
-    effect: Numbers,
-    effects: Floats,
-    price: Numbers,
-    prices: Floats,
+    links: Numbers,
     waited: Numbers,
+    effects: Floats,
+    prices: Floats,
     stalls: Floats,
     rewards: Floats,
     repeat: float,
     rate: float,
     improve: bool,
     raised: Floats,
+    ahead: Numbers,
+    stays: Numbers,
     q: Floats,
     known: Numbers,
     found: Floats,
@@ -38,7 +37,7 @@ def sweep(
 
     Parameters
     ----------
-    value, choice : (P, B, M)
+    value, choice : (P · B · M,)
         Values and chosen actions by plan step, behaviour and memory.
     weights, following : (P, B)
         Weight of the next behaviour, and the plan step that it leads to.
@@ -46,21 +45,25 @@ def sweep(
         The behaviour that a caregiver sees to.
     asked : (A,)
         What an action asks for: a behaviour, -1 nothing, -2 the caregiver.
-    stayed, moved, effect, price, waited
-        See `mdp.coach.model.Memory`; `effects`, `prices`, `stalls` are what they point into.
+    links : (M, A, 4)
+        The next memory where the plan step stays, and where it moves; which effect and which price.
+    waited : (M,)
+        Which of `stalls` applies.
     rewards : (P,)
     repeat : float
         Cost of asking for what was just done.
     improve : bool
         Whether to choose the best action, or to follow `choice`.
-    raised, q, known : (B,), (A,), (A,)
+    raised, ahead, stays, q, known : (B,), (B,), (B,), (A,), (A,)
         Room.
     found : (2,)
-        The greatest change and the greatest size of a value; to be at least what it was.
+        Raised to the greatest change and the greatest size of a value.
     """
-    steps, behaviours, memories = value.shape
-    actions = len(asked)
+    (memories, actions, _), (steps, behaviours) = links.shape, weights.shape
     for step in range(steps - 1, -1, -1):
+        for b in range(behaviours):
+            ahead[b] = (following[step, b] * behaviours + b) * memories
+            stays[b] = following[step, b] == step
         for m in range(memories - 1, -1, -1):
             total = 0.0
             for b in range(behaviours):
@@ -71,48 +74,42 @@ def sweep(
             for action in range(actions):
                 known[action] = 0
             for behaviour in range(behaviours):
+                here = at((step * behaviours + behaviour) * memories + m)
                 first, last = 0, actions
                 if not improve:
-                    first = choice[step, behaviour, m]
+                    first = choice[here]
                     last = first + 1
                 best, taken = 0.0, -1
                 for action in range(first, last):
                     ask = asked[action]
                     if known[action] == 0:
                         known[action] = 1
+                        stay, move = links[m, action, 0], links[m, action, 1]
                         if ask == -2:
                             b = helped[step]
-                            there = following[step, b]
-                            if there == step:
-                                worth = value[there, b, stayed[action, m]]
-                            else:
-                                worth = value[there, b, moved[action, m]]
+                            worth = value[at(ahead[b] + (stay if stays[b] else move))]
                         else:
                             worth, sum_ = 0.0, total
-                            stay, move = stayed[action, m], moved[action, m]
                             for b in range(behaviours):
-                                there = following[step, b]
-                                if there == step:
-                                    worth += raised[b] * value[there, b, stay]
-                                else:
-                                    worth += raised[b] * value[there, b, move]
+                                place = ahead[b] + (stay if stays[b] else move)
+                                worth += raised[b] * value[at(place)]
                             if ask >= 0:
-                                added = effects[effect[action, m]]
-                                there = following[step, ask]
-                                worth += added * value[there, ask, stay if there == step else move]
+                                added = effects[links[m, action, 2]]
+                                place = ahead[ask] + (stay if stays[ask] else move)
+                                worth += added * value[at(place)]
                                 sum_ += added
                             worth /= sum_
-                        q[action] = rate * worth - prices[price[action, m]]
+                        q[action] = rate * worth - prices[links[m, action, 3]]
                     net = q[action]
                     if ask == behaviour:
                         net -= repeat
                     if taken < 0 or net > best:
                         best, taken = net, action
                 best += rewards[step]
-                change = abs(best - value[step, behaviour, m])
+                change = abs(best - value[here])
                 if change > found[0]:
                     found[0] = change
                 if abs(best) > found[1]:
                     found[1] = abs(best)
-                value[step, behaviour, m] = best
-                choice[step, behaviour, m] = taken
+                value[here] = best
+                choice[here] = taken

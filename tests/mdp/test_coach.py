@@ -132,7 +132,7 @@ def test_the_full_model_does_what_its_words_say(state: int, action: int) -> None
 # ---- without a matrix ----------------------------------------------------------------------------
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(
     sizes=st.fixed_dictionaries({name: st.integers(1, 2) for name in ("waited", "ignored")}),
     discount=st.fractions(0, F(19, 20), max_denominator=20),
@@ -151,10 +151,10 @@ def test_values_without_a_matrix_are_those_of_the_explicit_model(
     assert explicit.start.interval[0] - loss.start.interval[1] <= found.regret_bound
 
 
-def test_a_hundred_thousand_states_keep_their_bound() -> None:
+def test_two_hundred_thousand_states_keep_their_bound() -> None:
     """|V - V*| ≤ e makes |TV - V| ≤ (1 + γ) e; the sample is of exact rows, not of the sweeps'."""
-    model = Coach.full(waited=2, prompted=2, ignored=2, repeated=1)
-    assert model.n_states == 103_680
+    model = Coach.full(waited=2, prompted=2, ignored=2, repeated=2)
+    assert model.n_states == 207_360
     found = solve(model)
     assert found.error_bound <= 1e-6
     assert found.sweeps < 100
@@ -185,8 +185,6 @@ def test_every_rule_at_once_agrees_with_the_explicit_model() -> None:
 def test_the_command_line_knows_it_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["solve", "coach", "--json"]) == 0
     assert '"start_value": 27.290143' in capsys.readouterr().out
-    assert main(["check", "coach", "always:nothing"]) == 1
-    assert "call" not in capsys.readouterr().out
     dear = load("coach", sets=["cost.unaware=1/2"], discount="1/2").mdp
     assert dear.discount == 0.5
     assert dear.reward.min() == -0.8
