@@ -2,25 +2,31 @@
 
 A map is spanned by columns of the state space, `down` and `across`; the last column goes across
 unless said otherwise, and all others down; the digits of a column that is left alone go both ways.
-A grid world whose states are only numbered is given its
+The parts of states that are tuples of one length are such columns: those of a named tuple have its
+fields' names, others are state[0], state[1], …; the part that actions such as "right" change goes
+across, that of "down" goes down, in the direction of the arrow. Ends that are no tuples stand
+outside. A grid world whose states are only numbered is given its
 `shape`, read row by row. States of a single column without a shape stand in rows of ten.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import prod
+from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.names import text_of
+from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
 WIDE = 10  # states in a row where nothing says how many
+SPARSE = 4  # cells for each state of a map of tuples, at most
 ARROWS = "←↓→↑"
 COMPASS = (("left", "down", "right", "up"), ("west", "south", "east", "north"))
 INITIALS = ("ldru", "wsen")
@@ -60,9 +66,9 @@ def arrange(
     model: MDP,
     *,
     shape: tuple[int, int] | None = None,
-    down: Sequence[str] | None = None,
-    across: Sequence[str] | None = None,
-    **at: int,
+    down: str | Sequence[str] | None = None,
+    across: str | Sequence[str] | None = None,
+    **at: object,
 ) -> Layout:
     """Return the places of a model's states.
 
@@ -71,8 +77,9 @@ def arrange(
     model : MDP
     shape : (int, int), optional
         Rows and columns of a grid world whose states are numbered row by row.
-    down, across : sequence of str, optional
-        Columns of the state space; those that neither names go down.
+    down, across : str or sequence of str, optional
+        Columns of the state space, or parts of states that are tuples; those that neither names go
+        down.
     **at
         Values of columns that are held fixed, such as `trial=0`: other states are left out.
 
@@ -83,7 +90,8 @@ def arrange(
     Raises
     ------
     ModelError
-        For a shape that the states do not fill, and unknown columns or values.
+        For a shape that the states do not fill, or that are not in its order; for unknown columns
+        or values.
 
     Examples
     --------
@@ -91,31 +99,27 @@ def arrange(
     >>> arrange(model, shape=(2, 3)).column.tolist()
     [0, 1, 2, 0, 1, 2]
     """
-    space = model.space
-    if shape is not None:
-        if prod(shape) != space.regular or min(shape) < 1:
-            raise ModelError(
-                f"{shape[0]} rows of {shape[1]} states are not {space.regular} states",
-                where="shape",
-                fix="give (rows, columns) with rows × columns the number of states",
-            )
-        return _numbered(space, *shape, listed=False)
-    if len(space.columns) < 2 or space.regular == 0:
-        return _numbered(space, -(-space.size // WIDE), min(space.size, WIDE), listed=True)
+    space, states = _parts(model) or (model.space, np.arange(model.n_states))
+    down, across = ([each] if isinstance(each, str) else each for each in (down, across))
     named = [*(down or ()), *(across or ()), *at]
     for name in named:
         space.column(name)
+    if shape is not None:
+        _check_shape(model.space, shape, named)
+        return _numbered(model.space, *shape, listed=False)
+    if len(space.columns) < 2 or space.regular == 0:
+        return _numbered(space, -(-space.size // WIDE), min(space.size, WIDE), listed=True)
     rest = [name for name in space.names if name not in named]
     split = across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1
     if across is None:
         across = rest[-1:]
     below = [name for name in space.names if name in {*(down or ()), *rest} - {*across, *at}]
-    states = np.arange(space.size)
     inside = states < space.regular
     for name, value in at.items():
-        space.index(**{name: value})
-        inside &= space.values(name) == value
-    (row, rows), (column, columns) = (_along(space, names) for names in (below, list(across)))
+        inside &= space.values(name, states) == space.column(name).number(value)
+    (row, rows), (column, columns) = (
+        _along(space, names, states) for names in (below, list(across))
+    )
     under, over = ", ".join(below) or "-", ", ".join(across) or "-"
     if split:
         low = space.column(rest[0]).bits // 2
@@ -135,11 +139,101 @@ def arrange(
     )
 
 
-def _along(space: StateSpace, names: Sequence[str]) -> tuple[Integers, tuple[str, ...]]:
+def _check_shape(space: StateSpace, shape: tuple[int, int], named: Sequence[str]) -> None:
+    """Raise ModelError for a shape that numbered states do not fill row by row."""
+    if named:
+        fix = "leave out shape, or down, across and the columns held fixed"
+        raise ModelError("a shape and columns of a map", where="shape", fix=fix)
+    if any(column.objects for column in space.columns):
+        raise ModelError(
+            "states are numbered as they were found, not row by row",
+            where="shape",
+            fix="leave it out; states that are tuples, such as (row, column), are placed by these",
+        )
+    if prod(shape) != space.regular or min(shape) < 1:
+        raise ModelError(
+            f"{shape[0]} rows of {shape[1]} states are not {space.regular} states",
+            where="shape",
+            fix="give (rows, columns) with rows × columns the number of states",
+        )
+
+
+def _parts(model: MDP) -> tuple[StateSpace, Integers] | None:
+    """Return columns for the parts of states that are tuples, and each state's number in these.
+
+    None where some state is no tuple of that length and no end, or where most cells were empty.
+    """
+    objects = model.space.columns[0].objects if len(model.space.columns) == 1 else ()
+    inside = np.array([isinstance(thing, tuple) for thing in objects], dtype=bool)
+    tuples: list[tuple[Hashable, ...]] = [each for each in objects if isinstance(each, tuple)]
+    width = len(tuples[0]) if tuples else 0
+    if width < 2 or any(len(each) != width for each in tuples) or len(objects) != model.n_states:
+        return None
+    if not model.terminal[~inside].all():
+        return None
+    fields = getattr(tuples[0], "_fields", None) or [f"state[{k}]" for k in range(width)]
+    columns, values = [], np.full((width, model.n_states), -1)
+    for k, field in enumerate(fields):
+        found = _sorted(list(dict.fromkeys(each[k] for each in tuples)))
+        place = {value: number for number, value in enumerate(found)}
+        values[k, inside] = [place[each[k]] for each in tuples]
+        words = tuple(map(_word, found))
+        columns.append(Column(name=field, size=len(found), words=words, objects=tuple(found)))
+    if prod(column.size for column in columns) > SPARSE * len(tuples):
+        return None
+    order = [*range(width)]
+    for k, sign in _compass(model, values):
+        order.append(order.pop(order.index(k)))
+        if sign < 0:
+            column, last = columns[k], columns[k].size - 1
+            back = column.words[::-1], column.objects[::-1]
+            columns[k] = replace(column, words=back[0], objects=back[1])
+            values[k] = np.where(inside, last - values[k], -1)
+    space = StateSpace(columns=tuple(columns[k] for k in order))
+    number = np.full(model.n_states, space.regular)
+    sizes = [column.size for column in space.columns]
+    number[inside] = np.ravel_multi_index([*values[order][:, inside]], sizes)
+    return space, number
+
+
+def _sorted(values: list[Any]) -> list[Any]:
+    try:
+        return sorted(values)
+    except TypeError:  # of several kinds
+        return values
+
+
+def _word(value: Hashable) -> str:
+    text = text_of(value)
+    return text if text.strip() and text.isprintable() else repr(value)
+
+
+def _compass(model: MDP, values: Integers) -> list[tuple[int, int]]:
+    """Return the part (of K, S) that "down" changes and the sign of that, and those of "right".
+
+    Nothing where actions are no directions, or change one and the same part.
+    """
+    table = model.table
+    pair = np.repeat(np.arange(model.n_pairs), np.diff(table.offsets))
+    before, after = values[:, model.pair_state[pair]], values[:, table.next]
+    moved = np.where((before < 0) | (after < 0), 0, after - before) * table.probabilities()
+    drift = np.array([np.bincount(pair, weights=each, minlength=model.n_pairs) for each in moved])
+    signs = np.array(symbols(model.actions))[model.pair_action]
+    net = {sign: drift[:, signs == sign].sum(axis=1) for sign in ARROWS}
+    south, east = net["↓"] - net["↑"], net["→"] - net["←"]
+    down, across = (int(np.argmax(np.abs(each))) for each in (south, east))
+    if down == across or not south[down] or not east[across]:
+        return []
+    return [(down, int(np.sign(south[down]))), (across, int(np.sign(east[across])))]
+
+
+def _along(
+    space: StateSpace, names: Sequence[str], states: Integers
+) -> tuple[Integers, tuple[str, ...]]:
     """Return the place (S,) of each state along some columns, and the label of each place."""
-    place, columns = np.zeros(space.size, dtype=np.int64), [space.column(name) for name in names]
+    place, columns = np.zeros(len(states), dtype=np.int64), [space.column(name) for name in names]
     for column in columns:
-        place = place * column.size + space.values(column.name)
+        place = place * column.size + space.values(column.name, states)
     sizes = [column.size for column in columns]
     labels = tuple(
         ", ".join(column.label(value) for column, value in zip(columns, values, strict=True))

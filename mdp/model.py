@@ -711,7 +711,9 @@ class MDP(Parts):
         Parameters
         ----------
         start : state, or {state: probability}
-            States are any hashable objects; `mdp.space.number(state)` is the number of one.
+            States are any hashable objects; `mdp.space.number(state)` is the number of one. Those
+            that are tuples of one length are drawn as a map of their parts, which a
+            `namedtuple("Place", "row column")` names.
         actions : function of a state
             Its actions, any hashable objects. A state without any is an end.
         outcomes : function of a state and an action

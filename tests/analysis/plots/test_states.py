@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections import namedtuple
+from collections.abc import Callable, Collection, Hashable, Iterator
 from fractions import Fraction
+from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from forest import forest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.axes import Axes
 
@@ -89,6 +91,116 @@ def test_a_map_over_any_two_columns() -> None:
     policy = plot_policy(mdp, "always:directive", subtask=1)
     assert set(texts(policy).values()) == {"a3"}
     assert len(texts(policy)) == 32
+
+
+STEPS = {"left": (0, -1), "down": (1, 0), "right": (0, 1), "up": (-1, 0)}
+Cell = namedtuple("Cell", "along above key")
+
+
+def world(
+    size: tuple[int, int], made: Callable[..., Hashable], walls: Collection[tuple[int, int]] = ()
+) -> MDP:
+    """A grid whose last corner holds a key and whose first is the way out, with a risk of loss."""
+    cells = {(r, c) for r in range(size[0]) for c in range(size[1])} - {*walls}
+    place = {made(r, c, key): (r, c, key) for r, c in cells for key in (False, True)}
+
+    def actions(state: Hashable) -> list[str]:
+        return [] if state == "lost" or place[state] == (0, 0, True) else [*STEPS]
+
+    def outcomes(state: Hashable, action: str) -> list[tuple[str, Hashable, int]]:
+        r, c, key = place[state]
+        down, right = STEPS[action]
+        r, c = (r + down, c + right) if (r + down, c + right) in cells else (r, c)
+        key |= (r, c) == (size[0] - 1, size[1] - 1)
+        return [("9/10", made(r, c, key), -1), ("1/10", "lost", -9)]
+
+    return MDP.from_function(made(0, 0, False), actions, outcomes, "9/10")
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    size=st.tuples(st.integers(2, 4), st.integers(2, 4)),
+    signs=st.tuples(st.sampled_from([-1, 1]), st.sampled_from([-1, 1])),
+    order=st.permutations(range(3)),
+)
+def test_an_arrow_points_at_the_cell_that_it_leads_to(size, signs, order) -> None:
+    """Whichever part of a tuple is the row, and whichever way it counts."""
+
+    def made(r: int, c: int, key: bool) -> tuple[object, ...]:
+        parts = (signs[0] * r + 7, signs[1] * c - 20, key)
+        return tuple(parts[k] for k in order)
+
+    mdp = world(size, made)
+    layout, things = arrange(mdp), mdp.space.columns[0].objects
+    assert layout.shown.tolist() == [s for s in range(mdp.n_states) if things[s] != "lost"]
+    for state in layout.shown.tolist():
+        said = f"{layout.rows[layout.row[state]]}, {layout.columns[layout.column[state]]}"
+        assert sorted(said.split(", ")) == sorted(map(str, things[state]))
+    for pair in np.flatnonzero(~mdp.terminal[mdp.pair_state]).tolist():
+        state, to = mdp.pair_state[pair], max(mdp.table.row(pair))[1]
+        if to != state and things[to][order.index(2)] == things[state][order.index(2)]:
+            step = (layout.row[to] - layout.row[state], layout.column[to] - layout.column[state])
+            assert step == STEPS[mdp.actions[mdp.pair_action[pair]]]
+
+
+def test_the_parts_of_a_tuple_are_columns(tmp_path: Path) -> None:
+    walls = {(1, 1), (2, 1)}
+    mdp = world((4, 3), lambda r, c, key: Cell(along=c, above=-r, key=key), walls)
+    ax = solve(mdp).plot(key=True)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("along", "above")
+    assert {*np.ndindex(4, 3)} - texts(ax).keys() == walls
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["0", "-1", "-2", "-3"]
+    ax = plot_policy(mdp, "optimal", down="along", across=["key", "above"])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("key, above", "along")
+    mdp = world((4, 3), lambda r, c, key: (key, c, -r), walls)
+    mdp.save(tmp_path / "m.npz")
+    layout, read = arrange(mdp), arrange(MDP.load(tmp_path / "m.npz"))
+    assert (
+        (layout.down, layout.across)
+        == (read.down, read.across)
+        == ("state[0], state[2]", "state[1]")
+    )
+    assert (layout.row == read.row).all()
+    assert (layout.column == read.column).all()
+
+
+@pytest.mark.parametrize(
+    "states",
+    [[(0, 1), (0, 1, 2)], ["a", (0, 1)], [(k, k) for k in range(9)], ["a", "b"], [(0,), (1,)]],
+    ids=["lengths", "others go on", "mostly empty", "words", "one part"],
+)
+def test_what_makes_no_map_is_listed(states: list[Hashable]) -> None:
+    mdp = MDP.from_function(
+        states[0],
+        lambda state: ["go"],
+        lambda state, action: [(1, states[(states.index(state) + 1) % len(states)], 1)],
+        "1/2",
+    )
+    assert arrange(mdp).listed
+    with pytest.raises(ModelError, match="as they were found"):
+        arrange(mdp, shape=(1, len(states)))
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ({"down": "nonsense"}, "unknown state column 'nonsense'"),
+        ({"across": ["rubbish"]}, "unknown state column 'rubbish'"),
+        ({"foo": 3}, "unknown state column 'foo'"),
+        ({"shape": (2, 3), "down": "state"}, "a shape and columns"),
+    ],
+)
+def test_places_that_no_model_has(place: dict[str, object], message: str) -> None:
+    for model in (grid(2, 3), forest("9/10")):
+        with pytest.raises(ModelError, match=message):
+            solve(model).plot(**place)
+
+
+def test_one_column_needs_no_list() -> None:
+    tea = Scenario.load("tea").compile()
+    one, two = arrange(tea, down="subtask", trial=0), arrange(tea, down=["subtask"], trial=0)
+    assert (one.down, one.across, one.rows) == (two.down, two.across, two.rows)
+    assert (one.row == two.row).all()
 
 
 def test_an_audit_marks_exactly_what_is_wrong() -> None:
