@@ -7,7 +7,7 @@ float, the table holds them as floats; else as integers over one denominator for
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from operator import index, itemgetter
@@ -25,8 +25,8 @@ from exact_mdp.mdp.forms.numbers import (
     added,
     array_of,
     as_given,
+    chance_sum,
     dense,
-    exact_sum,
     grouped,
     picked,
     whole_numbers,
@@ -93,6 +93,12 @@ def _rewards_of_arrays(
 ) -> Any:
     """Return rewards as `from_arrays` takes them for each pair (L,) or transition (L, S)."""
     states, actions = shape
+    if isinstance(R, Mapping):
+        raise ModelError(
+            "the rewards are a dictionary, and P is an array",
+            where=where,
+            fix=f"give an array ({states}, {actions}), or P as a dictionary, too",
+        )
     rewards = None if _is_sparse_list(R) else dense(array_of(R, where))
     if where != "R" and rewards is not None and rewards.shape == (states * actions,):
         return rewards  # a component's amounts, one for each pair
@@ -239,7 +245,7 @@ def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
         key, known = (index(then), earned, rounding_of(earned) > 0), len(row)
         before = row.setdefault(key, chance)  # one look-up: fractions are slow to hash
         if len(row) == known:
-            row[key] = exact_sum(before, chance)
+            row[key] = chance_sum(before, chance)
     return {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}
 
 
@@ -296,7 +302,7 @@ def _from_rows(
         offsets, following = rows.indptr.astype(np.int64), rows.indices
         weight = Grouped(rows.data, ones(len(state)))
     elif sp.issparse(rows):
-        offsets, following, values = added(rows)
+        offsets, following, values = added(rows, chance_sum)
         weight = grouped(values, offsets)
         if below is not None:
             weight = Grouped(integers(map(int, values)), below)

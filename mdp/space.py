@@ -321,6 +321,13 @@ class StateSpace:
         'state high'
         """
         words = tuple(str(label) for label in labels)
+        if len(set(words)) < len(words):
+            twice = next(word for n, word in enumerate(words) if word in words[:n])
+            raise ModelError(
+                f"two states are both called {twice!r}",
+                where="state space",
+                fix="give each its own name",
+            )
         if words and len(words) != size:
             raise ModelError(
                 f"{len(words)} state labels for {size} states",

@@ -66,6 +66,7 @@ def check(
     """Audit a policy."""
     started = perf_counter()
     check_outputs((junit, (".xml",)), (html, (".html",)))
+    github.check_summary()
     settings = {name: rest.pop(name) for name in OF_INTERVAL}
     interval = _interval_of(**settings)
     asked = given(policy=learned, **rest)

@@ -43,13 +43,18 @@ def report_error(title: str, message: str) -> None:
     summarise(f"## The check came to no verdict\n\n{fence}text\n{message}\n{fence}")
 
 
+def check_summary() -> None:
+    """Raise ModelError where the step's summary cannot be written to, before anything is."""
+    summarise("")
+
+
 def summarise(markdown: str) -> None:
     """Append Markdown to the step's summary."""
     if not (path := os.environ.get(SUMMARY)):
         return
     try:
         with open(path, "a", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(f"{markdown}\n")
+            file.write(f"{markdown}\n" * bool(markdown))
     except OSError as error:
         raise ModelError(
             f"cannot write the summary of the step: {error.strerror}",

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -103,7 +104,7 @@ class _File:
         reader = Reader(self.content, unread=self.unread)
         scenario = reader.read(Scenario, default_name=name)
         if scenario is None:  # the names are unreadable: tables that have one number each tell them
-            known = self.content | {"statuses": [*self._names("base")]}
+            known = self.content | {"statuses": self._statuses()}
             known |= {"actions": [*self._names("reward", "assist")]}
             first = {key for key, _ in reader.problems} | self.unread
             named = {key: known[key] for key in ("statuses", "actions") if key in first}
@@ -121,6 +122,14 @@ class _File:
             self._suspect(scenario)
         last = len(self.lines) + 1  # what is missing comes last
         return tuple(sorted(self.found, key=lambda problem: problem.line or last))
+
+    def _statuses(self) -> list[str]:
+        """Return the names that two tables of statuses have, else those that have a base number."""
+        inner = [self._names("influence", row) for row in self._names("influence")]
+        inner += [self._names("assistance", act) for act in self._names("assistance")]
+        tables = [*map(self._names, ("base", "persistence", "skip", "influence")), *inner]
+        times = Counter(name for table in tables for name in table)
+        return [name for name in times if times[name] > 1] or [*self._names("base")]
 
     def _names(self, *path: str) -> dict[str, Any]:
         """Return the table at a path, empty where there is none."""
@@ -220,7 +229,7 @@ class _File:
             guess = guess if fits else None
         elif chance and isinstance(value, int | Fraction) and not isinstance(value, bool):
             number = Fraction(value)
-            if 2 <= number <= 100 and (key != "discount" or _count(number)):
+            if 2 <= number <= 100 and (key != "discount" or number >= 50):
                 guess = _written(number / 100)  # 1.5 is no percentage that anybody means
             elif -1 <= number < 0:
                 guess = _written(-number)

@@ -235,8 +235,9 @@ def as_max_trial(value: object) -> int:
     if isinstance(value, str) and value.isascii() and value.isdigit():
         value = int(value[:MOST_DIGITS])  # cut, it is too large as well
     if not (isinstance(value, int) and _positive(value)):
+        text = str(value) if isinstance(value, Fraction) else repr(value)
         raise ModelError(
-            f"max_trial is {value!r}, not a positive whole number",
+            f"max_trial is {text}, not a positive whole number",
             where="max_trial",
             fix="give the number of trials allowed in a subtask, at least 1",
         )

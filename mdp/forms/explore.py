@@ -75,7 +75,9 @@ def explored(
     found, names = numbered(rows, states, [each for each in states.number if each not in going])
     by_number = sorted(states.number, key=states.number.__getitem__)
     flags = {
-        name: np.array([bool(holds(state)) for state in by_number]) if callable(holds) else holds
+        name: np.array([_holds(name, holds, state) for state in by_number])
+        if callable(holds)
+        else holds
         for name, holds in (labels or {}).items()
     }
     named = _components([list(outcomes) for _, _, outcomes in rows])
@@ -96,6 +98,18 @@ def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any
         raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
     with _noted(where):  # a generator runs only now
         return list(answer)
+
+
+def _holds(name: str, holds: Callable[[Any], Any], state: Any) -> bool:
+    with _noted(f"label {name}, state {state}"):
+        answer = holds(state)
+    if not isinstance(answer, bool | np.bool_):
+        raise ModelError(
+            f"the function returns {answer!r}, not True or False",
+            where=f"label {name}, state {state}",
+            fix="return a truth value: bool(…)",
+        )
+    return bool(answer)
 
 
 @contextmanager

@@ -71,8 +71,9 @@ def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str
     rows, never = [], inf if costs else -inf
     rewards = _rewards(R, P, states, pairs, never)
     for path, reward in rewards.items() if isinstance(R, Mapping) else ():
-        if reward != never and not _is_list(R.get(path[0])):
-            _check_known(path, P, pairs, states, ends if reward == 0 else set())
+        none = reward in (never, None) or reward != reward  # NaN
+        if not none and not _is_list(R.get(path[0])):
+            _check_known(path, P, pairs, states, ends if reward == 0 else set(), never)
     for (state, action), row in pairs.items():
         if rewards.get((state, action), rewards.get((state,))) == never:
             continue
@@ -181,7 +182,12 @@ def _fit(values: Any, known: Path, states: Numbering, widths: Mapping[Any, set[i
 
 
 def _check_known(
-    path: Path, P: Any, pairs: Mapping[Path, Any], states: Numbering, ends: set[Hashable]
+    path: Path,
+    P: Any,
+    pairs: Mapping[Path, Any],
+    states: Numbering,
+    ends: set[Hashable],
+    never: float,
 ) -> None:
     """Raise ModelError for a reward of something that P does not name; 0 is earned in ends."""
     state, action = path[0], path[1:2]
@@ -197,10 +203,14 @@ def _check_known(
                 fix=suggest(str(thing[0]), map(str, known)),
             )
     if not listed:
+        offered = [str(act) for s, act in pairs if s == state]
         raise ModelError(
-            f"a reward of the action {action[0]!r}, which P does not offer there",
+            f"a reward of the action {action[0]!r}, which P does not offer in state {state!r}",
             where=f"R, {', '.join(map(str, path))}",
-            fix=suggest(str(action[0]), [str(act) for s, act in pairs if s == state]),
+            fix=f"leave it out, or give {never:g} or NaN, as of what is not offered; or list the "
+            f"action in P: {suggest(str(action[0]), offered)}"
+            if offered
+            else "leave it out: P offers nothing there",
         )
 
 

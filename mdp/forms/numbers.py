@@ -8,6 +8,8 @@ floats with 1 below: `grouped` makes these of numbers of any kind.
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from fractions import Fraction
 from functools import reduce
 from math import isfinite
@@ -38,6 +40,7 @@ def array_of(values: object, where: str) -> Any:
     Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s.
     """
     with located(where):
+        refuse_labels(values)
         return _sparse(values) if sp.issparse(values) else _array(values)
 
 
@@ -57,6 +60,24 @@ def refuse_masked(values: object, where: str = "") -> None:
             fix="fill them, as array.filled(0) does; the reward, or the value, of an action that "
             "is not offered is -inf (of costs inf)",
         )
+
+
+def refuse_labels(values: object) -> None:
+    """Raise ModelError for a table of pandas, alone or in a list, whose labels order it anew."""
+    pandas = sys.modules.get("pandas")  # who has a table has imported it
+    if pandas is None:
+        return
+    for table in values if isinstance(values, list | tuple) else [values]:
+        axes = table.axes if isinstance(table, pandas.DataFrame | pandas.Series) else []
+        for labels in axes:
+            if list(labels) != list(range(len(labels))):
+                raise ModelError(
+                    f"a table has the labels {', '.join(map(str, labels[:4]))}"
+                    + " …" * (len(labels) > 4)
+                    + ", and arrays of a model go by position",
+                    fix="put rows and columns in the order of states and actions, and give "
+                    "table.to_numpy(); or give dictionaries, which go by name",
+                )
 
 
 def whole_numbers(values: ArrayLike, what: str) -> Integers:
@@ -170,8 +191,16 @@ def exact_sum(left: Fraction | float, right: Fraction | float) -> Fraction | flo
     return Given(total, rounding=off) if off else total
 
 
-def added(matrix: sp.csr_array) -> tuple[Integers, Numbers, Any]:
-    """Return where rows begin, columns in rising order, and values, equal places added exactly."""
+def chance_sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
+    """Return the sum of two probabilities; a negative one stays, so that it is refused."""
+    least = min(left, right)
+    return least if least < 0 else exact_sum(left, right)
+
+
+def added(
+    matrix: sp.csr_array, joined: Callable[[Any, Any], Any] = exact_sum
+) -> tuple[Integers, Numbers, Any]:
+    """Return where rows begin, columns in rising order, and values, equal places joined to one."""
     matrix = matrix.copy()
     matrix.sort_indices()
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
@@ -184,7 +213,7 @@ def added(matrix: sp.csr_array) -> tuple[Integers, Numbers, Any]:
         values = np.empty(len(first), dtype=object)
         ends = [*first[1:].tolist(), len(parts)]
         values[:] = [
-            reduce(exact_sum, parts[begin:end])
+            reduce(joined, parts[begin:end])
             for begin, end in zip(first.tolist(), ends, strict=True)
         ]
         row = row[first]

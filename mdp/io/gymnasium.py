@@ -33,7 +33,8 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, shown_text, suggest
+from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.space import Column, StateSpace
@@ -87,6 +88,7 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
         finally:
             made.close()
     bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
+    _refuse_changed(env)
     names.setdefault("name", _name(env))
     names.setdefault("time_limit", _time_limit(env))
     where = names["name"] or "P"
@@ -120,6 +122,19 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
         over = np.isin(np.arange(space.size), [*ends, *([goal] if appended else [])])
         names["labels"] = ({END: over} if over.any() else {}) | _of_the_map(bare, space.size)
     return "from_outcomes", (listed,), names | {"start": ByNumber(start), "space": space}
+
+
+def _refuse_changed(env: Any) -> None:
+    """Raise ModelError where a wrapper changes rewards or actions, of which `P` does not know."""
+    while not isinstance(env, Mapping | list) and "env" in getattr(env, "__dict__", ()):
+        kinds = {each.__name__ for each in type(env).__mro__} & {"RewardWrapper", "ActionWrapper"}
+        if kinds:
+            raise ModelError(
+                f"{type(env).__name__} changes the environment, and P does not know of it",
+                where="env",
+                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
+            )
+        env = env.env
 
 
 def _of_the_map(env: Any, states: int) -> dict[str, Any]:
@@ -188,6 +203,12 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
         for action, outcomes in _items(row, where, f"P[{state}]"):
             place = f"{where}, P[{state}][{action}]"
             rows[state, action] = [_outcome(outcome, place) for outcome in _listed(outcomes, place)]
+        if not row:
+            raise ModelError(
+                f"P[{state}] lists no action",
+                where=where,
+                fix=f"let an end stay: P[{state}] = {{0: [(1.0, {state}, 0, True)]}}",
+            )
     if not rows:
         raise ModelError(
             "P is empty: it lists no state with an action",
@@ -203,7 +224,7 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
         size = getattr(getattr(env, space, None), "n", least)
         if size < least:
             raise ModelError(
-                f"P has at least {least} of them, {space} has {size}",
+                f"P goes up to number {least - 1}, and {space} has {size}, from 0 on",
                 where=where,
                 fix="make P and the spaces agree",
             )
@@ -251,6 +272,9 @@ def _outcome(outcome: Any, place: str) -> Outcome:
             where=place,
             fix="give (probability, next state, reward, terminated)",
         )
+    with located(place):
+        for number in (values[0], values[2]):
+            as_given(number)
     return values[0], int(values[1]), values[2], bool(values[3])
 
 
@@ -297,7 +321,17 @@ def _start(env: Any) -> Any:
             where="start",
             fix="pass start=, a state or {state: probability}",
         )
-    return ByNumber({given: 1}) if isinstance(given, int) else list(given)
+    if _whole(given):
+        return ByNumber({int(given): 1})
+    if isinstance(given, Mapping) and all(map(_whole, given)):
+        return ByNumber({int(state): chance for state, chance in given.items()})
+    if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
+        return list(given)
+    raise ModelError(
+        f"initial_state_distrib is {shown_text(repr(given))[:60]}",
+        where="start",
+        fix="let it be (S,) probabilities, or pass start=, a state or {state: probability}",
+    )
 
 
 def _time_limit(env: Any) -> int | None:

@@ -16,6 +16,7 @@ each different outcome (s, a, s', r). Rewards that hardly ever repeat should be 
 from __future__ import annotations
 
 import csv
+import io
 import warnings
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -142,7 +143,6 @@ def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
 def _csv(file: Any, path: str) -> Generator[DataFrame]:
     errors = pandas.errors
     header = next(csv.reader([file.readline().decode("utf-8-sig", "replace")]), [])
-    file.seek(0)
     if twice := sorted({name for name in header if header.count(name) > 1}):
         raise ModelError(
             f"the column {twice[0]!r} stands twice in the header",
@@ -150,6 +150,7 @@ def _csv(file: Any, path: str) -> Generator[DataFrame]:
             fix="give each column a name of its own",
         )
     try:
+        _check_widths(file, path, len(header))
         with warnings.catch_warnings(action="error", category=errors.ParserWarning):
             # Text is kept as it is written: "0.1" is 1/10, and 007 is not 7.
             reader = pandas.read_csv(
@@ -164,12 +165,33 @@ def _csv(file: Any, path: str) -> Generator[DataFrame]:
                 if chunk is None:
                     return
                 yield chunk
-    except (errors.ParserError, errors.ParserWarning, errors.EmptyDataError, UnicodeError) as error:
+    except (
+        errors.ParserError, errors.ParserWarning, errors.EmptyDataError, UnicodeError, csv.Error,
+    ) as error:  # fmt: skip
         raise ModelError(
             f"the file is no table: {str(error).strip()}",
             where=path,
             fix="give CSV with a header and the same columns in every line",
         ) from error
+
+
+def _check_widths(file: Any, path: str, width: int) -> None:
+    """Raise ModelError for a line with fewer fields than the header, which pandas fills up."""
+    file.seek(0)
+    text = io.TextIOWrapper(file, "utf-8-sig", newline="")
+    try:
+        lines = csv.reader(text)
+        for line in lines:
+            if 0 < len(line) < width:
+                raise ModelError(
+                    f"{len(line)} values under {width} headings",
+                    where=f"{path}, line {lines.line_num}",
+                    fix="correct the line; where an episode is over, leave next_state empty after "
+                    "its comma",
+                )
+    finally:
+        text.detach()
+    file.seek(0)
 
 
 def _parquet(file: Any, path: str, used: list[str]) -> Generator[DataFrame]:

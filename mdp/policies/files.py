@@ -49,7 +49,11 @@ def read(path: str | Path, model: MDP, kind: str = "auto") -> list[Form]:
             read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=_digits
         )
         if not isinstance(content, dict):
-            raise ModelError("the file is not a JSON object", fix='write {"0000": "none", …}')
+            column = model.space.columns[0] if model.space.columns else None
+            first = column.label(0) if column and len(model.space.columns) == 1 else "0"
+            first = "0000" if "status" in model.space.names else first
+            example = json.dumps({first: model.actions[0]}, ensure_ascii=False)
+            raise ModelError("the file is not a JSON object", fix=f"write {example[:-1]}, …}}")
         if "status" not in model.space.names:
             content = {_digits(key): choice for key, choice in content.items()}
         return from_mapping(model, content, kind)
@@ -177,6 +181,11 @@ def from_numbers(
             return [as_rows]
         if not model.action_objects and all(len(row) == model.n_actions for row in choices):
             forms = [as_rows._replace(error=_two_meanings(choices[named.index(True)]))]
+    if kind == "q" and any(isinstance(choice, Mapping) for choice in choices):
+        raise ModelError(
+            "a dictionary of actions holds probabilities, not action values",
+            fix="give each state a row of A numbers, or a DataFrame by names",
+        )
     mixed = {
         key: choice if isinstance(choice, Mapping) else {_key(space, key, choice): 1}
         for key, choice in given.items()
@@ -265,7 +274,8 @@ def _from_csv(text: str, model: MDP) -> list[Form]:
     known += ["action", "probability"]
     for name in header:
         if name not in known:
-            raise ModelError(f"unknown column {name!r}", fix=suggest(name, known))
+            fix = "separate the columns by commas" if ";" in name or "\t" in name else ""
+            raise ModelError(f"unknown column {name!r}", fix=fix or suggest(name, known))
     if "action" not in header or not columns or len(set(header)) != len(header):
         raise ModelError(
             f"the header is {','.join(header) or 'missing'}",

@@ -751,6 +751,12 @@ def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
                 where=f"policy, {space.label(state)}",
                 fix="let it return the number of an action, or that and a state of its own",
             )
+        if not 0 <= action.item() < model.n_actions:
+            raise ModelError(
+                f"predict answers {action.item()}, outside 0 … {model.n_actions - 1}",
+                where=f"policy, {space.label(state)}",
+                fix="let it return the number of an action",
+            )
         numbers[state] = action.item()
     _refuse_names(model, numbers[asked])
     return numbers

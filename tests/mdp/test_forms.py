@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from laws import laws
 from strategies import Rows, models
 
-from exact_mdp.mdp import MDP, DistributionError, ModelError, Policy, ShapeError
+from exact_mdp.mdp import MDP, DistributionError, ModelError, NegativeError, Policy, ShapeError
 from exact_mdp.solvers import certify, solve
 
 HALF = Fraction(1, 2)
@@ -487,7 +487,11 @@ TWO = {"a": {"x": {"a": 1}, "y": {"a": 1}}, "b": {"x": {"b": 1}}}
     [
         (("a", "X"), "choose one of x, y"),
         (("a", "x", "A"), "choose one of a, b"),
-        (("b", "y"), "choose one of x"),
+        (
+            ("b", "y"),
+            "leave it out, or give -inf or NaN, as of what is not offered; or list the "
+            "action in P: choose one of x",
+        ),
     ],
 )
 def test_a_reward_of_what_is_not_there_is_refused(key: tuple[str, ...], fix: str) -> None:
@@ -496,6 +500,15 @@ def test_a_reward_of_what_is_not_there_is_refused(key: tuple[str, ...], fix: str
         MDP.from_arrays(TWO, {"a": 1, "b": 1, key: 50}, HALF)
     assert caught.value.fix == fix
     assert caught.value.where == f"R, {', '.join(key)}"
+
+
+@pytest.mark.parametrize("none", [-np.inf, np.nan, None])
+def test_tables_of_rewards_may_say_that_there_is_none(none: float | None) -> None:
+    R = {"a": {"x": 1, "y": 2}, "b": {"x": 3, "y": none}}
+    assert MDP.from_arrays(TWO, R, HALF).reward.tolist() == [1, 2, 3]
+    R["b"]["y"] = 4
+    with pytest.raises(ModelError, match="does not offer in state 'b'"):
+        MDP.from_arrays(TWO, R, HALF)
 
 
 def test_rewards_of_what_is_listed_as_unavailable_are_passed_over() -> None:
@@ -532,4 +545,51 @@ def test_arguments_of_another_kind_are_told_what_to_be(name: str) -> None:
     with pytest.raises(ModelError, match=message) as caught:
         MDP.from_function(0, actions, outcomes, max_states=most)
     assert caught.value.where
+    assert caught.value.fix
+
+
+EYES = [np.eye(2)] * 2
+CANCEL: dict[str, Callable[[], Any]] = {
+    "function": lambda: MDP.from_function(
+        0, lambda s: [0] if s == 0 else [], lambda s, a: [(1, 1, 1), (0.5, 2, 9), (-0.5, 2, 9)]
+    ),
+    "quadruples": lambda: MDP.from_arrays([(0, 0, 0, 1.5), (0, 0, 0, -0.5)], [0]),
+    "coordinates": lambda: MDP.from_arrays(
+        [sp.coo_array(([1.5, -0.5, 1], ([0, 0, 1], [1, 1, 1])), shape=(2, 2))], [0, 0]
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CANCEL)
+def test_negative_probabilities_are_refused_though_they_cancel(name: str) -> None:
+    with pytest.raises(NegativeError, match=r"a probability is -0\.5"):
+        CANCEL[name]()
+
+
+def test_labels_of_tables_are_no_order_of_a_model() -> None:
+    """Tables whose labels were in another order were read by position, without a word."""
+    R = pd.DataFrame([[1, 2], [3, 4]])
+    assert MDP.from_arrays(EYES, R, HALF).reward.tolist() == [1, 2, 3, 4]
+    for table in (R.iloc[::-1], R[[1, 0]], R.set_axis(["x", "y"]), pd.Series([1, 2], index=[1, 0])):
+        with pytest.raises(ModelError, match="a table has the labels") as caught:
+            MDP.from_arrays(EYES, table, HALF)
+        assert "to_numpy" in caught.value.fix
+    with pytest.raises(ModelError, match="a table has the labels"):
+        MDP.from_arrays([R.iloc[::-1] * 0 + 0.5] * 2, [0, 0], HALF)
+
+
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (lambda: MDP.from_arrays(EYES, {(0, 0): 1}), "the rewards are a dictionary"),
+        (lambda: MDP.from_arrays(EYES, [0, 0], states=["a", "a"]), "both called 'a'"),
+        (
+            lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], labels={"x": lambda s: ""}),
+            "returns '', not True or False",
+        ),
+    ],
+)
+def test_what_was_taken_without_a_word(make: Callable[[], Any], what: str) -> None:
+    with pytest.raises(ModelError, match=what) as caught:
+        make()
     assert caught.value.fix

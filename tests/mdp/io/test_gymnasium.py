@@ -363,7 +363,12 @@ def test_an_environment_that_cannot_be_made(
         (None, [1], "does not expose its model"),
         (3, [1], "int found where a list"),
         ({}, [], "P is empty"),
-        ({0: {}}, [], "P is empty"),
+        ({0: {}}, [], "P[0] lists no action"),
+        ({0: {0: [(1, 1, 5, False)]}, 1: {}}, [1, 0], "P[1] lists no action"),
+        ({0: {0: [(1.5, 0, 1, True), (-0.5, 0, 1, True)]}}, [1], "a probability is -0.5"),
+        ({0: {0: [(1, 0, None, False)]}}, [1], "None is not a number"),
+        ({0: {0: [(1, 0, 0, False)]}}, lambda: 0, "initial_state_distrib is"),
+        ({0: {0: [(1, 0, 0, False)]}}, "0", "initial_state_distrib is '0'"),
         ({0: {0: []}}, [1], "sum to 0, not 1"),
         ({0: {0: [(1, 0, 0)]}}, [1], "an outcome is (1, 0, 0)"),
         ({0: {0: [(1, 0, 0, "no")]}}, [1], "an outcome is"),
@@ -421,7 +426,26 @@ def test_without_gymnasium_the_error_names_the_extra(monkeypatch: pytest.MonkeyP
         MDP.from_gymnasium("FrozenLake-v1")
 
 
-@pytest.mark.parametrize("table", [{}, [], {0: {}}])
+@pytest.mark.parametrize("table", [{}, []])
 def test_an_empty_table_is_called_empty(table: Any) -> None:
     with pytest.raises(ModelError, match="P is empty"):
         MDP.from_gymnasium(table)
+
+
+@pytest.mark.parametrize(
+    ("begins", "start"),
+    [({0: 0.5, 1: 0.5}, [0.5, 0.5]), ({1: 1}, [0, 1]), (np.int64(1), [0, 1]), (0, [1, 0])],
+)
+def test_other_ways_to_say_where_episodes_start(begins: Any, start: list[float]) -> None:
+    """Of a dictionary the keys were taken for probabilities."""
+    table = {0: {0: [(1, 0, 0, False)]}, 1: {0: [(1, 1, 1, False)]}}
+    assert MDP.from_gymnasium(Env(table, begins)).start_distribution.tolist() == start
+
+
+def test_a_wrapper_that_changes_rewards_is_refused() -> None:
+    env = gymnasium.make("FrozenLake-v1")
+    assert MDP.from_gymnasium(gymnasium.wrappers.TimeLimit(env, 7)).time_limit == 7
+    ten = gymnasium.wrappers.TimeLimit(gymnasium.wrappers.TransformReward(env, lambda r: 10 * r), 7)
+    with pytest.raises(ModelError, match="TransformReward changes the environment"):
+        MDP.from_gymnasium(ten)
+    assert MDP.from_gymnasium(ten.unwrapped).n_states == 16

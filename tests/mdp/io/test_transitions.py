@@ -216,3 +216,14 @@ def test_questions_have_no_observations() -> None:
     for asked in (mdp.reaching("goal"), mdp.until("goal")):
         assert asked.observations is None
     assert mdp.negated().observations is not None
+
+
+def test_a_line_with_too_few_fields_is_no_end(tmp_path: Path) -> None:
+    """A missing last field was taken for the end of the episode."""
+    path, head = tmp_path / "t.csv", "episode,state,action,reward,next_state\n"
+    path.write_text(head + '1,"a, b",x,0,c\n1,c,x,1\n')
+    with pytest.raises(ModelError, match="4 values under 5 headings") as caught:
+        MDP.from_transitions(path)
+    assert caught.value.where == f"{path}, line 3"
+    path.write_text(head + '1,"a, b",x,0,c\n1,c,x,1,\n\n')
+    assert MDP.from_transitions(path).n_states == 3
