@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from itertools import combinations
 from math import gcd
 from operator import mul
@@ -37,6 +38,7 @@ from exact_mdp.solvers.objectives.checker import (
     Point,
     Proof,
     Values,
+    best_for,
     front_violations,
 )
 from exact_mdp.solvers.objectives.optima import extreme, known_optimum, optimum, proof
@@ -127,9 +129,12 @@ class Front(Pictured):
         """The edges between neighbouring vertices."""
         vertices, found = self.vertices, []
         size = len(self.names)
-        for i, j in combinations(range(len(vertices)), 2):
-            shared = [w for w, tight in self._tight().items() if {i, j} <= set(tight)]
-            if len(shared) < size - 1:
+        shared: dict[tuple[int, int], list[Point]] = {}
+        for weights, tight in self._tight.items():
+            for both in combinations(tight, 2):
+                shared.setdefault(both, []).append(weights)
+        for (i, j), corners in sorted(shared.items()):
+            if len(corners) < size - 1:
                 continue
             change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
             first = next(step for step in change if step)
@@ -141,7 +146,7 @@ class Front(Pictured):
                     end=j,
                     change=change,
                     rate=abs(each[1]) if two else each,
-                    weights=shared[0] if two else None,
+                    weights=corners[0] if two else None,
                 )
             )
         return found
@@ -150,16 +155,12 @@ class Front(Pictured):
     def facets(self) -> list[tuple[Point, tuple[int, ...]]]:
         """Weights, all positive, with the vertices that are optimal for them: one for each name."""
         size = len(self.names)
-        return [(w, tight) for w, tight in self._tight().items() if len(tight) >= size and all(w)]
+        return [(w, tight) for w, tight in self._tight.items() if len(tight) >= size and all(w)]
 
+    @cached_property
     def _tight(self) -> dict[Point, tuple[int, ...]]:
-        """Return which vertices are optimal at each corner."""
-        found = {}
-        for weights in self.duals:
-            worth = [_worth(weights, a.total) for a in self.attained]
-            best = max(worth)
-            found[weights] = tuple(i for i, own in enumerate(worth) if own == best)
-        return found
+        """Which vertices are optimal at each corner."""
+        return best_for(self.duals, [a.total for a in self.attained])
 
     def totals(self, policy: PolicyLike) -> Point:
         """Return the exact totals of a policy, mixed ones too, from the start."""
@@ -224,18 +225,13 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
             fix="name two or three",
         )
     of = Objectives.of(mdp_of(model), names)
-    search = _Search(of)
-    while missing := search.corners() - search.duals.keys():
-        search.look(min(missing))
-    vertices = sorted(search.vertices, key=lambda a: tuple(of.sign * v for v in a.total))
+    vertices, duals = _chain(of) if len(names) == 2 else _cells(of)
     return Front(
         names=of.names,
-        attained=tuple(vertices),
+        attained=tuple(sorted(vertices, key=lambda a: tuple(of.sign * v for v in a.total))),
         duals={
-            tuple(Fraction(w, sum(corner)) for w in corner): _over(
-                search.duals[corner], sum(corner)
-            )
-            for corner in sorted(search.corners())
+            tuple(Fraction(w, sum(corner)) for w in corner): _over(values, sum(corner))
+            for corner, values in sorted(duals.items())
         },
         proof=proof(of),
         objectives=of,
@@ -244,6 +240,42 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
 
 def _over(values: Values, times: int) -> Values:
     return Values(values.top, values.below * times)
+
+
+def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Values]]:
+    """Return the vertices of two totals, and what bounds all policies for each edge's weights.
+
+    Between two vertices that are known, the normal of their chord either finds one beyond, or
+    proves the chord an edge (Aneja and Nair, 1979).
+    """
+    duals, ends = dict[Weights, Values](), list[Attained]()
+    for alone in ((0, 1), (1, 0)):
+        best = optimum(of, alone)
+        duals[alone] = best.values
+        ends.append(extreme(of, alone, best))
+    first, last = ends
+    vertices, open_ = [first], [] if first.total == last.total else [(first, last)]
+    while open_:
+        left, right = open_.pop()
+        ahead, _ = common([left.total[1] - right.total[1], right.total[0] - left.total[0]])
+        weights = tuple(number // gcd(*ahead) for number in ahead)
+        known = known_optimum(of, weights, left)
+        found = None if known else optimum(of, weights)
+        if found and found.total > _worth(weights, left.total):
+            new = extreme(of, weights, found)
+            open_ += [(new, right), (left, new)]
+        else:
+            duals[weights] = known or found.values  # type: ignore[union-attr]
+            vertices.append(right)
+    return vertices, duals
+
+
+def _cells(of: Objectives) -> tuple[list[Attained], dict[Weights, Values]]:
+    """Return the vertices of three totals, and what bounds all policies at each facet."""
+    search = _Search(of)
+    while missing := search.corners() - search.duals.keys():
+        search.look(min(missing))
+    return search.vertices, {corner: search.duals[corner] for corner in search.corners()}
 
 
 class _Search:

@@ -7,7 +7,7 @@ policy at the start by μ V, because the equations of every policy have one solu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -126,23 +126,55 @@ def front_violations(
     for number, vertex in enumerate(vertices):
         wrong += wrong_totals(of, vertex, f"vertex {number}")
     cells: list[list[Point]] = [[] for _ in vertices]
-    for weights, values in duals.items():
-        worth = [sum(w * v for w, v in zip(weights, a.total, strict=True)) for a in vertices]
-        if (
-            sum(weights) != 1
-            or min(weights) < 0
-            or wrong_bound(of, weights, values, Fraction(max(worth)))
-        ):
+    totals = [vertex.total for vertex in vertices]
+    for weights, best in best_for(duals, totals).items():
+        worth = sum((w * v for w, v in zip(weights, totals[best[0]], strict=True)), Fraction(0))
+        if sum(weights) != 1 or min(weights) < 0 or wrong_bound(of, weights, duals[weights], worth):
             shown = ", ".join(map(str, weights))
             wrong.append(f"the bound for weights ({shown}) does not hold")
-        for cell, own in zip(cells, worth, strict=True):
-            if own == max(worth):
-                cell.append(weights)
+        for number in best:
+            cells[number].append(weights)
     if sum(map(_size, cells)) != 1:
         wrong.append("the bounds do not cover all weights")
     if any(not _size(cell) for cell in cells):
         wrong.append("a vertex is not one: others are as good for all weights")
     return wrong
+
+
+def best_for(weights: Iterable[Point], totals: Sequence[Point]) -> dict[Point, tuple[int, ...]]:
+    """Return which of the totals are greatest for each of the weights.
+
+    Two totals along a chain that falls and bends down rise and then fall for all weights ≥ 0, and
+    the best ones move along it with the weights: each is looked at a few times.
+    """
+    found = {}
+    if _chained(totals):
+        order = sorted(range(len(totals)), key=lambda number: totals[number])
+        at = 0
+        for own in sorted(weights):
+            while at + 1 < len(order) and _beats(own, totals[order[at + 1]], totals[order[at]]) > 0:
+                at += 1
+            tied = at + 1 < len(order) and not _beats(own, totals[order[at + 1]], totals[order[at]])
+            found[own] = tuple(sorted(order[at : at + 1 + tied]))
+        return found
+    for own in weights:
+        worth = [sum(w * v for w, v in zip(own, total, strict=True)) for total in totals]
+        found[own] = tuple(i for i, value in enumerate(worth) if value == max(worth))
+    return found
+
+
+def _chained(totals: Sequence[Point]) -> bool:
+    chain = sorted(totals)
+    return (
+        len(chain) > 0
+        and len(chain[0]) == 2
+        and all(a[0] < b[0] and a[1] > b[1] for a, b in pairwise(chain))
+        and all(_turn(a, b, c) < 0 for a, b, c in zip(chain, chain[1:], chain[2:], strict=False))
+    )
+
+
+def _beats(weights: Point, a: Point, b: Point) -> Fraction:
+    return sum((w * (x - y) for w, x, y in zip(weights, a, b, strict=True)), Fraction(0))
 
 
 def _size(points: Sequence[Point]) -> Fraction:
