@@ -24,7 +24,6 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import load
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.space import StateSpace
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
     states lack an action that others have, `info["action_mask"]` tells which can be taken, and
     another one raises ModelError. `info` also holds `state` (its label), `timesteps`, `events`
     (names of the model's events that happened) and `components`: the expected reward by component
-    of the states and actions passed through.
+    of the states and actions passed through. Costs are paid as rewards, which they are times -1.
 
     Examples
     --------
@@ -84,7 +83,6 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             raise ModelError(
                 f"unknown render mode {render_mode!r}", where="environment", fix='use "ansi"'
             )
-        rewards_only(model, "an environment")
         mdp = model
         self.mdp, self.pass_forced, self.render_mode = mdp, pass_forced, render_mode
         self.observed, self._seen = _observations(mdp, columns)
@@ -99,7 +97,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
         self._pair[mdp.forced] = mdp.pair_offsets[:-1][mdp.forced][:, None]
         self.observation_space = gymnasium.spaces.Discrete(self.observed.size)
         self.action_space = gymnasium.spaces.Discrete(len(numbers))
-        self._gains, self._chances = mdp.table.gains(), mdp.table.probabilities()
+        self._gains, self._chances = mdp.maximised.table.gains(), mdp.table.probabilities()
         self._totals: dict[int, list[float]] = {}
         self.state = mdp.start[0][0]
 

@@ -90,16 +90,6 @@ NO_DATA = {"observations": None}  # other rows than those that were observed
 ONE_COMPONENT = {"component_names": ("reward",), "component_table": None}
 
 
-def rewards_only(model: Parts, what: str) -> None:
-    """Raise ModelError for costs where something knows rewards alone."""
-    if model.sense == "min":
-        raise ModelError(
-            f"{what} takes rewards to maximise, and these are costs",
-            where=f"model {model.name}".strip(),
-            fix="give the negation, mdp.negated(), whose values are these times -1",
-        )
-
-
 def labelled(model: Parts, label: str) -> Flags:
     """Return the states (S,) of a label; raises ModelError where there are none."""
     if label not in model.labels:

@@ -32,7 +32,6 @@ import scipy.sparse.linalg as spl
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.mdp.validate import as_discount
@@ -203,8 +202,8 @@ def mean_field(
     >>> found.consistent, found.q[0].round(2).tolist()
     (True, [115.5, 120.47, 124.81, 123.29])
     """
-    rewards_only(model, "a learner")
-    mdp, rows = model, rows_of(model, columns)
+    mdp = model.maximised  # costs are learned as rewards
+    rows = rows_of(mdp, columns)
     (count, n_actions), entries = rows.offered.shape, rows.offered.size
     if entries > MOST_ENTRIES:
         raise ModelError(

@@ -9,7 +9,8 @@ where a is ε-greedy in Q(k, ·) and U is, at the state s' that follows,
     (1-ε) max_b Q(k', b) + ε mean_b Q(k', b)         expected SARSA (van Seijen et al. 2009)
     Q₂(k', argmax_b Q₁(k', b)), tables by a coin     double Q-learning (van Hasselt 2010)
 
-and 0 at the end, unless `bootstrap_end` is set. Where several states share a row, this is no longer
+and 0 at the end, unless `bootstrap_end` is set. Costs are learned as rewards, which they are times
+-1: so are action values and returns. Where several states share a row, this is no longer
 the solution of an MDP; see `solvers.learning.mean_field` for what it tends to.
 
 The defaults are those of Yuan et al. (2025), "Learning Algorithm Design and Training": 6,000 epochs
@@ -27,7 +28,6 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
@@ -185,7 +185,7 @@ class Trainer:
     """Settings and a model, laid out once for many runs."""
 
     def __init__(self, settings: QLearning, mdp: MDP) -> None:
-        rewards_only(mdp, "a learner")
+        mdp = mdp.maximised
         self.settings, self.mdp = settings, mdp
         self.rows = rows_of(mdp, settings.columns)
         self.tables = tables(mdp, self.rows)

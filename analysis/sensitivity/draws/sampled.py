@@ -54,16 +54,19 @@ class Sampled(Result):
         Each policy held fixed.
     error : (D, N + 1)
         Bounds on the errors of `optimal` (column 0) and of each policy's value.
+    sign : int
+        -1 where values are costs, of which the least is best.
     """
 
     optimal: Floats
     fixed: Floats
     error: Floats
+    sign: int = 1
 
     @property
     def regret(self) -> Floats:
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
-        lost = self.optimal[:, None] - self.fixed
+        lost = self.sign * (self.optimal[:, None] - self.fixed)
         return np.where(lost > self.error[:, :1] + self.error[:, 1:], lost, 0.0)
 
     @property
@@ -143,7 +146,8 @@ def sampled(
         run(solver, "draws", partial(_block, solver, names, weights), blocks, key, **how)
     )
     value = found["value"]
-    return Sampled(optimal=value[:, 0], fixed=value[:, 1:], error=found["error"])
+    best, sign = value[:, 0], solver.base.sign
+    return Sampled(optimal=best, fixed=value[:, 1:], error=found["error"], sign=sign)
 
 
 def _block(

@@ -16,7 +16,6 @@ from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.gains import gains
@@ -109,7 +108,7 @@ class ModelSolver:
         for d, drawn in models(self.model, names, draws):
             solution = solve(drawn)
             start[d], error[d] = solution.start.value, solution.start.error
-            gap = solution.value[mdp.pair_state] - drawn.backup(solution.value)
+            gap = self.base.sign * (solution.value[mdp.pair_state] - drawn.backup(solution.value))
             error_there = solution.state_error
             doubt = error_there[mdp.pair_state] + drawn.discount * (drawn.transition @ error_there)
             near = gap <= doubt + gains(drawn, solution.value).noise
@@ -268,7 +267,6 @@ DrawSolver: TypeAlias = ModelSolver | CareSolver
 
 def solver_of(model: Parametric) -> DrawSolver:
     """Return the fastest way to solve a model at many draws."""
-    rewards_only(model.at({}), "an analysis by draws")
     if isinstance(model, ScenarioFamily):
         scenario = model.scenario
         if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:

@@ -1,10 +1,10 @@
 """Expected loss curves: what each policy loses on average, by how much is known.
 
-The loss of a policy in a draw is V* - V^π; its mean, drawn against something that varies, tells
-which policy to take and how bad a mistake would be, which an acceptability curve does not
-(Alarid-Escudero, Enns, Kuntz, Michaud and Jalal, Value in Health 22, 2019). Along the curve varies
-the effective sample size of every probability of which nothing else is stated. All points use the
-same random numbers. The lowest curve bounds EVPI from above.
+The loss of a policy in a draw is V* - V^π (of costs, V^π - V*); its mean, drawn against something
+that varies, tells which policy to take and how bad a mistake would be, which an acceptability curve
+does not (Alarid-Escudero, Enns, Kuntz, Michaud and Jalal, Value in Health 22, 2019). Along the
+curve varies the effective sample size of every probability of which nothing else is stated. All
+points use the same random numbers. The lowest curve bounds EVPI from above.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def _point(
     draws = chosen.draw(SeedSequence(seed), n)
     found = solver.solved(chosen.names, draws)
     valued = solver.values(chosen.names, draws, weights)
-    gap = found["start"][:, None] - valued["value"]
+    gap = solver.base.sign * (found["start"][:, None] - valued["value"])
     real = gap > found["error"][:, None] + valued["error"]
     told = [mean_loss(column) for column in np.where(real, gap, 0.0).T]
     return {

@@ -142,6 +142,8 @@ class PSA(Pictured):
         What each action costs in the first state; (D, 0) where there is more than one.
     cut : (D,) bool
         Whether some chance was cut off at 1, where `compiled`.
+    sign : int
+        -1 where values are costs, of which the least is best.
     """
 
     picture = "exact_mdp.analysis.plots.psa:plot_acceptability"
@@ -162,6 +164,7 @@ class PSA(Pictured):
     counts: Integers
     lost: Floats
     cut: np.ndarray
+    sign: int = 1
 
     def __post_init__(self) -> None:
         for array in (self.draws, self.optimal, self.error, self.values, self.counts, self.lost):
@@ -181,8 +184,8 @@ class PSA(Pictured):
         return mean_of(self.optimal)
 
     def regret(self, candidate: int = 0) -> Floats:
-        """Return (D,) V* less a candidate's value; 0 where rounding may be all there is."""
-        gap = self.optimal - self.values[:, candidate]
+        """Return (D,) what a candidate loses of V*; 0 where rounding may be all there is."""
+        gap = self.sign * (self.optimal - self.values[:, candidate])
         return np.where(gap > self.error + self.value_error[:, candidate], gap, 0.0)
 
     @property
@@ -211,7 +214,7 @@ class PSA(Pictured):
             today = [candidate.name for candidate in self.candidates].index(TODAY)
             found = mean_loss(self.regret(today))
             return Information(low=found, high=found, best=TODAY)
-        best = int(self.values.mean(axis=0).argmax())
+        best = int((self.sign * self.values).mean(axis=0).argmax())
         high, low = mean_loss(self.regret(best)), mean_loss(np.zeros(len(self)))
         if self.lost.shape[1]:
             lost = self.lost[:, int(np.nanargmin(self.lost.mean(axis=0)))]
@@ -221,7 +224,7 @@ class PSA(Pictured):
 
     def evpi_of_candidates(self) -> MeanLoss:
         """Return what it would be worth to know before choosing among the candidates."""
-        return evpi(self.values)
+        return evpi(self.sign * self.values)
 
     def evppi(
         self, groups: Mapping[str, Sequence[str]] | None = None
@@ -261,7 +264,7 @@ class PSA(Pictured):
                     fix="name parameters that are drawn",
                 )
             columns = self.draws[:REGRESSED, [place[name] for name in members]]
-            each = evppi(self.values[:REGRESSED], columns, tuple(members))
+            each = evppi(self.sign * self.values[:REGRESSED], columns, tuple(members))
             found[label] = replace(each, doubts=(*each.doubts, *doubt))
         return found
 
@@ -373,6 +376,7 @@ def psa(
         error=solved["error"],
         lost=solved["lost"],
         cut=solved["cut"],
+        sign=solver.base.sign,
         candidates=tuple(
             Candidate(
                 name=name,
@@ -419,8 +423,9 @@ def _selected(
     most of it lies. The one that adds most is taken, until none adds a hundredth of the whole.
     """
     rows, which = merged(blocks)
-    best, error = valued["value"].max(axis=1), valued["error"].max(axis=1)
-    left = found["start"] - best
+    sign = solver.base.sign
+    best, error = (sign * valued["value"]).max(axis=1), valued["error"].max(axis=1)
+    left = sign * found["start"] - best
     left = np.where(left > found["error"] + error, left, 0.0)
     counts = np.bincount(which, minlength=len(rows))
     by_loss = np.bincount(which, weights=left, minlength=len(rows))
@@ -438,7 +443,8 @@ def _selected(
     if not others:
         return picked, frequency
     some = np.sort(np.argsort(-left, kind="stable")[: solver.pool])
-    values, best = solver.values(names, found["draws"][some], others)["value"], best[some]
+    values = sign * solver.values(names, found["draws"][some], others)["value"]
+    best = best[some]
     for count in range(1, CANDIDATES + 1):
         gains = np.maximum(values - best[:, None], 0.0).sum(axis=0)
         number = int(gains.argmax())

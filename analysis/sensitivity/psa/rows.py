@@ -72,6 +72,7 @@ def _summing_to_one(mdp: MDP) -> MDP:
     if not changed:
         return mdp
     start, space = ByNumber(mdp.start), mdp.space
-    return MDP.from_outcomes(
+    found = MDP.from_outcomes(
         rows, mdp.discount_exact, start=start, space=space, actions=mdp.actions, name=mdp.name
     )
+    return found.with_(sense=mdp.sense, goal=mdp.goal, labels=mdp.labels)

@@ -13,7 +13,7 @@ is hard in general (Wiesemann, Kuhn and Rustem, Mathematics of Operations Resear
 
 For the best policy against the box, max_π min_θ V^π(θ): candidates' worst cases bound it from
 below, and the optimum at any point of the box from above; each worst point found is such a point,
-and its optimum is the next candidate.
+and its optimum is the next candidate. Of costs the worst is the greatest, and all is the other way.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.polynomial_rows import fraction
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.questions import rewards_only
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers import certify, solve
@@ -215,7 +214,6 @@ def _opened(
 ) -> tuple[Parametric, dict[str, Range]]:
     """Return the family and the box; warn where a chance is cut off at 1 within the box."""
     family, spans = parametric(model), box_ranges(model, ranges)
-    rewards_only(family.at({}), "a box")
     if isinstance(family, ScenarioFamily):
         highest = {name: span.high for name, span in spans.items()}
         family.tell(highest, where=" at the upper ends of the ranges")
@@ -313,7 +311,7 @@ def box_optimum(
     ]
     worst: dict[str, BoxExtreme] = {}
     weights: dict[str, Floats] = {}
-    ceiling, seen = np.inf, set()
+    ceiling, seen, costs = np.inf, set(), mdp.sense == "min"
     lowest: MDP | None = None
     while waiting:
         name, policy = waiting.pop(0)
@@ -327,15 +325,18 @@ def box_optimum(
         seen.add(key)
         there = family.at(found.point)
         best = solve(there)
-        if best.start.interval[1] < ceiling:
-            ceiling, lowest = best.start.interval[1], there
+        most = -best.start.interval[0] if costs else best.start.interval[1]
+        if most < ceiling:
+            ceiling, lowest = most, there
         if len(seen) <= ROUNDS:
             waiting.append((f"optimal at worst point {len(seen)}", best.policy))
-    first = max(worst, key=lambda name: worst[name].low)
+    sure = {name: -each.high if costs else each.low for name, each in worst.items()}
+    first = max(sure, key=lambda name: sure[name])
+    ends = sure[first], max(ceiling, sure[first])
     assert lowest is not None
     return BoxOptimum(
-        low=worst[first].low,
-        high=max(ceiling, worst[first].low),
+        low=-ends[1] if costs else ends[0],
+        high=-ends[0] if costs else ends[1],
         policy=weights[first],
         worst=worst[first],
         candidates=worst,
@@ -359,7 +360,7 @@ class _Search:
         if side not in ("worst", "best"):
             raise ModelError(f"unknown side {side!r}", where="robust box", fix="say worst or best")
         self.family, self.weights, self.side = family, weights, side
-        self.sign = 1 if side == "worst" else -1
+        self.sign = 1 if (side == "worst") == (family.at({}).sense == "max") else -1
         self.low: Point = {name: span.low for name, span in spans.items()}
         self.high: Point = {name: span.high for name, span in spans.items()}
         self.model: CareBox | FamilyBox

@@ -1,0 +1,94 @@
+"""Draws and boxes of a model of costs: what they find of its negation, with the sign turned."""
+
+from __future__ import annotations
+
+from fractions import Fraction as F
+
+import numpy as np
+import pytest
+
+from exact_mdp.analysis.sensitivity import (
+    box_extreme,
+    box_optimum,
+    expected_loss,
+    morris,
+    psa,
+    sobol,
+)
+from exact_mdp.mdp import MDP, moving
+from exact_mdp.mdp.parametric import Parametric
+
+# A short way that may fail, and a long one: the costs of failing decide which is better.
+COSTS = MDP.from_outcomes(
+    [
+        (0, 0, [("1/2", 1, 1), ("1/2", 2, 1)]),
+        (0, 1, [("3/4", 1, 4), ("1/4", 0, 4)]),
+        (1, 0, [(1, 3, 0)]),
+        (2, 0, [(1, 1, 7)]),
+        (2, 1, [("1/3", 1, 5), ("2/3", 0, 5)]),
+        (3, 0, [(1, 3, 0)]),
+    ],
+    sense="min",
+)
+
+
+def family(mdp: MDP) -> Parametric:
+    return moving(mdp, {"short": [(0, 1)], "long": [(1, 1)], "back": [(4, 1)]})
+
+
+BOTH = family(COSTS), family(COSTS.negated())
+SPANS = {"short": ("1/4", "3/4"), "long": ("1/2", "9/10"), "back": ("1/10", "9/10")}
+
+
+def test_probabilistic_analysis() -> None:
+    costs, rewards = (psa(each, 60, rng=1, policy=[1, 0, 0, 0]) for each in BOTH)
+    assert (costs.optimal == -rewards.optimal).all()
+    assert (costs.values == -rewards.values).all()
+    assert (costs.counts == rewards.counts).all()
+    assert (costs.lost == rewards.lost).all()
+    assert costs.start.value == -rewards.start.value > 0
+    assert [each.name for each in costs.candidates] == [each.name for each in rewards.candidates]
+    assert (costs.regret() == rewards.regret()).all()
+    assert (costs.regret() > 0).any()
+    assert costs.evpi() == rewards.evpi()
+    assert costs.evpi_of_candidates() == rewards.evpi_of_candidates()
+    assert costs.evppi() == rewards.evppi()
+    assert costs.value.value == -rewards.value.value
+
+
+def test_expected_loss() -> None:
+    held = {"today": "optimal", "long": [1, 0, 0, 0]}
+    costs, rewards = (expected_loss(each, held, [10, 100], rng=1, n=20) for each in BOTH)
+    assert (costs.loss == rewards.loss).all()
+    assert (costs.loss > 0).any()
+
+
+def test_shares_of_variance_and_effects() -> None:
+    names = list(SPANS)
+    how = {"names": names, "ranges": SPANS, "policy": [1, 0, 0, 0], "rng": 1}
+    costs, rewards = (sobol(each, n=4, **how) for each in BOTH)
+    assert costs.optimal.mean == -rewards.optimal.mean
+    for output in ("optimal", "fixed", "regret"):
+        assert np.allclose(costs.of(output).total, rewards.of(output).total)
+    assert costs.regret.mean == rewards.regret.mean > 0
+    costs, rewards = (morris(each, n=2, **how) for each in BOTH)
+    assert (costs.optimal.mu == -rewards.optimal.mu).all()
+    assert (costs.regret.mu == rewards.regret.mu).all()
+
+
+@pytest.mark.parametrize("side", ["worst", "best"])
+def test_extremes_over_a_box(side: str) -> None:
+    span = {"short": SPANS["short"]}
+    costs, rewards = (box_extreme(each, [0, 0, 0, 0], span, side=side) for each in BOTH)
+    assert (costs.low, costs.high) == (-rewards.high, -rewards.low)
+    assert (costs.reached, costs.point) == (-rewards.reached, rewards.point)
+    assert costs.proven
+    assert costs.reached == 1 + 7 * (F("3/4") if side == "worst" else F("1/4"))  # failing costs 7
+
+
+def test_what_the_best_policy_can_be_sure_of() -> None:
+    costs, rewards = (box_optimum(each, SPANS) for each in BOTH)
+    assert (costs.low, costs.high) == (-rewards.high, -rewards.low)
+    assert costs.saddle == rewards.saddle
+    assert costs.worst.reached == -rewards.worst.reached
+    assert (costs.policy == rewards.policy).all()
