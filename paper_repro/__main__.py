@@ -31,9 +31,23 @@ from exact_mdp.mdp.lazy import load
     help="Search the readings and train under them on a Dask cluster: tcp://HOST:PORT, or local.",
 )
 @click.option("--claim", "name", metavar="ID", help="Work out only this claim, and print it.")
+@click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Print which verdicts change under another reading (readings.skip_timestep=own), "
+    "parameter (base.anger=1/10) or setting of the learner (training.rate=0.1); repeatable. With "
+    "--quick without the claims about learning.",
+)
 @click.option("--candidates", is_flag=True, help="Print the results in the form of expected.toml.")
 def main(
-    quick: bool, out: Path, scheduler: str | None, name: str | None, candidates: bool
+    quick: bool,
+    out: Path,
+    scheduler: str | None,
+    name: str | None,
+    sets: tuple[str, ...],
+    candidates: bool,
 ) -> int | None:
     """Reproduce Yuan et al. (2025): every claim beside the exact answer.
 
@@ -46,6 +60,12 @@ def main(
             where="--candidates",
             fix="leave one of the two out",
         )
+    if sets and (name is not None or candidates):
+        raise ModelError(
+            "--set compares all verdicts with those of the default reading",
+            where="--set",
+            fix=f"leave {'--candidates' if candidates else '--claim'} out",
+        )
     if name is not None and not name.strip():
         raise ModelError(
             "the name of the claim is empty",
@@ -54,7 +74,7 @@ def main(
         )
     try:
         work = load("exact_mdp.paper_repro.run")  # the help does not wait for it
-        failed = work.reproduce(out, quick, scheduler, name, candidates)
+        failed = work.reproduce(out, quick, scheduler, name, candidates, sets)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):
             stop.add_note(f"what is finished is kept in {out}, and the same command goes on")

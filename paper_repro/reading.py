@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
@@ -22,17 +22,19 @@ from exact_mdp.analysis.readings import option_label
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.load import load_scenario
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.table import Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.search import PAPER_READINGS, Averages, averages
-from exact_mdp.paper_repro.readings.training import Learned, learn
+from exact_mdp.paper_repro.readings.training import Learned, learn, setting
 from exact_mdp.solvers import certify, evaluate, simulate, solve
 from exact_mdp.solvers.parallel.sources import source_digest
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.values.evaluate import Evaluation
 
 SEED = 20250101
+TRAINING = "training."
 NAMED = re.compile(r"code-[0-9a-f]{12}")
 
 
@@ -121,6 +123,7 @@ class Reading:
     runs: int = QUICK.runs  # see `Sizes`
     episodes: int = QUICK.episodes
     store: Store = field(default_factory=Store)
+    training: Mapping[str, Any] = field(default_factory=dict)  # settings of the learner that differ
 
     @cached_property
     def mdp(self) -> MDP:
@@ -190,9 +193,16 @@ class Reading:
     def learned(self, schedule: str) -> Learned:
         """Return the training runs under an exploration schedule, "constant" or "decaying"."""
         if schedule not in self._learned:
-            folder = self.store.folder(f"training-{schedule}-{self.key}")
+            told = repr(sorted(self.training.items())).encode() if self.training else b""
+            mark = told and f"-{sha256(told).hexdigest()[:8]}"
+            folder = self.store.folder(f"training-{schedule}-{self.key}{mark or ''}")
             self._learned[schedule] = learn(
-                self.mdp, schedule, runs=self.runs, seed=SEED, folder=folder
+                self.mdp,
+                schedule,
+                runs=self.runs,
+                seed=SEED,
+                folder=folder,
+                changes=self.training,
             )
         return self._learned[schedule]
 
@@ -235,6 +245,31 @@ def default(sizes: Sizes, store: Store | None = None) -> Reading:
         runs=sizes.runs,
         episodes=sizes.episodes,
         store=store or Store(),
+    )
+
+
+def changed(base: Reading, sets: Sequence[str]) -> Reading:
+    """Return the reading with KEY=VALUE changes: of the scenario, or training.KEY of the learner.
+
+    >>> found = changed(default(QUICK), ["readings.status_cost=current", "training.rate=0.1"])
+    >>> found.scenario.readings["status_cost"], found.training
+    ('current', {'rate': Constant(value=0.1)})
+    """
+    learner: dict[str, Any] = {}
+    scene = []
+    for each in sets:
+        if each.startswith(TRAINING):
+            name, _, text = each.removeprefix(TRAINING).partition("=")
+            learner |= setting(name.strip(), text.strip())
+        else:
+            scene.append(each)
+    return Reading(
+        scenario=load_scenario("yuan2025", sets=scene),
+        label=", ".join(sets),
+        runs=base.runs,
+        episodes=base.episodes,
+        store=base.store,
+        training=learner,
     )
 
 

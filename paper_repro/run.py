@@ -35,11 +35,12 @@ from exact_mdp.paper_repro.reading import (
     Sizes,
     Store,
     alternatives,
+    changed,
     default,
 )
 from exact_mdp.paper_repro.readings.evidence import Evidence, evidence
 from exact_mdp.paper_repro.readings.findings import reading_study
-from exact_mdp.paper_repro.readings.search import search
+from exact_mdp.paper_repro.readings.search import search, searched
 from exact_mdp.paper_repro.report import agents, output, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import entry_of
@@ -51,12 +52,23 @@ tqdm = later("tqdm")
 Work = Callable[[], object]
 
 
-def reproduce(out: Path, quick: bool, scheduler: str | None, name: str | None, form: bool) -> bool:
-    """Print one claim or all of them, perhaps in the `form` of expected.toml.
+def reproduce(
+    out: Path,
+    quick: bool,
+    scheduler: str | None,
+    name: str | None,
+    form: bool,
+    sets: Sequence[str] = (),
+) -> bool:
+    """Print one claim or all of them, perhaps in the `form` of expected.toml, or what changes.
 
     Returns whether a number differs from the pinned one.
     """
     sizes = QUICK if quick else FULL
+    if sets:
+        changed(default(sizes), sets)  # a wrong name leaves no folder
+        compare(sets, sizes, Store.under(out), quick=quick)
+        return False
     if name is not None:
         claims = [chosen(name)]  # a wrong name leaves no folder
         store = Store.under(out)
@@ -158,16 +170,34 @@ def run_claims(
 ) -> list[Judged]:
     """Work some claims out, with as little else as they need.
 
-    A quick run tries readings that differ from the default in one point; a full one searches all
-    readings, which takes a minute or two unless `store` holds the search.
+    Open claims are tried under the readings that differ from the default in one point; under all
+    of them where `store` holds the search over these, as the main job leaves it.
     """
     reading = default(sizes, store)
-    if quick or not any(claim.open for claim in claims):
-        return judge(claims, reading, others=alternatives(reading, sizes))
     folder = store.folder("readings")
-    found = search(scheduler=scheduler, out=folder and folder / "search", progress=True)
-    weighed = evidence(found)
-    return judge(claims, reading, others=_others(reading, sizes, weighed), evidence=weighed)
+    out = folder and folder / "search"
+    if quick or not any(claim.open for claim in claims) or not searched(out):
+        return judge(claims, reading, others=alternatives(reading, sizes), progress=_say)
+    weighed = evidence(search(scheduler=scheduler, out=out, progress=True))
+    others = _others(reading, sizes, weighed)
+    return judge(claims, reading, others=others, evidence=weighed, progress=_say)
+
+
+def compare(sets: Sequence[str], sizes: Sizes, store: Store, *, quick: bool) -> None:
+    """Print which verdicts change under KEY=VALUE changes; a quick run leaves learning out."""
+    reading = default(sizes, store)
+    other = changed(reading, sets)
+    claims = [claim for claim in all_claims() if not (quick and claim.learns)]
+    before = judge(claims, reading, progress=_say)
+    after = judge(claims, other, progress=_say)
+    output.print_changes(other.label, before, after)
+    if quick:
+        click.echo("without the claims about learning, which --quick leaves out")
+
+
+def _say(what: str) -> None:
+    """Say on standard error what is worked out, where no bar shows it."""
+    click.echo(f"{what} …", err=True)
 
 
 def _others(reading: Reading, sizes: Sizes, found: Evidence) -> Iterator[Reading]:

@@ -235,6 +235,12 @@ def search(
     )
 
 
+def searched(out: Path | None, space: ReadingSpace = PAPER_READINGS) -> bool:
+    """Return whether a folder holds a whole search, which is then read at once."""
+    scenarios = len(space) // len(space.options["evaluation_discount"])
+    return out is not None and len(list(out.glob("*.npz"))) == -(-scenarios // BLOCK)
+
+
 def _evaluate(
     base: Scenario, space: ReadingSpace, policies: Integers, numbers: Sequence[int]
 ) -> dict[str, Numbers]:

@@ -14,10 +14,12 @@ differ in the evaluation discount alone share their runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,7 +34,7 @@ from exact_mdp.analysis.learning.curves import (
 from exact_mdp.analysis.learning.outcomes import Interval, Outcomes, outcomes, share_interval
 from exact_mdp.analysis.readings import ReadingSpace, posterior
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import Evidence
@@ -40,7 +42,7 @@ from exact_mdp.paper_repro.readings.search import ReadingSearch
 from exact_mdp.paper_repro.reported import ANGRY, NUMBER, STARTS, UNIQUE_POLICIES
 from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
 from exact_mdp.solvers.learning.sampler import child
-from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant
 from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.parallel.many import many
 
@@ -53,6 +55,41 @@ CONVERGED = 1000  # last epochs, over which a curve is averaged
 CURVES = 2**20  # the child of the seed that curves are drawn from
 SEEDS = 100
 TRAINED = 40  # readings
+
+
+NUMBERS: Mapping[str, Callable[[str], Any]] = {
+    "rate": lambda text: Constant(float(Fraction(text))),
+    "rate_power": lambda text: float(Fraction(text)),
+    "discount": str,
+    "epochs": int,
+    "episodes": int,
+    "initial": lambda text: float(Fraction(text)),
+    "ties": str,
+    "bootstrap_end": {"true": True, "false": False}.__getitem__,
+    "snapshot_episode": int,
+    "last": int,
+}
+"""How each setting of the learner is read that can be changed by name."""
+
+
+def setting(name: str, text: str) -> dict[str, Any]:
+    """Return a change of the learner's settings by its name and text.
+
+    >>> setting("bootstrap_end", "true"), setting("rate", "0.5")
+    ({'bootstrap_end': True}, {'rate': Constant(value=0.5)})
+    """
+    if name not in NUMBERS:
+        raise ModelError(f"unknown setting {name!r}", where="training", fix=suggest(name, NUMBERS))
+    try:
+        found = {name: NUMBERS[name](text)}
+    except (ValueError, KeyError):
+        raise ModelError(
+            f"{text!r} is no value of {name}",
+            where="training",
+            fix="give a number, or true or false for bootstrap_end",
+        ) from None
+    replace(SETTINGS["constant"], **found)  # refuses what does not fit
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,10 +130,22 @@ class Learned:
         return share.argmax(axis=1), share.max(axis=1)
 
 
-def learn(mdp: MDP, schedule: str, *, runs: int, seed: int, folder: Path | None = None) -> Learned:
-    """Train with this many seeds; runs that the folder holds are not done again."""
+def learn(
+    mdp: MDP,
+    schedule: str,
+    *,
+    runs: int,
+    seed: int,
+    folder: Path | None = None,
+    changes: Mapping[str, Any] = MappingProxyType({}),
+) -> Learned:
+    """Train with this many seeds; runs that the folder holds are not done again.
+
+    `changes` are settings of `QLearning` that differ from the paper's.
+    """
     source = child(seed, list(SETTINGS).index(schedule))
-    trained = train_many(mdp, SETTINGS[schedule], runs, rng=source, n_jobs=None, out=folder)
+    settings = replace(SETTINGS[schedule], **changes)
+    trained = train_many(mdp, settings, runs, rng=source, n_jobs=None, out=folder)
     found = outcomes(mdp, trained, bound=False)
     return Learned(schedule=schedule, runs=trained, outcomes=found, seed=seed)
 

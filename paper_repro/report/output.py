@@ -196,6 +196,20 @@ def print_claim(each: Judged) -> None:
             screen.print(f"  {label + ':':16}{found[name]}", soft_wrap=True)
 
 
+def print_changes(label: str, before: Sequence[Judged], after: Sequence[Judged]) -> None:
+    """Print the claims whose verdict differs between the default reading and another."""
+    screen = _console(132)
+    table = rich.Table(title=label, title_justify="left", box=None, pad_edge=False)
+    for heading in ("claim", "default", "changed", "why"):
+        table.add_column(heading, no_wrap=heading != "why")
+    pairs = [(a, b) for a, b in zip(before, after, strict=True) if a.verdict is not b.verdict]
+    for was, now in pairs:
+        table.add_row(was.claim.id, str(was.verdict), str(now.verdict), now.finding.why)
+    if pairs:
+        screen.print(table)
+    screen.print(f"{len(pairs)} of {len(before)} verdicts change under {label}", soft_wrap=True)
+
+
 def print_places(out: Path) -> None:
     """Say where the files are."""
     screen = _console(132)

@@ -23,7 +23,7 @@ from exact_mdp.analysis import check
 from exact_mdp.mdp import ModelError, Policy
 from exact_mdp.paper_repro.__main__ import main
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, judge
-from exact_mdp.paper_repro.reading import QUICK, Reading, default
+from exact_mdp.paper_repro.reading import QUICK, Reading, changed, default
 from exact_mdp.paper_repro.readings.reported_policy import ranked, sums
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import counted, counts, number
@@ -319,9 +319,30 @@ def test_one_claim_alone(tmp_path: Path) -> None:
         assert part in done.output
 
 
+def test_the_verdicts_that_another_reading_changes(tmp_path: Path) -> None:
+    done = job(
+        "--quick", "--set", "readings.influence_orientation=column-to-row", "--out", tmp_path
+    )
+    assert done.exit_code == 0, done.output
+    name = "prose.anger-contributes-most "
+    (line,) = (x for x in done.stdout.splitlines() if x.startswith(name))
+    assert line.split()[1:4] == ["not", "reproduced", "reproduced"]
+    assert "verdicts change under readings.influence_orientation=column-to-row" in done.output
+    assert "prose.anger-contributes-most …" in done.stderr  # progress
+
+
+def test_settings_of_the_learner_are_changed_by_name() -> None:
+    found = changed(default(replace(QUICK, runs=2)), ["training.epochs=20", "training.rate=1/4"])
+    assert {len(run.snapshots) for run in found.learned("constant").runs} == {20}
+
+
 @pytest.mark.parametrize(
     "words, message",
     [
+        (("--set", "training.rat=1"), "unknown setting 'rat'"),
+        (("--set", "training.epochs=many"), "'many' is no value of epochs"),
+        (("--set", "base.angre=1"), "base.anger"),
+        (("--set", "tasks=[2]", "--claim", "return.random"), "leave --claim out"),
         (("--quick", "--out", "file/results"), "cannot make the folder"),
         (("--claim", "table3.base.angre"), "table3.base.anger"),
         (("--claim", ""), "the name of the claim is empty"),
