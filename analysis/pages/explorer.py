@@ -11,7 +11,7 @@ moves in steps: for each of its values the first one's pieces are worked out ane
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from html import escape
 from itertools import pairwise
@@ -23,14 +23,15 @@ import numpy as np
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.page import render
+from exact_mdp.analysis.sensitivity.base_case import held_at
 from exact_mdp.analysis.sensitivity.curve import ValueFunction, value_function
 from exact_mdp.analysis.sensitivity.curve_checker import RationalFunction
 from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
-from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Family, Parametric, Posed, parameter_of, parametric
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
@@ -169,7 +170,7 @@ def explore(
     for value in grid or (None,):
         here, where = family, ""
         if second is not None and value is not None:
-            here, where = _held(family, second.name, value), f"{second.name} = {shown(value)}"
+            here, where = held_at(family, second.name, value), f"{second.name} = {shown(value)}"
         with located(where) if where else located(f"explorer of {name}"):
             curve = value_function(here, name, spans[name], policy=policy)
             _prove(here, curve)
@@ -193,23 +194,6 @@ def _prove(family: Parametric, curve: ValueFunction) -> None:
     for point in certified(curve):
         if proven(family.at({curve.parameter.name: point})).start_value != curve.at(point):
             raise RuntimeError(f"the curve is not the optimum at {point}")
-
-
-def _held(family: Parametric, name: str, value: Fraction) -> Parametric:
-    """Return the family with another value of a parameter that does not move."""
-    if isinstance(family, Posed):
-        return replace(family, family=_held(family.family, name, value))
-    if isinstance(family, ScenarioFamily):
-        scenario = family.scenario.with_(parameters={name: value})
-        return ScenarioFamily(scenario=scenario, told=family.told)
-    if isinstance(family, Family):
-        moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
-        return replace(family, parameters=tuple(moved))
-    raise ModelError(
-        f"the parameters of {family.name} cannot be held",
-        where="explorer",
-        fix="give a scenario, a model or a Family, or one parameter alone",
-    )
 
 
 def _grid(span: Range, today: Fraction, n: int) -> tuple[Fraction, ...]:

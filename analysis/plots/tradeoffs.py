@@ -50,11 +50,14 @@ def plot_mean_cvar(found: MeanCVaR, *, ax: Axes | None = None) -> Axes:
     across = [float(each.mean) for each in found.optima]
     up = [float(each.value) for each in found.optima]
     ax.plot(across, up, linestyle="", color=BLUE, marker="o", label="best for a weight of the mean")
-    for each in dict(zip(zip(across, up, strict=True), found.optima, strict=True)).items():
-        (x, y), best = each
-        ax.annotate(
-            f"{float(best.weight):.3g}", (x, y), xytext=(4, -10), textcoords="offset points"
-        )
+    weights = dict[tuple[float, float], list[str]]()
+    for point, best in zip(zip(across, up, strict=True), found.optima, strict=True):
+        weights.setdefault(point, []).append(f"{float(best.weight):.3g}")
+    for point, own in weights.items():
+        words = own[0] if len(own) == 1 else f"{own[0]} to {own[-1]}"
+        left = point[0] < (min(across) + max(across)) / 2
+        aside = {"xytext": (4 if left else -4, -12), "ha": "left" if left else "right"}
+        ax.annotate(words, point, textcoords="offset points", **aside)
     for number, (name, (mean, value)) in enumerate(found.policies.items()):
         mark, ink = MARKS[1 + number % (len(MARKS) - 1)], INK[number % len(INK)]
         ax.plot([float(mean)], [float(value)], linestyle="", marker=mark, color=ink, label=name)

@@ -6,15 +6,18 @@ evaluated at other values of the parameters, where the pairs are the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
 from operator import attrgetter
 
 import numpy as np
 
+from exact_mdp.mdp.care.scenario import ScenarioFamily
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, Posed
+from exact_mdp.mdp.parametric import Family, Parametric, Posed
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers import solve
@@ -72,3 +75,20 @@ def digest(*policies: Floats) -> str:
     """Return a hash of policies, (L,) probabilities of pairs each; other policies have another."""
     content = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
     return sha256(content).hexdigest()
+
+
+def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
+    """Return the family with another value of a parameter that does not move."""
+    if isinstance(family, Posed):
+        return replace(family, family=held_at(family.family, name, value))
+    if isinstance(family, ScenarioFamily):
+        scenario = family.scenario.with_(parameters={name: value})
+        return ScenarioFamily(scenario=scenario, told=family.told)
+    if isinstance(family, Family):
+        moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
+        return replace(family, parameters=tuple(moved))
+    raise ModelError(
+        f"the parameters of {family.name} cannot be held",
+        where=f"parameter {name}",
+        fix="give a scenario, a model or a Family, or one parameter alone",
+    )

@@ -145,7 +145,7 @@ class Rows:
         """Interpolate N, of the states that are not terminal, and D."""
         points = self.points(inside)
         samples = [self._solved(point, mix) for point in points]
-        *numerators, scale = (_newton(points, column) for column in zip(*samples, strict=True))
+        *numerators, scale = (interpolated(points, column) for column in zip(*samples, strict=True))
         return numerators, scale
 
     def _solved(self, y: fmpq, mix: Mix) -> list[fmpq]:
@@ -255,7 +255,7 @@ class Gaps:
         ]
 
 
-def _newton(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:
+def interpolated(x: Sequence[fmpq], values: Sequence[fmpq]) -> fmpq_poly:
     """Return the polynomial through the points (Newton)."""
     poly: type[fmpq_poly] = flint.fmpq_poly
     if not any(values):
