@@ -238,7 +238,7 @@ def _draw_map(found: TwoWay, cells: ExactMap, state: int | None, ax: Axes) -> Ax
         x, lines = [*map(float, at)], np.array([cells.heights(slab, each) for each in at], float).T
         own = [kinds[policy] for policy in slab.policies]
         for below, above, kind in zip(lines[:-1], lines[1:], own, strict=True):
-            ax.fill_between(x, below, above, color=colours[kind], linewidth=0, antialiased=False)
+            ax.fill_between(x, below, above, color=colours[kind], linewidth=0.4)
             if kind not in named:
                 named.add(kind)
                 ink = "black" if np.mean(to_rgb(colours[kind])) > 0.5 else "white"

@@ -56,8 +56,8 @@ def plot_mean_cvar(found: MeanCVaR, *, ax: Axes | None = None) -> Axes:
     for point, own in weights.items():
         words = own[0] if len(own) == 1 else f"{own[0]} to {own[-1]}"
         left = point[0] < (min(across) + max(across)) / 2
-        aside = {"xytext": (4 if left else -4, -12), "ha": "left" if left else "right"}
-        ax.annotate(words, point, textcoords="offset points", **aside)
+        aside, side = ((4, -12), "left") if left else ((-4, -12), "right")
+        ax.annotate(words, point, textcoords="offset points", xytext=aside, ha=side)
     for number, (name, (mean, value)) in enumerate(found.policies.items()):
         mark, ink = MARKS[1 + number % (len(MARKS) - 1)], INK[number % len(INK)]
         ax.plot([float(mean)], [float(value)], linestyle="", marker=mark, color=ink, label=name)
