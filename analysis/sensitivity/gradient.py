@@ -43,6 +43,7 @@ pandas = later("pandas")
 
 EXACT_TRANSITIONS = 100_000
 EXACT_CYCLIC_STATES = 64
+EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000  # of small integers over one number
 
 Number = Certified | Bounded
 Slope = Certified | Bounded | Checked
@@ -200,7 +201,8 @@ def gradient(
         The parameters; all of them unless given.
     exact : bool, optional
         Rationals, or floats with error bounds; unless given, rationals for models of up to 100,000
-        transitions that are acyclic or have at most 64 states.
+        transitions that are acyclic or have at most 64 states (200 where there are up to 10,000
+        transitions, of small integers).
 
     Returns
     -------
@@ -246,6 +248,8 @@ def _cheap(mdp: MDP) -> bool:
     """Return whether rational arithmetic is affordable."""
     if mdp.n_transitions > EXACT_TRANSITIONS:
         return False
+    if mdp.table.weight.dtype == np.int64 and mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS:
+        return mdp.n_states <= EXACT_SPARSE_STATES or is_acyclic(mdp)
     return mdp.n_states <= EXACT_CYCLIC_STATES or is_acyclic(mdp)
 
 

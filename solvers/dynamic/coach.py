@@ -28,6 +28,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from os import cpu_count
+from threading import Event
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -146,6 +147,7 @@ def solve_coach(model: Coach, tol: float | None = None) -> CoachSolution:
         .copy(),
         memory.waited,
     )
+    stopped = Event()
     stalls, rewards = _floats(model.stalls), _floats(model.rewards())
     repeat = float(model.repeat)
 
@@ -163,6 +165,8 @@ def solve_coach(model: Coach, tol: float | None = None) -> CoachSolution:
             return float(found[0]), float(found[1])
 
         for number in range(1, MOST_SWEEPS + 1):
+            if stopped.is_set():
+                break
             before = size
             change, size = sweep(improve=True)
             rounding = ROUNDINGS * (earned + rate * max(before, size))
@@ -178,7 +182,11 @@ def solve_coach(model: Coach, tol: float | None = None) -> CoachSolution:
         raise SolverError(Status.ITERATION_LIMIT, f"{MOST_SWEEPS} sweeps")
 
     with ThreadPoolExecutor(min(model.n_users, cpu_count() or 1)) as pool:
-        bounds, sweeps = zip(*pool.map(work, range(model.n_users)), strict=True)
+        try:
+            bounds, sweeps = zip(*pool.map(work, range(model.n_users)), strict=True)
+        except BaseException:
+            stopped.set()  # an interrupt, or one kind of user that fails, stops the others
+            raise
     return CoachSolution(
         model=model,
         value=value.reshape(-1),

@@ -190,6 +190,14 @@ def test_the_command_line_knows_it_by_name(capsys: pytest.CaptureFixture[str]) -
     assert dear.reward.min() == -0.8
 
 
+@pytest.mark.slow
+def test_its_derivatives_are_certified_although_prompts_tie(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["sensitivity", "coach", "gradient", "--parameter", "reward.done"]) == 0
+    assert "certified" in capsys.readouterr().out
+
+
 def test_its_parameters_have_their_names() -> None:
     names = [parameter.name for parameter in load("coach").family.parameters]  # type: ignore[union-attr]
     assert names[:2] == ["reward.start", "reward.underway"]
