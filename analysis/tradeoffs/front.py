@@ -41,7 +41,15 @@ from exact_mdp.solvers.objectives.checker import (
     best_for,
     front_violations,
 )
-from exact_mdp.solvers.objectives.optima import extreme, known_optimum, optimum, proof
+from exact_mdp.solvers.objectives.optima import (
+    Losses,
+    attained,
+    extreme,
+    known_optimum,
+    optimum,
+    proof,
+    proposed,
+)
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -246,27 +254,35 @@ def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Values]]:
     """Return the vertices of two totals, and what bounds all policies for each edge's weights.
 
     Between two vertices that are known, the normal of their chord either finds one beyond, or
-    proves the chord an edge (Aneja and Nair, 1979).
+    proves the chord an edge (Aneja and Nair, 1979). Floats propose policies; what pairs lose
+    against one, exactly, proves it optimal or not.
     """
     duals, ends = dict[Weights, Values](), list[Attained]()
     for alone in ((0, 1), (1, 0)):
-        best = optimum(of, alone)
-        duals[alone] = best.values
-        ends.append(extreme(of, alone, best))
-    first, last = ends
-    vertices, open_ = [first], [] if first.total == last.total else [(first, last)]
+        own = optimum(of, alone)
+        duals[alone] = own.values
+        ends.append(extreme(of, alone, own))
+    first, last = (Losses(of, end) for end in ends)
+    vertices, open_ = [ends[0]], [] if ends[0].total == ends[1].total else [(first, last)]
     while open_:
         left, right = open_.pop()
-        ahead, _ = common([left.total[1] - right.total[1], right.total[0] - left.total[0]])
+        a, b = left.policy.total, right.policy.total
+        ahead, _ = common([a[1] - b[1], b[0] - a[0]])
         weights = tuple(number // gcd(*ahead) for number in ahead)
-        known = known_optimum(of, weights, left)
-        found = None if known else optimum(of, weights)
-        if found and found.total > _worth(weights, left.total):
-            new = extreme(of, weights, found)
+        best = left
+        signs = left.signs(weights)
+        if signs.min() < 0:
+            shares = [Fraction(w, sum(weights)) for w in weights]
+            best = Losses(of, attained(of, proposed(of, shares, left.policy.pairs)))
+            signs = best.signs(weights)
+        found = optimum(of, weights) if signs.min() < 0 else best.optimum(of, weights, signs)
+        if found.total > _worth(weights, a):
+            unique = len(found.optimal) == of.mdp.n_states and best is not left
+            new = best if unique else Losses(of, extreme(of, weights, found))
             open_ += [(new, right), (left, new)]
         else:
-            duals[weights] = known or found.values  # type: ignore[union-attr]
-            vertices.append(right)
+            duals[weights] = found.values
+            vertices.append(right.policy)
     return vertices, duals
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import lcm
+from math import inf, lcm
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from flint import fmpq
 
 flint = later("flint")
+linalg = later("scipy.sparse.linalg")
+sparse = later("scipy.sparse")
+
+STEPS = 100  # of policy iteration in floats
+NOISE = 2.0**-40  # relative, far above the rounding of a few operations
 
 Weights = Sequence[int] | Sequence[Fraction]
 
@@ -78,6 +83,74 @@ def extreme(of: Objectives, weights: Weights, first: Optimum) -> Attained:
         values=values,
         total=tuple(of.at_start(*own) for own in values),
     )
+
+
+def proposed(of: Objectives, weights: Sequence[Fraction], pairs: Integers) -> Integers:
+    """Return (S,) pairs that floats take for optimal, by policy iteration from some pairs on."""
+    try:
+        return _iterated(of, weights, pairs)
+    except (OverflowError, RuntimeError):  # beyond the floats, or singular in them
+        return pairs
+
+
+def _iterated(of: Objectives, weights: Sequence[Fraction], pairs: Integers) -> Integers:
+    rows, state = of.rows, of.mdp.pair_state
+    live = ~rows.terminal[state]
+    scale = rows.scale[state].astype(object)
+    share = live[rows.pair] * (rows.weight / scale[rows.pair]).astype(np.float64)
+    moves = sparse.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(rows.scale)))
+    earned = sum(float(w) * (own / scale) for w, own in zip(weights, of.amounts, strict=True))
+    gain, chosen = live * np.asarray(earned, np.float64), pairs.copy()
+    stay = sparse.eye_array(len(rows.scale), format="csc")
+    for _ in range(STEPS):
+        value = linalg.splu((stay - moves[chosen]).tocsc()).solve(gain[chosen])
+        worth = gain + moves @ value
+        best = np.maximum.reduceat(worth, rows.pair_offsets[:-1])
+        better = best > worth[chosen] + NOISE * (np.abs(best) + np.abs(value).max())
+        if not better.any():
+            break
+        leads = np.flatnonzero(worth == best[state])
+        chosen[better] = leads[np.searchsorted(state[leads], np.flatnonzero(better))]
+    return chosen
+
+
+class Losses:
+    """What each pair loses against a policy, for all weights: a linear function of the weights.
+
+    Floats tell the sign of a loss where they can, and integers where they cannot.
+    """
+
+    def __init__(self, of: Objectives, policy: Attained) -> None:
+        self.policy, below = policy, [values.below for values in policy.values]
+        each = [slack(of, a, v) for a, v in zip(of.amounts, policy.values, strict=True)]
+        self.exact = [numbers.tolist() for numbers in each]
+        self.times = [lcm(*below) // own for own in below]
+        try:
+            near = [[n / b for n in own] for own, b in zip(self.exact, below, strict=True)]
+        except OverflowError:  # beyond the floats: integers alone
+            near = [[inf] * len(own) for own in self.exact]
+        self.near = np.array(near)
+
+    def signs(self, weights: Sequence[int]) -> Integers:
+        """Return (L,) the sign of each pair's loss for weights of at least 0."""
+        shares = np.array([w / sum(weights) for w in weights])
+        with np.errstate(invalid="ignore"):
+            parts = shares[:, None] * self.near
+            total = parts.sum(axis=0)
+            known = np.abs(total) > NOISE * np.abs(parts).sum(axis=0)
+        found = np.where(known, np.sign(total), 0).astype(np.int64)
+        for pair in np.flatnonzero(~known).tolist():
+            each = zip(weights, self.times, self.exact, strict=True)
+            loss = sum(w * t * own[pair] for w, t, own in each)
+            found[pair] = (loss > 0) - (loss < 0)
+        return found
+
+    def optimum(self, of: Objectives, weights: Sequence[int], signs: Integers) -> Optimum:
+        """Return the optimum for weights for which no pair's loss is negative."""
+        values = _mixed(self.policy.values, [flint.fmpq(w) for w in weights])
+        return Optimum(
+            total=of.at_start(*values), values=values, optimal=np.flatnonzero(signs == 0)
+        )
 
 
 def known_optimum(of: Objectives, weights: Sequence[int], policy: Attained) -> Values | None:

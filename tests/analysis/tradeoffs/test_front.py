@@ -14,7 +14,8 @@ from objective_models import totals, with_components
 
 from exact_mdp import Scenario, certify, evaluate, tradeoff
 from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.solvers.objectives.checker import Values
+from exact_mdp.solvers.objectives.checker import Values, slack
+from exact_mdp.solvers.objectives.optima import Losses
 
 F = Fraction
 Point = tuple[Fraction, ...]
@@ -167,3 +168,20 @@ def test_the_checker_notices() -> None:
         replace(front, attained=(*front.attained, one)),
     ):
         assert broken.violations()
+
+
+@settings(max_examples=30)
+@given(mdp=with_components(2), weights=st.tuples(st.integers(0, 9), st.integers(1, 9)))
+def test_floats_and_integers_tell_the_same_signs(mdp: MDP, weights: tuple[int, int]) -> None:
+    """What pairs lose against a vertex has the sign of the exact slack, with floats or without."""
+    front = tradeoff(mdp, ["c0", "c1"])
+    of, vertex = front.objectives, front.attained[0]
+    losses = Losses(of, vertex)
+    worth = [w * F(1, vertex.values[k].below) for k, w in enumerate(weights)]
+    parts = [slack(of, a, v) for a, v in zip(of.amounts, vertex.values, strict=True)]
+    exact = [sum(w * int(own[pair]) for w, own in zip(worth, parts, strict=True))
+             for pair in range(mdp.n_pairs)]  # fmt: skip
+    wanted = [(x > 0) - (x < 0) for x in exact]
+    assert losses.signs(weights).tolist() == wanted
+    losses.near = losses.near * 0
+    assert losses.signs(weights).tolist() == wanted
