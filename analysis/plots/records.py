@@ -37,7 +37,7 @@ def plot_needed(found: Needed, *, most: int = MOST, ax: Axes | None = None) -> A
             )
     ax.set_yticks(place, labels)
     ax.invert_yaxis()
-    ax.margins(x=0.15)
+    ax.margins(x=0.25)
     ax.set_xlim(left=0)
     ax.set_xlabel("what knowing the row would narrow the bound by (reward)")
     left = len(found.pairs) - len(pairs)

@@ -10,9 +10,11 @@ observations that is asked about; nothing is extrapolated.
 row were known and all others as they are.
 
 *more* is a plan: together these observations decide the verdict, and of no pair could a tenth of
-them be left out. First all pairs are brought to a common number of observations, the least that
-decides (by bisection). Then, from the pairs that are worth least, each is given up or lowered as
-far as the verdict stays decided. Other plans may need fewer in all.
+them be left out. Were the end's distance a sum of worth · √(n / n') over the pairs, n' observations
+in place of n, the fewest in all would be in proportion to (worth √n)^(2/3). So pairs are brought to
+numbers in that proportion (to a tenth of the largest where they are worth less), the least that
+decide, by bisection. Then, from the pairs that are worth least, each is given up or lowered as far
+as the verdict stays decided. Other plans may need fewer in all.
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ pandas = later("pandas")
 EXACTLY = 1e15  # observations after which a row counts as known
 MOST = 10**12  # observations of a pair that a plan may ask for
 SPARED = 0.1  # share of a number that is worth another attempt to save
+LEAST_SHAPE = 0.1
 TRIED = 60  # pairs whose numbers are lowered one by one; of more models the rest stays
 
 
@@ -166,10 +169,11 @@ def _worth(sets: RowSets, end: Callable[[Floats], float]) -> Floats:
 
 def _plan(counted: Floats, worth: Floats, decides: Callable[[Floats], bool]) -> Floats:
     """Return (L,) more observations that decide; none of them could be much fewer."""
-    open_ = counted > 0
+    shape = (worth * np.sqrt(counted)) ** (2 / 3)
+    shape = np.where(counted > 0, np.maximum(shape / (shape.max() or 1), LEAST_SHAPE), 0.0)
 
     def level(height: float) -> Floats:
-        return np.where(open_, np.maximum(height - counted, 0.0), 0.0)
+        return np.maximum(np.ceil(height * shape - counted), 0.0)
 
     def least(given: Callable[[float], Floats], low: float, high: float) -> float:
         """Return about the least number that decides, from one that does not to one that does."""
@@ -181,7 +185,7 @@ def _plan(counted: Floats, worth: Floats, decides: Callable[[Floats], bool]) -> 
     high = float(counted.max())
     while not decides(level(high)) and high < MOST:
         high *= 2
-    plan = np.ceil(level(least(level, 0.0, high)))
+    plan = level(least(level, 0.0, high))
     used = np.flatnonzero(plan)
     for pair in used[np.argsort(worth[used], kind="stable")][:TRIED].tolist():
 

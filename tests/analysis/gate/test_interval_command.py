@@ -1,0 +1,119 @@
+"""Intervals on the command line and on the page about them: keys, statuses, reports."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_runner import run
+
+from exact_mdp.analysis.cli import main
+from exact_mdp.mdp import MDP
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs/data.md").read_text("utf-8")
+NAMES = ["episode", "state", "action", "reward", "next_state"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with records of two treatments, and the model that they make."""
+    place, rng = tmp_path_factory.mktemp("records"), np.random.default_rng(0)
+    rows = [
+        (n, "ill", ("a", "b")[n % 2], int(rng.random() < 0.3 + n % 2 / 2), None) for n in range(800)
+    ]
+    pd.DataFrame(rows, columns=NAMES).to_csv(place / "records.csv", index=False)
+    MDP.from_transitions(place / "records.csv", "1/2").save(place / "model.npz")
+    return place
+
+
+@pytest.mark.parametrize("kind", ["robust", "posterior", "off-policy"])
+def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> None:
+    more = [f"--records={folder / 'records.csv'}", "--behaviour=random"] * (kind == "off-policy")
+    more += ["--draws=200", "--seed=2"] * (kind == "posterior")
+    words = [
+        "check",
+        str(folder / "model.npz"),
+        "always:a",
+        "--confidence",
+        "0.95",
+        "--by",
+        kind,
+        *more,
+    ]
+    found = run(*words, "--max-regret", "0.9", "--json").result
+    assert (found["passed"], found["confidence"], found["by"]) == (True, 0.95, kind)
+    low, high = found["regret_interval"]
+    assert low <= found["regret"] <= high <= 0.9
+    assert found["assumptions"]
+    if kind == "posterior":
+        within = found["interval"]["probability_within"]
+        assert within["value"] == 1
+        assert 0.9 < within["interval"][0] < 1
+    if kind == "off-policy":
+        assert found["interval"]["effective_sample_size"] == pytest.approx(400)
+    page, report = tmp_path / "page.html", tmp_path / "report.xml"
+    limit = found["regret"] + 0.001  # the estimate keeps it, the interval does not
+    done = run(*words, f"--max-regret={limit}", "--markdown", f"--html={page}", f"--junit={report}")
+    assert done.status == 1
+    shown = f"at 95 % confidence, {kind}"
+    tree = ElementTree.parse(report)
+    listed = {each.get("name"): each.get("value") for each in tree.iter("property")}
+    assert shown in (listed["regret_interval"] or "")
+    for text in (done.out, page.read_text("utf-8"), report.read_text("utf-8")):
+        assert shown in text
+        assert "leaves the limit open" in text
+    assert "no medical advice" in page.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (["--by", "robust"], "applies to an interval"),
+        (["--prior", "2"], "applies to an interval"),
+        (["--confidence", "1"], "a confidence of 1"),
+        (["--confidence", "0.9", "--by", "bayes"], "unknown kind"),
+        (["--confidence", "0.9", "--prior", "2"], "does not apply to robust"),
+        (["--confidence", "0.9", "--rewards", "5"], "no range"),
+        (["--confidence", "0.9", "--rewards", "0,x"], "no range"),
+        (["--confidence", "0.9", "--by", "off-policy"], "no trajectories"),
+        (["--confidence", "0.9", "--by", "posterior", "--draws", "x"], "not a whole number"),
+        (["--confidence", "0.9", "--by", "off-policy", "--records", "none.csv"], "none.csv"),
+        (["--confidence", "0.9", "--horizon", "3"], "no counts"),
+        (["--confidence", "0.9", "--max-relative-regret", "1"], "total regret alone"),
+    ],
+)
+def test_bad_input_prints_nothing_and_exits_with_2(
+    words: list[str], what: str, folder: Path
+) -> None:
+    done = run("check", folder / "model.npz", "always:a", *words)
+    assert (done.status, done.out) == (2, "")
+    assert what in done.err
+    assert "fix:" in done.err
+
+
+def test_trajectories_that_tell_nothing_are_refused(folder: Path) -> None:
+    words = ("--confidence=0.9", "--by=off-policy", f"--records={folder / 'records.csv'}")
+    done = run("check", folder / "model.npz", "always:a", *words, "--behaviour=always:b")
+    assert (done.status, done.out) == (2, "")
+    assert "never does what the policy does" in done.err
+    assert "state ill" in done.err
+
+
+def test_the_page_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    known: dict[str, object] = {}
+    for kind, block in blocks:
+        if kind == "python":
+            exec(compile(block, "docs/data.md", "exec"), known)
+            continue
+        for line in block.splitlines():
+            assert main(shlex.split(line)[1:]) == 0, line
+    assert "True (0.0, 0.0)" in capsys.readouterr().out
