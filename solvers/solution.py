@@ -112,8 +112,12 @@ class Certified:
         return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
 
     def __str__(self) -> str:
-        text = str(self.value)
-        return f"{text if len(text) <= 24 else f'≈ {_decimal(self.value):.12g}'} ({self.claim})"
+        value, long = self.value, False
+        if isinstance(value, Fraction):  # Python writes no integer of over 4,300 digits
+            long = max(value.numerator.bit_length(), value.denominator.bit_length()) > 80
+        text = "" if long else str(value)
+        said = text if 0 < len(text) <= 24 else f"≈ {_decimal(value):.12g}"
+        return f"{said} ({self.claim})"
 
     def __neg__(self) -> Certified:
         return Certified(value=-self.value)

@@ -23,7 +23,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
 from exact_mdp.solvers.objectives.occupancy import flow
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
-from exact_mdp.solvers.proof.rationals import fraction
+from exact_mdp.solvers.proof.margins import alike
+from exact_mdp.solvers.proof.rationals import fraction, on_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -62,12 +63,10 @@ class ExactPolicy:
         """The values of all states."""
         return [fraction(a, b) for a, b in zip(self.numerator, self._below, strict=True)]
 
-    @property
+    @cached_property
     def start_value(self) -> Fraction:
         """The value of the start distribution."""
-        below = self._below
-        terms = (weight * Fraction(self.numerator[s], below[s]) for s, weight in self.mdp.start)
-        return sum(terms, Fraction(0))
+        return on_average(self.mdp.start, self.numerator, self.group, self.denominator)
 
     @property
     def _below(self) -> list[int]:
@@ -157,11 +156,14 @@ def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
 def exact_gaps(mdp: MDP, best: Values, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:
     """Return V*(s) - Q*(l) of some pairs as numerator and denominator, both integers."""
     found: dict[int, tuple[int, int]] = {}
-    asked = list(pairs)
-    if not asked:
+    asked = np.unique(np.array(list(pairs), dtype=np.int64))
+    if not len(asked):
         return found
     rows = bellman_rows(mdp)
-    for l in asked:
+    for l, first in zip(asked.tolist(), alike(mdp, asked).tolist(), strict=True):
+        if first != l:
+            found[l] = found[first]
+            continue
         state = int(mdp.pair_state[l])
         part = slice(int(rows.offsets[l]), int(rows.offsets[l + 1]))
         loss, unit = _loss(
@@ -179,10 +181,12 @@ def _loss(
     """Return scale · V - constant - Σ weight V' as an integer over a second one."""
     below = of.denominator
     own = below[of.group[state]]
-    unit = lcm(own, *{below[of.group[t]] for t in following})
+    groups = of.group[list(following)].tolist()
+    unit = lcm(own, *{below[group] for group in groups})
+    times = {group: unit // below[group] for group in {*groups}}
     later = sum(
-        w * of.numerator[t] * (unit // below[of.group[t]])
-        for t, w in zip(following, weight, strict=True)
+        w * of.numerator[t] * times[group]
+        for t, w, group in zip(following, weight, groups, strict=True)
     )
     return scale * of.numerator[state] * (unit // own) - constant * unit - later, unit
 

@@ -242,17 +242,23 @@ def exact_ties(mdp: MDP, best: Certificate, tie: Range, pairs: Integers) -> Flag
     found = np.zeros(mdp.n_pairs, dtype=bool)
     later: Sequence[Fraction] | None = None
     for pair, (top, bottom) in exact_gaps(mdp, best, pairs.tolist()).items():
-        gap, low, high = Fraction(top, bottom), float(tie.low[pair]), float(tie.high[pair])
-        if gap <= Fraction(low) or (isfinite(high) and gap > Fraction(high)):
-            found[pair] = gap <= Fraction(low)
+        low, high = float(tie.low[pair]), float(tie.high[pair])
+        found[pair] = _at_most(top, bottom, low)
+        if found[pair] or (isfinite(high) and not _at_most(top, bottom, high)):
             continue
         if later is None:
             later = _exactly_in_all(policy_taking(mdp, best.optimal_pairs), best.value.tolist())
         limit = exactly_per_use(mdp, best.value.tolist(), pair)
         row = mdp.table.row(pair)
         limit += mdp.discount_exact * sum((p * later[t] for p, t, _ in row), Fraction(0))
-        found[pair] = gap <= limit + later[int(mdp.pair_state[pair])]
+        found[pair] = Fraction(top, bottom) <= limit + later[int(mdp.pair_state[pair])]
     return found
+
+
+def _at_most(top: int, bottom: int, limit: float) -> bool:
+    """Return whether top / bottom ≤ limit, without a common divisor of long integers."""
+    over, under = limit.as_integer_ratio()
+    return top * under <= over * bottom
 
 
 def _exactly_in_all(chain: PolicyChain, value: Sequence[Fraction]) -> Sequence[Fraction]:

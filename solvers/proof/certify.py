@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from math import lcm
 from typing import Literal, overload
 
 import numpy as np
@@ -29,7 +28,7 @@ from exact_mdp.solvers.endless.proven import certify_total
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.proof.margins import UNIT, alike, gains
-from exact_mdp.solvers.proof.rationals import fraction
+from exact_mdp.solvers.proof.rationals import on_average
 from exact_mdp.solvers.proof.uniqueness import uniqueness
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve
@@ -136,15 +135,6 @@ def certify(
     reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
     count = np.add.reduceat(optimal.astype(np.int64), first)
     numbers = np.where(optimal, np.arange(mdp.n_pairs), mdp.n_pairs)
-    below = lcm(*(found.denominator[found.group[s]] for s, _ in mdp.start))
-    parts = lcm(*(weight.denominator for _, weight in mdp.start))
-    top = sum(
-        weight.numerator
-        * (parts // weight.denominator)
-        * found.numerator[s]
-        * (below // found.denominator[found.group[s]])
-        for s, weight in mdp.start
-    )
     return Certificate(
         model=fingerprint(mdp),
         numerator=found.numerator,
@@ -155,7 +145,7 @@ def certify(
         gap=found.gap,
         gap_scale=found.gap_scale,
         unique=bool((count[reached] == 1).all()),
-        start_value=fraction(top, parts * below),
+        start_value=on_average(mdp.start, found.numerator, found.group, found.denominator),
         rank=rank,
         weight=weight,
         mdp=mdp,

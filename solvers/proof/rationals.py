@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Numbers
+from exact_mdp.mdp.table import Integers, Numbers
 
 flint = later("flint")
 
@@ -53,6 +53,30 @@ def fraction(top: int, bottom: int) -> Fraction:
     shared = numerator.gcd(denominator)
     lowest = _LowestTerms(int(numerator // shared), int(denominator // shared))
     return Fraction(cast(Rational, lowest))
+
+
+def on_average(
+    weights: Iterable[tuple[int, Fraction]],
+    top: Sequence[int],
+    group: Integers,
+    bottom: Sequence[int],
+) -> Fraction:
+    """Return Σ weight · top[s] / bottom[group[s]] over states s; one divisor is taken out at last.
+
+    Examples
+    --------
+    >>> on_average([(0, Fraction(1, 2)), (1, Fraction(1, 3))], [1, 1], np.array([0, 1]), [3, 5])
+    Fraction(7, 30)
+    """
+    listed = list(weights)
+    parts = lcm(*(weight.denominator for _, weight in listed))
+    below = lcm(*(bottom[group[state]] for state, _ in listed))
+    times = {g: below // bottom[g] for g in {int(group[state]) for state, _ in listed}}
+    total = sum(
+        weight.numerator * (parts // weight.denominator) * top[state] * times[int(group[state])]
+        for state, weight in listed
+    )
+    return fraction(total, parts * below)
 
 
 def primes_of(numbers: Sequence[int]) -> int:

@@ -22,7 +22,12 @@ from exact_mdp.solvers.bounds.elimination import substitution
 from exact_mdp.solvers.parallel.sources import PACKAGES, ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-LOCKS = ("requirements.lock", "requirements-lowest.lock", "requirements-uv.lock")
+LOCKS = (
+    "requirements.lock",
+    "requirements-icu.lock",
+    "requirements-lowest.lock",
+    "requirements-uv.lock",
+)
 
 
 @pytest.fixture

@@ -407,3 +407,5 @@ def test_three_kinds_of_number() -> None:
         "1 ± 0.5 (bounded)",
         "1 ± 0.5 s.e. (estimated)",
     ]
+    # Python writes no integer of over 4,300 digits
+    assert str(Certified(value=F(3**9500, 4**7529))) == "≈ 0.552389135964 (certified)"

@@ -1,0 +1,80 @@
+"""ICU-Sepsis, estimated from records: 716 states, 1.5 million transitions, floats on one cycle.
+
+Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024; the package icu-sepsis is not a
+part of this one. The published numbers are means of simulated episodes.
+"""
+
+from decimal import Decimal
+from fractions import Fraction as F
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import run
+
+from exact_mdp import MDP, Policy, certify, check, evaluate
+from exact_mdp.solvers import solve
+
+pytest.importorskip("icu_sepsis", reason="the package icu-sepsis is not installed")
+gymnasium = pytest.importorskip("gymnasium")
+
+NAME = "icu_sepsis:Sepsis/ICU-Sepsis-v2"
+PUBLISHED = {"random": (0.78, 9.45), "expert": (0.78, 9.22), "optimal": (0.88, 10.99)}
+
+
+@pytest.fixture(scope="module")
+def env() -> Any:
+    return gymnasium.make(NAME).unwrapped
+
+
+@pytest.fixture(scope="module")
+def mdp(env: Any) -> MDP:
+    return MDP.from_gymnasium(env)
+
+
+def test_published_numbers(env: Any, mdp: MDP) -> None:
+    for name, (survival, length) in PUBLISHED.items():
+        policy = Policy.of(mdp, env.expert_policy, kind="policy") if name == "expert" else name
+        found = evaluate(mdp, policy)
+        assert found.start.error < 1e-11
+        assert abs(found.mean - survival) < 0.005 + 1e-9
+        assert abs(found.steps - length) < 0.02
+
+
+def test_the_optimum_is_proven(mdp: MDP) -> None:
+    found, solution = certify(mdp), solve(mdp)
+    assert found.violations() == []
+    assert abs(F(solution.start_value) - F(found.start_value)) <= F(solution.start.error)
+    alike = np.diff(mdp.pair_offsets)[:713] - [
+        len({mdp.table.weight[slice(*mdp.table.offsets[l : l + 2])].tobytes() for l in pairs})
+        for pairs in (mdp.pairs_of(s) for s in range(713))
+    ]
+    assert alike.mean() > 20  # of 25 actions: those that stand for the mean of the others
+
+
+def test_its_matrices_are_the_same_model(env: Any, mdp: MDP) -> None:
+    parts = env.dynamics
+    bare = MDP.from_arrays(parts["tx_mat"], parts["r_mat"], start=parts["d_0"], layout="sas")
+    mine, theirs = evaluate(bare, "random"), evaluate(mdp, "random")
+    assert abs(mine.mean - theirs.mean) <= mine.start.error + theirs.start.error
+
+
+def test_commands(env: Any, mdp: MDP, tmp_path: Path) -> None:
+    model, file = f"gymnasium:{NAME}", str(tmp_path / "expert.npy")
+    np.save(file, env.expert_policy)
+    assert run("info", model, "--json").result["time_limit"] == 500
+    found = run("check", model, file, "--kind", "policy", "--max-regret", "1/10", "--json")
+    audit = check(mdp, Policy.of(mdp, env.expert_policy, kind="policy"))
+    assert (found.status, found.result["regret"]) == (0, float(audit.value.value))
+    assert found.result["optimal_value"] == pytest.approx(0.87514169961, abs=1e-11)
+
+
+@pytest.mark.slow
+def test_commands_that_prove(mdp: MDP) -> None:
+    found = run("solve", f"gymnasium:{NAME}", "--certify", "--json").result
+    top, bottom = map(Decimal, found["exact_start_value"].split("/"))
+    best = certify(mdp).start_value
+    assert top / bottom == Decimal(best.numerator) / Decimal(best.denominator)
+    shown = run("evaluate", f"gymnasium:{NAME}", "optimal", "--json").result
+    assert shown["mean"] == pytest.approx(float(best), abs=1e-10)
