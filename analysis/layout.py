@@ -1,10 +1,11 @@
 """Where each state stands in a picture: in a row and a column of a map.
 
-A map is spanned by columns of the state space, `down` and `across`; the last column goes across
-unless said otherwise, and all others down; the digits of a column that is left alone go both ways.
+A map is spanned by columns of the state space, `down` and `across`. Unless said otherwise, the one
+that actions such as "right" change goes across and that of "down" goes down, in the direction of
+the arrow; other columns make blocks of such maps. Without such actions the last column goes across
+and all others down; the digits of a column that is left alone go both ways.
 The parts of states that are tuples of one length are such columns: those of a named tuple have its
-fields' names, others are state[0], state[1], …; the part that actions such as "right" change goes
-across, that of "down" goes down, in the direction of the arrow. Ends that are no tuples stand
+fields' names, others are state[0], state[1], …; ends that are no tuples stand
 outside. A grid world whose states are only numbered is given its
 `shape`, read row by row. States of a single column without a shape stand in rows of ten.
 """
@@ -109,11 +110,14 @@ def arrange(
         return _numbered(model.space, *shape, listed=False)
     if len(space.columns) < 2 or space.regular == 0:
         return _numbered(space, -(-space.size // WIDE), min(space.size, WIDE), listed=True)
+    space, states, heading = _headed(model, space, states)
     rest = [name for name in space.names if name not in named]
     split = across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1
-    if across is None:
-        across = rest[-1:]
-    below = [name for name in space.names if name in {*(down or ()), *rest} - {*across, *at}]
+    if heading and not (down or across) and set(heading) <= set(rest):
+        below, across = _blocks(space, heading, [name for name in rest if name not in heading])
+    else:
+        across = rest[-1:] if across is None else across
+        below = [name for name in space.names if name in {*(down or ()), *rest} - {*across, *at}]
     inside = states < space.regular
     for name, value in at.items():
         inside &= space.values(name, states) == space.column(name).number(value)
@@ -181,18 +185,9 @@ def _parts(model: MDP) -> tuple[StateSpace, Integers] | None:
         columns.append(Column(name=field, size=len(found), words=words, objects=tuple(found)))
     if prod(column.size for column in columns) > SPARSE * len(tuples):
         return None
-    order = [*range(width)]
-    for k, sign in _compass(model, values):
-        order.append(order.pop(order.index(k)))
-        if sign < 0:
-            column, last = columns[k], columns[k].size - 1
-            back = column.words[::-1], column.objects[::-1]
-            columns[k] = replace(column, words=back[0], objects=back[1])
-            values[k] = np.where(inside, last - values[k], -1)
-    space = StateSpace(columns=tuple(columns[k] for k in order))
+    space = StateSpace(columns=tuple(columns))
     number = np.full(model.n_states, space.regular)
-    sizes = [column.size for column in space.columns]
-    number[inside] = np.ravel_multi_index([*values[order][:, inside]], sizes)
+    number[inside] = np.ravel_multi_index([*values[:, inside]], [c.size for c in columns])
     return space, number
 
 
@@ -208,23 +203,54 @@ def _word(value: Hashable) -> str:
     return text if text.strip() and text.isprintable() else repr(value)
 
 
-def _compass(model: MDP, values: Integers) -> list[tuple[int, int]]:
-    """Return the part (of K, S) that "down" changes and the sign of that, and those of "right".
+def _headed(
+    model: MDP, space: StateSpace, states: Integers
+) -> tuple[StateSpace, Integers, tuple[str, ...]]:
+    """Return the columns that "down" and "right" change, turned where these lower them.
 
-    Nothing where actions are no directions, or change one and the same part.
+    With the space and the states' numbers in it; no columns where actions are no directions, or
+    change one and the same.
     """
-    table = model.table
+    values = np.array([space.values(name, states) for name in space.names])
+    table, inside = model.table, states < space.regular
     pair = np.repeat(np.arange(model.n_pairs), np.diff(table.offsets))
     before, after = values[:, model.pair_state[pair]], values[:, table.next]
     moved = np.where((before < 0) | (after < 0), 0, after - before) * table.probabilities()
     drift = np.array([np.bincount(pair, weights=each, minlength=model.n_pairs) for each in moved])
     signs = np.array(symbols(model.actions))[model.pair_action]
     net = {sign: drift[:, signs == sign].sum(axis=1) for sign in ARROWS}
-    south, east = net["↓"] - net["↑"], net["→"] - net["←"]
-    down, across = (int(np.argmax(np.abs(each))) for each in (south, east))
-    if down == across or not south[down] or not east[across]:
-        return []
-    return [(down, int(np.sign(south[down]))), (across, int(np.sign(east[across])))]
+    change = (net["↓"] - net["↑"], net["→"] - net["←"])
+    heading = [int(np.argmax(np.abs(each))) for each in change]
+    if heading[0] == heading[1] or not all(c[k] for c, k in zip(change, heading, strict=True)):
+        return space, states, ()
+    columns = list(space.columns)
+    for each, k in zip(change, heading, strict=True):
+        if each[k] < 0:
+            columns[k] = _turned(columns[k])
+            values[k] = columns[k].size - 1 - values[k]
+    number = states.copy()
+    number[inside] = np.ravel_multi_index([*values[:, inside]], [c.size for c in columns])
+    names = tuple(columns[k].name for k in heading)
+    return replace(space, columns=tuple(columns)), number, names
+
+
+def _turned(column: Column) -> Column:
+    """Return a column whose values count the other way."""
+    back = range(column.size)[::-1]
+    words, things = tuple(map(column.label, back)), tuple(map(column.thing, back))
+    return Column(name=column.name, size=column.size, words=words, objects=things)
+
+
+def _blocks(
+    space: StateSpace, heading: Sequence[str], others: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """Return what goes down and across, where other columns make blocks on the shorter side."""
+    sides, lengths = [[name] for name in heading], [space.column(name).size for name in heading]
+    for name in reversed(others):
+        side = int(lengths[1] < lengths[0])
+        sides[side].insert(0, name)
+        lengths[side] *= space.column(name).size
+    return sides[0], sides[1]
 
 
 def _along(

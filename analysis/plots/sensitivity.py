@@ -25,6 +25,7 @@ from exact_mdp.analysis.plots.style import (
     action_styles,
     axes_or_new,
     bars_across,
+    legend_beside,
     name_rows,
     plain_text,
     swatch,
@@ -62,26 +63,29 @@ def _with_range(name: str, low: Fraction, high: Fraction) -> str:
     return f"{name} [{float(low):.3g}, {float(high):.3g}]"
 
 
-def _name_parameters(ax: Axes, names: Sequence[str], ranges: Mapping[str, Range]) -> None:
-    name_rows(ax, [_with_range(name, ranges[name].low, ranges[name].high) for name in names])
+def _with_ranges(names: Sequence[str], ranges: Mapping[str, Range]) -> list[str]:
+    return [_with_range(name, ranges[name].low, ranges[name].high) for name in names]
 
 
 @plain_text
 def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) -> Axes:
-    """Draw the largest elasticities: per cent of the start value for a per cent of a parameter."""
-    ax = axes_or_new(ax)
+    """Draw the largest elasticities: per cent of the start value for a per cent of a parameter.
+
+    Fills say where the value goes: a positive elasticity of a negative value lowers it.
+    """
     table = found.frame().dropna(subset="elasticity (% per %)").head(most)
-    lengths, names = table["elasticity (% per %)"].to_numpy(), table["parameter"].tolist()
-    for rises, fill, hatch, label in (
-        (True, BLUE, "//", "raises the value"),
-        (False, WHITE, "", "lowers the value"),
-    ):
-        at = np.flatnonzero((lengths >= 0) == rises)
-        ax.barh(at, lengths[at], color=fill, hatch=hatch, edgecolor=BLACK, label=label)
+    ax = axes_or_new(ax, names := table["parameter"].tolist())
+    rises = (table["derivative (reward per unit)"] > 0).tolist()
+    looks = ((WHITE, ""), (BLUE, "//"))
+    for place, length in enumerate(table["elasticity (% per %)"]):
+        fill, hatch = looks[rises[place]]
+        ax.barh(place, length, color=fill, hatch=hatch, edgecolor=BLACK)
     name_rows(ax, names)
     ax.axvline(0, color=BLACK, linewidth=0.8)
     ax.set_xlabel("elasticity of the start value (% per %)")
-    ax.legend(loc="lower right", title="a higher parameter")
+    words = ("lowers the value", "raises the value")
+    handles = [swatch(words[way], looks[way]) for way in sorted({*rises}, reverse=True)]
+    legend_beside(ax, handles, title="a higher parameter")
     return ax
 
 
@@ -90,7 +94,6 @@ def plot_tornado(
     found: Tornado, *, most: int = 15, output: str = "optimal", ax: Axes | None = None
 ) -> Axes:
     """Draw the widest bars: white where the parameter is at its low end, blue at its high end."""
-    ax = axes_or_new(ax)
     middle = float(getattr(found.today, output).value)
 
     def reaches(bar: Bar) -> list[tuple[float, str, str]]:
@@ -99,14 +102,15 @@ def plot_tornado(
         return sorted(((low, WHITE, ""), (high, BLUE, "//")), key=lambda end: -abs(end[0]))
 
     bars = sorted(found.bars, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
+    names = [_with_range(b.parameter.name, b.low.at, b.high.at) for b in bars]
+    ax = axes_or_new(ax, names)
     for place, bar in enumerate(bars):
         for reach, fill, hatch in reaches(bar):
             ax.barh(place, reach, left=middle, color=fill, edgecolor=BLACK, hatch=hatch)
-    name_rows(ax, [_with_range(b.parameter.name, b.low.at, b.high.at) for b in bars])
+    name_rows(ax, names)
     ax.axvline(middle, color=BLACK, linewidth=0.8)
     ax.set_xlabel(f"{OUTPUT[output]} (reward)")
-    handles = [swatch("low end", (WHITE, "")), swatch("high end", (BLUE, "//"))]
-    ax.legend(handles=handles, loc="lower right")
+    legend_beside(ax, [swatch("low end", (WHITE, "")), swatch("high end", (BLUE, "//"))])
     return ax
 
 
@@ -293,7 +297,7 @@ def plot_sobol(
 
     Raises ModelError where the output does not vary, and has no indices.
     """
-    ax, each = axes_or_new(ax), found.of(output)
+    each = found.of(output)
     if each.constant:
         raise ModelError(
             f"the {OUTPUT[output]} is the same at every draw",
@@ -301,13 +305,15 @@ def plot_sobol(
             fix="draw another output, or state wider ranges",
         )
     order = np.argsort(-each.total, kind="stable")[:most]
+    names = _with_ranges([found.names[place] for place in order], found.ranges)
+    ax = axes_or_new(ax, names)
     for at, lengths, half, fill, hatch, label in (
         (-0.19, each.first, each.first_half, BLUE, "//", "first order: alone"),
         (0.19, each.total, each.total_half, WHITE, "", "total: alone and with others"),
     ):
         places = np.arange(len(order)) + at
         bars_across(ax, places, lengths[order], half[order], fill, hatch, label, height=0.38)
-    _name_parameters(ax, [found.names[place] for place in order], found.ranges)
+    name_rows(ax, names)
     ax.axvline(0, color=BLACK, linewidth=0.8)
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
     ax.set_xlabel("share of the variance")
@@ -321,8 +327,10 @@ def plot_morris(
     found: Morris, *, output: str = "optimal", most: int = 15, ax: Axes | None = None
 ) -> Axes:
     """Draw μ* of the parameters that matter most, with intervals, and σ as a diamond."""
-    ax, each = axes_or_new(ax), found.of(output)
+    each = found.of(output)
     order = np.argsort(-each.mu_star, kind="stable")[:most]
+    names = _with_ranges([found.names[place] for place in order], found.ranges)
+    ax = axes_or_new(ax, names)
     rises = each.mu[order] >= 0
     for some, fill, hatch, label in (
         (rises, BLUE, "//", "μ*, rises on average"),
@@ -332,7 +340,7 @@ def plot_morris(
         if len(at):
             bars_across(ax, at, each.mu_star[which], each.mu_star_half[which], fill, hatch, label)
     ax.plot(each.sigma[order], range(len(order)), "D", color=BLACK, markersize=4, label="σ")
-    _name_parameters(ax, [found.names[place] for place in order], found.ranges)
+    name_rows(ax, names)
     ax.set_xlabel("effect (reward per range)")
     ax.legend(loc="lower right")
     titled(ax, f"effects on the {OUTPUT[output]}")

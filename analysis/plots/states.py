@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.layout import ARROWS, Layout, arrange, joined, symbols, taken
+from exact_mdp.analysis.layout import ARROWS, WIDE, Layout, arrange, joined, symbols, taken
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
@@ -50,8 +50,10 @@ MOST_CELLS = 4000  # of a map
 MOST_TEXTS = 700  # cells that have room for a text
 NUMBERED = 60  # cells that have room for a number, too
 MOST_NAMES = 40  # bars that are named
+MOST_LETTERS = 70  # of the texts at the ends of bars, side by side
 ORANGE = "#D55E00"
 GROUND = "Blues"
+ENDS = "∎ an episode ends"
 
 
 @plain_text
@@ -173,7 +175,7 @@ def plot_states(
     for state in layout.shown.tolist():
         value, where = given[state], (int(layout.column[state]), int(layout.row[state]))
         share = 0.75 * float(scale(value)) if np.isfinite(value) else 0.0
-        lines = [texts[state] if not model.terminal[state] else "", f"{value:.3g}" * numbered]
+        lines = ["∎" if model.terminal[state] else texts[state], f"{value:.3g}" * numbered]
         if not np.isfinite(value):
             lines[1] = f"{value:g}"
         text = "\n".join(line for line in lines if line) or " "
@@ -185,8 +187,9 @@ def plot_states(
     shown = ScalarMappable(Normalize(low, low + (high - low) / 0.75 or 1.0), shades)
     bar = figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
     bar.ax.set_ylim(low, high if high > low else low + 1.0)
-    if policy is not None:
-        _key(ax, model)
+    ends = [ENDS] if model.terminal[layout.shown].any() else []
+    if policy is not None or ends:
+        _key(ax, model, *ends)
     return ax
 
 
@@ -245,7 +248,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     if any(each.kind == "idle" for each in drawn):
         words.append("grey: no choice, or not wrong and never visited")
     if audit.mdp.terminal[layout.shown].any():
-        words.append("∎ an episode ends")
+        words.append(ENDS)
     if layout.listed:
         words.append("in the corner the state")
     _key(ax, audit.mdp, *words)
@@ -255,7 +258,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
 @plain_text
 def plot_comparison(found: PolicyComparison, *, ax: Axes | None = None) -> Axes:
     """Draw the value of each policy at the start, certified or bounded; the optimum is a line."""
-    ax, best = axes_or_new(ax), float(found.value.value)
+    ax, best = axes_or_new(ax, list(found.regrets)), float(found.value.value)
     for row, each in enumerate(found.regrets.values()):
         value = float(each.learned.value)
         end = value if np.isfinite(value) else 0.0  # an infinite value has no bar
@@ -304,7 +307,8 @@ def _map(layout: Layout, ax: Axes | None) -> Axes:
 
 def _font(layout: Layout) -> float | None:
     """Return the size of the text in a cell; 0 where there is no room for one."""
-    sizes = ((30, 11), (2 * NUMBERED, 8), (MOST_TEXTS, 6))
+    wide = len(layout.columns) > 2 * WIDE
+    sizes = ((30, 11), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide else 8))
     return next((size for most, size in sizes if len(layout.shown) <= most), 0)
 
 
@@ -330,6 +334,7 @@ def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) ->
     step = -(-len(values) // MOST_NAMES)
     long = max(map(len, names[::step])) > 3
     ax.set_xticks(range(0, len(values), step), names[::step], rotation=90 if long else 0)
+    turned = 90 if len(values) * max(map(len, texts)) > MOST_LETTERS else 0
     for state, text in enumerate(texts if len(values) <= MOST_NAMES else ()):
         shown = text if np.isfinite(values[state]) else f"{text}\n{values[state]:g}"
         below = finite[state] < 0
@@ -341,8 +346,9 @@ def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) ->
             ha="center",
             va="top" if below else "bottom",
             fontsize=8,
+            rotation=turned,
         )
     ax.axhline(0, color=BLACK, linewidth=0.8)
-    ax.margins(y=0.12)
+    ax.margins(y=0.3 if turned else 0.12)
     ax.set(xlabel="state", ylabel=label)
     return ax

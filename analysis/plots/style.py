@@ -147,9 +147,13 @@ def style() -> Iterator[None]:
         yield
 
 
-def axes_or_new(ax: Axes | None) -> Axes:
-    """Return the axes, or those of a new figure."""
-    return plt.subplots()[1] if ax is None else ax
+def axes_or_new(ax: Axes | None, names: Sequence[str] = ()) -> Axes:
+    """Return the axes, or those of a new figure in which names, of rows also, have room."""
+    if ax is not None:
+        return ax
+    wide = 6.4 + 0.08 * max(0, max(map(len, names), default=0) - 12)
+    high = min(4.8, 1.6 + 0.35 * len(names)) if names else 4.8
+    return plt.subplots(figsize=(wide, high), layout="constrained")[1]
 
 
 def titled(ax: Axes, text: str) -> Text:
@@ -177,9 +181,9 @@ def titled(ax: Axes, text: str) -> Text:
     return title
 
 
-def legend_beside(ax: Axes, handles: Sequence[Any] | None = None) -> None:
+def legend_beside(ax: Axes, handles: Sequence[Any] | None = None, title: str = "") -> None:
     """Draw the legend to the right of the axes."""
-    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0))
+    ax.legend(handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.02, 1.0))
 
 
 def action_legend(ax: Axes, styles: Sequence[ActionStyle], used: Collection[int]) -> None:

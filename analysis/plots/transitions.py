@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
-from exact_mdp.analysis.plots.style import plain_text
+from exact_mdp.analysis.plots.style import plain_text, titled
 from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -97,4 +97,5 @@ def plot_transitions(
     )
     ax.margins(0.05)
     ax.set_axis_off()
+    titled(ax, "at an arrow: probability, reward (none where it is 0)")
     return ax

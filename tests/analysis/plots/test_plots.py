@@ -2,6 +2,7 @@
 
 import importlib
 import io
+import itertools
 import pkgutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +14,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from exact_mdp import analysis, solvers
+from exact_mdp import analysis, evaluate, solve, solvers
 from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve, random_curve
 from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
 from exact_mdp.analysis.perception.accuracy import Hedging, accuracy_curves, hedging, prices
@@ -30,7 +31,7 @@ from exact_mdp.analysis.plots.perception import plot_accuracy_curves, plot_hedgi
 from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
 from exact_mdp.analysis.plots.sensitivity import plot_morris, plot_sobol
 from exact_mdp.analysis.plots.style import titled
-from exact_mdp.analysis.sensitivity import one_way, thresholds, tornado, two_way
+from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
@@ -56,6 +57,61 @@ def draws() -> PSA:
 def closed() -> Iterator[None]:
     yield
     plt.close("all")
+
+
+MAINTENANCE = MDP.from_arrays(  # costs as negative rewards: wait and wear, or replace
+    [[["3/10", "7/10"], [0, 1]], [[1, 0], [1, 0]]], [[-1, -8], [-5, -8]], "19/20"
+)
+
+
+@pytest.mark.parametrize(
+    "model", [MAINTENANCE, MAINTENANCE.with_(discount="1/2"), SMALL], ids=["cost", "less", "care"]
+)
+def test_a_fill_says_where_the_value_goes(model: MDP | Scenario) -> None:
+    """It is the derivative's sign, where the value or the parameter is negative, too."""
+    found, low = gradient(model, exact=False), "lowers the value"
+    ax = found.plot(most=60)
+    names = [label.get_text() for label in ax.get_yticklabels()]
+    legend = ax.get_legend()
+    assert legend is not None
+    looks = {t.get_text(): p for t, p in zip(legend.get_texts(), legend.get_patches(), strict=True)}
+    for name, bar in zip(names, ax.patches, strict=True):
+        each = found[name]
+        assert each.value is not None
+        assert bar.get_width() == each.elasticity
+        drawn = looks["raises the value" if each.value.value > 0 else low]
+        assert (bar.get_facecolor(), bar.get_hatch()) == (drawn.get_facecolor(), drawn.get_hatch())
+    if model is MAINTENANCE:
+        discount = found["discount"]
+        assert discount.value.value < 0 < discount.elasticity
+
+
+LONG = [f"a machine in condition {k}" for k in range(24)]
+EVEN = MDP.from_arrays(np.full((6, 24, 24), 1 / 24), np.zeros((24, 6)), 0.9, states=LONG)
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda: tornado(SMALL, policy="random").plot(),
+        lambda: gradient(SMALL, exact=False).plot(),
+        lambda: tornado(MAINTENANCE, names=["discount"]).plot(),
+        lambda: evaluate(EVEN, "random").plot(visits=True),
+        lambda: solve(EVEN).plot(),
+    ],
+)
+def test_no_text_is_cut_or_covered(draw) -> None:
+    figure = draw().figure
+    figure.canvas.draw()
+    drawn, (wide, high) = figure.get_tightbbox(), figure.get_size_inches()
+    assert -0.01 <= drawn.x0 < drawn.x1 <= wide + 0.01
+    assert -0.01 <= drawn.y0 < drawn.y1 <= high + 0.01
+    mixed = [text for text in figure.axes[0].texts if "mixed" in text.get_text()]
+    written = [text.get_window_extent() for text in mixed]
+    for before, after in itertools.pairwise(written):
+        assert before.x1 <= after.x0
+    legend = figure.axes[0].get_legend()
+    assert legend is None or not legend.get_window_extent().overlaps(figure.axes[0].bbox)
 
 
 def test_the_acceptability_curve_is_the_distribution_of_the_regret(draws: PSA) -> None:

@@ -66,7 +66,7 @@ def test_every_cell_shows_its_states_value_and_action(rows: int, columns: int) -
         arrow, value = shown[divmod(state, columns)].split("\n")
         assert arrow == "←↓→↑"[solution.policy[state]]
         assert float(value) == pytest.approx(solution.value[state], rel=5e-3)
-    assert shown[rows - 1, columns - 1] == "0"
+    assert shown[rows - 1, columns - 1] == "∎\n0"
     plt.close("all")
 
 
@@ -158,7 +158,7 @@ def test_the_parts_of_a_tuple_are_columns(tmp_path: Path) -> None:
     assert (
         (layout.down, layout.across)
         == (read.down, read.across)
-        == ("state[0], state[2]", "state[1]")
+        == ("state[2]", "state[0], state[1]")
     )
     assert (layout.row == read.row).all()
     assert (layout.column == read.column).all()
@@ -236,7 +236,7 @@ def test_a_listed_state_is_named_apart_from_its_actions() -> None:
 
 def test_values_beyond_all_bounds_are_written() -> None:
     shown = texts(plot_states(grid(1, 3), [np.inf, -np.inf, np.nan], shape=(1, 3)))
-    assert [shown[0, column] for column in range(3)] == ["inf", "-inf", "nan"]
+    assert [shown[0, column] for column in range(3)] == ["inf", "-inf", "∎\nnan"]
     ax = plot_states(grid(1, 3), [np.inf, -np.inf, 1.0])
     ax.figure.canvas.draw()
     assert [text.get_text().strip() for text in ax.texts] == ["inf", "-inf", ""]
