@@ -1,19 +1,19 @@
 """Exact optimal values, by backward induction and policy iteration in integers.
 
-States are taken in the order in which they depend on each other, one stage after the other. Those
-that depend on each other are the strongly connected components of the graph, waiting in place
-aside; a larger one, a cycle, makes a stage of its own. The single states between two cycles are
-taken one by one, a chain. Where rows are long, products of integer matrices are faster: then all
-single states of a level (the greatest number of steps to the end), or of a run of consecutive
-states that do not lead to each other, make one stage, unless these are narrow.
+States are taken in the order in which they depend on each other (`solvers.proof.stages`): cycles
+each as one, other states one by one, or by products of integer matrices where rows are long.
 
 Values are integers over denominators that states share: of a stage, or of what a state builds on,
 so that few fractions are ever reduced. A common denominator that would be far longer than those of
 single states is not taken.
 
-A cycle that earns nothing and can be left is worth no more than the greatest value that it leads
-to. Often all of it attains that (a probability of 1, most of all), and then nothing is left to
-solve.
+Two guesses are cheap to prove, since any solution of the equations is the one: that all states are
+worth the same, the most that a pair makes of the chance to end,
+
+    constant(l) ≤ V (scale(s) - Σ weight(i)),   i not terminal, with equality for a pair of each s
+
+as a probability of 1 is; and that a cycle in which nothing is earned is worth, throughout, the
+greatest value that it leads to.
 
 The caller makes sure that the equations have one solution; `solvers.proof.certify` proves it.
 """
@@ -22,10 +22,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from enum import Enum
 from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
 from math import gcd, lcm
 from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -36,82 +34,16 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers, Numbers, spans
-from exact_mdp.solvers.bounds.layers import layers, strong_components
+from exact_mdp.mdp.table import Integers, magnitude, spans
 from exact_mdp.solvers.proof.cycle import CHUNK, LARGEST, Cycle, Product, RightSides, endless
+from exact_mdp.solvers.proof.stages import Kind, stages
 
 if TYPE_CHECKING:
     from flint import fmpz
 
 flint = later("flint")
-
-
-RUN = 4  # states in a run or level, on average, for these to be used
-LONG = 10  # transitions of a state, on average, for products of matrices to pay
-
-
-class Kind(Enum):
-    """How the states of a stage depend on each other."""
-
-    APART = "not at all"
-    CHAIN = "each on those before"
-    CYCLE = "all on all"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stage:
-    """States (K,) that are settled in one go."""
-
-    states: Integers
-    kind: Kind
-
-
-def stages(rows: BellmanRows) -> Iterator[Stage]:
-    """Return the stages of a model in the order of solution, terminal states left out."""
-    states = len(rows.scale)
-    live = np.flatnonzero(~rows.terminal)
-    if not len(live):
-        return
-    source = np.repeat(np.arange(states), np.diff(rows.offsets[rows.pair_offsets]))
-    moving = rows.next != source
-    long = len(rows.next) > LONG * states
-    if (rows.next[moving] > source[moving]).all():
-        runs = _runs(states, source[moving], rows.next[moving]) if long else []
-        if 0 < RUN * len(runs) < states:
-            for first, last in runs:
-                run = np.arange(first, last)[~rows.terminal[first:last]]
-                if len(run):
-                    yield Stage(states=run, kind=Kind.APART)
-        else:
-            yield Stage(states=live[::-1], kind=Kind.CHAIN)
-        return
-    label = strong_components(source, rows.next, states)
-    level = layers(source, rows.next, label, least=RUN) if long else None
-    cyclic = np.bincount(label)[label] > 1
-    group = np.where(cyclic, label + 1, 0)
-    key = label if level is None else level
-    order = live[np.lexsort((group[live], key[live]))]
-    fresh = np.diff(group[order]) != 0
-    if level is not None:
-        fresh |= np.diff(level[order]) != 0
-    single = Kind.CHAIN if level is None else Kind.APART
-    for first, last in pairwise([0, *(np.flatnonzero(fresh) + 1).tolist(), len(order)]):
-        kind = Kind.CYCLE if cyclic[order[first]] else single
-        yield Stage(states=order[first:last], kind=kind)
-
-
-def _runs(states: int, source: Numbers, target: Numbers) -> list[tuple[int, int]]:
-    """Return runs of states, last ones first, that lead out of their run, to higher numbers."""
-    least = np.full(states, states)
-    first = np.flatnonzero(np.diff(source, prepend=-1))
-    if len(first):
-        least[source[first]] = np.minimum.reduceat(target, first)
-    runs, end = [], states
-    for state, lowest in zip(range(states - 1, -1, -1), reversed(least.tolist()), strict=True):
-        if lowest < end:
-            runs.append((state + 1, end))
-            end = state + 1
-    return [*runs, (0, end)]
+SHORT = 2**31  # numbers of which two products add up to a 64-bit integer
+NONE = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,6 +68,8 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
     `positive` raises an error where a policy has a value that is not positive. With positive
     constants this shows that it does not end, which need not be known before.
     """
+    if not positive and (same := _same_everywhere(rows)) is not None:
+        return same
     solver = _Solver(rows)
     if positive:
         solver.require_leaving()
@@ -153,6 +87,39 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
         optimal=np.array(solver.optimal),
         gap=_emptied(solver.gap),
         gap_scale=_emptied(solver.gap_scale),
+    )
+
+
+def _same_everywhere(rows: BellmanRows) -> ExactValues | None:
+    """Return the values where all states that are not terminal have the same one, in short numbers.
+
+    None where they have not, or where numbers are long.
+    """
+    live, state = ~rows.terminal, rows.pair_state
+    flow = row_sums(np.where(live[rows.next], rows.weight, 0), rows.offsets)
+    if max(map(magnitude, (rows.scale, flow, rows.constant))) >= SHORT:
+        return None
+    leaving = np.asarray(rows.scale[state] - flow, dtype=np.int64)
+    constant = np.asarray(rows.constant, dtype=np.int64)
+    open_ = np.flatnonzero(live[state] & (leaving > 0))
+    if not len(open_):
+        return None
+    best = open_[int((constant[open_] / leaving[open_]).argmax())]
+    value = Fraction(int(constant[best]), int(leaving[best]))
+    top, bottom = value.numerator, value.denominator
+    loss = top * leaving - bottom * constant
+    optimal = (loss == 0) | ~live[state]
+    first = rows.pair_offsets[:-1]
+    if (loss[live[state]] < 0).any() or not np.logical_or.reduceat(optimal, first).all():
+        return None
+    gap = np.minimum.reduceat(np.where(optimal, NONE, loss), first)
+    return ExactValues(
+        numerator=np.where(live, top, 0).tolist(),
+        group=live.astype(np.int64),
+        denominator=[1, bottom],
+        optimal=optimal,
+        gap=[None if least == NONE else least for least in gap.tolist()],
+        gap_scale=rows.scale.tolist(),
     )
 
 

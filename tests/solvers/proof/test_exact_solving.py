@@ -19,9 +19,9 @@ from exact_mdp.solvers.proof import exact
 from exact_mdp.solvers.proof import linear as exact_linear
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.cycle import Cycle, RightSides
-from exact_mdp.solvers.proof.exact import Kind, stages
 from exact_mdp.solvers.proof.linear import Equations
 from exact_mdp.solvers.proof.rationals import fraction, fractions, primes_of
+from exact_mdp.solvers.proof.stages import Kind, stages
 
 
 def check_order(mdp: MDP) -> int:
@@ -133,6 +133,32 @@ def test_cycles_that_earn_nothing(
         for s, number in enumerate(matrix.solve(right).entries()):
             best[s] = max(best[s], F(int(number.p), int(number.q)))
     assert found.value[:size].tolist() == best
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 5), st.integers(-4, 4), st.integers(1, 3), st.data())
+def test_one_value_everywhere(size: int, top: int, bottom: int, data: st.DataObject) -> None:
+    """Rewards of the value times the chance to end; less in some pairs, more in one at times."""
+    value, rows = F(top, bottom), []
+    for s in range(size):
+        for a in range(data.draw(st.integers(1, 3))):
+            out, to = (
+                data.draw(st.sampled_from([F(1, 3), F(1)])),
+                data.draw(st.integers(0, size - 1)),
+            )
+            less = data.draw(st.sampled_from([F(0), F(0), F(1, 7), F(2)])) if a else F(0)
+            reached = [(out, size, 0), (1 - out, to, 0)][: 1 + (out < 1)]
+            rows.append((s, a, [(p, t, value * out - less) for p, t, _ in reached]))
+    mdp = MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])])
+    found = certify(mdp)
+    assert found.violations() == []
+    assert found.value[:size].tolist() == [value] * size
+    more = mdp.pairs_of(data.draw(st.integers(0, size - 1)))[0]
+    gained = rows[more][2]
+    rows[more] = (*rows[more][:2], [(p, t, r + 1) for p, t, r in gained])
+    other = certify(MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])]))
+    assert other.violations() == []
+    assert max(other.value) > value
 
 
 NUMBERS = st.one_of(
