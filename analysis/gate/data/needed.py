@@ -37,7 +37,7 @@ from exact_mdp.mdp.table import Floats, Integers
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
+pandas, tqdm = later("pandas"), later("tqdm")
 
 EXACTLY = 1e15  # observations after which a row counts as known
 MOST = 10**12  # observations of a pair that a plan may ask for
@@ -160,7 +160,7 @@ def _worth(sets: RowSets, end: Callable[[Floats], float]) -> Floats:
     """Return (L,) how far an end moves where one row is known."""
     found, nothing = np.zeros(len(sets.counted)), np.zeros(len(sets.counted))
     today = end(nothing)
-    for pair in sets.pairs.tolist():
+    for pair in tqdm.tqdm(sets.pairs.tolist(), desc="pairs", disable=None, delay=2):
         known = nothing.copy()
         known[pair] = EXACTLY
         found[pair] = abs(end(known) - today)
