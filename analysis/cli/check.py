@@ -344,6 +344,11 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
             facts[f"{audit.interval.by}: {name.replace('_', ' ')}"] = (
                 f"[{value[0]:.6g}, {value[1]:.6g}]" if isinstance(value, tuple) else value
             )
+    facts["measured from"] = audit.begins
+    if count := audit.never_reached:
+        facts["wrong, but never reached from there"] = (
+            f"{count} state{'s' * (count > 1)}, which cost nothing; --start STATE begins elsewhere"
+        )
     facts |= {
         "regret" if audit.interval is None else "regret in the estimated model": lost.at_start,
         "relative regret": relative

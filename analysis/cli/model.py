@@ -87,6 +87,7 @@ def info(**shared: Any) -> Report:
             "statuses": scenario.statuses,
             "tasks": f"{', '.join(str(count) for count in scenario.tasks)} subtasks",
             "max_trial": scenario.max_trial,
+            "parameters": ", ".join(scenario.values()),
         }
         rows = [{"name": name, "option": option} for name, option in scenario.readings.items()]
         columns_shown = {"reading": "name", "option": "option"}

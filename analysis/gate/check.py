@@ -160,19 +160,34 @@ class Audit(Pictured):
     def __str__(self) -> str:
         return "\n".join([repr(self), *self._costliest(AT_A_GLANCE)])
 
-    def frame(self) -> DataFrame:
-        """Return the disagreements, one row for each state, the costliest first.
+    @property
+    def begins(self) -> str:
+        """Where runs start, from where the regret is measured, in words."""
+        start = self.mdp.start
+        if len(start) == 1:
+            return self.mdp.space.label(start[0][0])
+        return f"{len(start)} states, each with its probability"
 
-        `cost` is the value lost in the state, and `share` its share of all that is lost.
+    @property
+    def never_reached(self) -> int:
+        """The number of disagreements in states that the policy never reaches from the start."""
+        return sum(each.expected_visits == 0 for each in self.disagreements)
+
+    def frame(self, *, full: bool = False) -> DataFrame:
+        """Return the disagreements, by the number of the state, the costliest first.
+
+        `cost` is the value lost in the state, and `share` its share of all that is lost; `full`
+        adds expected visits, what one correction gains, and what one mistake costs alone.
         """
         lost = sum(each.cost for each in self.disagreements)
         rows = [
             vars(each) | {"optimal": " or ".join(each.optimal), "share": share_of(each.cost, lost)}
             for each in self.disagreements
         ]
-        first = ["label", "learned", "optimal", "cost", "share"]
-        rest = [name for name in Disagreement.__dataclass_fields__ if name not in first]
-        return pandas.DataFrame(rows, columns=[*first, *rest])
+        shown = ["label", "learned", "optimal", "cost", "share", "gap"]
+        rest = [name for name in Disagreement.__dataclass_fields__ if name not in shown]
+        table = pandas.DataFrame(rows, columns=[*shown, *rest]).set_index("state")
+        return table if full else table[shown]
 
     @property
     def value(self) -> Certified | Bounded:

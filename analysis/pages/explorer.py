@@ -152,6 +152,10 @@ def explore(
     >>> explore(MDP.from_outcomes(rows, "9/10"), "discount", policy="random")
     Explorer(discount from 0.72 to 0.95, 2 pieces)
     """
+    if not all(isinstance(name, str) for name in names):
+        raise ModelError(
+            "names of parameters are texts", where="explorer", fix='write explore(model, "name")'
+        )
     if not 1 <= len(set(names)) == len(names) <= 2:
         raise ModelError(
             f"{len(names)} parameters, or one twice", where="explorer", fix="name one or two"

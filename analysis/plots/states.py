@@ -105,7 +105,8 @@ def plot_policy(
             cell(ax, *where, drawn, font=_font(layout))
             used.add(numbers[0])
     if legend:
-        action_legend(ax, styles, sorted(used))
+        ends = bool(model.terminal[layout.shown].any())
+        action_legend(ax, styles, sorted(used), ends=ends)
     return ax
 
 

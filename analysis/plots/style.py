@@ -186,13 +186,16 @@ def legend_beside(ax: Axes, handles: Sequence[Any] | None = None, title: str = "
     ax.legend(handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.02, 1.0))
 
 
-def action_legend(ax: Axes, styles: Sequence[ActionStyle], used: Collection[int]) -> None:
-    """Name the actions that are drawn, beside the axes."""
+def action_legend(
+    ax: Axes, styles: Sequence[ActionStyle], used: Collection[int], *, ends: bool = False
+) -> None:
+    """Name the actions that are drawn, beside the axes; and the sign of an end."""
     drawn = [styles[number] for number in used]
     names = [
         each.name if each.short == each.name else f"{each.short} {each.name}" for each in drawn
     ]
-    legend_beside(ax, [swatch(name, each) for name, each in zip(names, drawn, strict=True)])
+    found = [swatch(name, each) for name, each in zip(names, drawn, strict=True)]
+    legend_beside(ax, [*found, *([swatch("∎ an episode ends", ("0.92", ""))] if ends else [])])
 
 
 def swatch(label: str, drawn: ActionStyle | tuple[str, str]) -> Patch:

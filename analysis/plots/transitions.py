@@ -1,21 +1,25 @@
-"""The transition graph of a small model."""
+"""The transition graph of a small model; a heat map where the graph would be a tangle."""
 
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
+import numpy as np
+import scipy.sparse as sp
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
 from exact_mdp.analysis.plots.style import plain_text, titled
 from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 nx = later("networkx")
 
 MOST = 40  # states
 FEW = 8  # states up to which all actions are drawn beside the policy's
+MANY = 150  # outcomes above which no graph can be read
 CURVE = "arc3,rad=0.2"
 
 
@@ -28,10 +32,11 @@ def plot_transitions(
     Parameters
     ----------
     model : MDP or Scenario
-        Of at most 40 states; `exact_mdp.analysis.graph.dot` takes more, and suits models in which
-        every state leads to many others.
+        Of at most 40 states; `exact_mdp.analysis.graph.dot` takes more. With more than 150 outcomes
+        to draw, it becomes a heat map of the probabilities from state to state.
     policy : PolicyLike, optional
-        Its actions are black, others grey; of over 8 states its actions alone are drawn.
+        Its actions are black, others grey; of over 8 states its actions alone are drawn. In a heat
+        map it chooses the actions; without one all are as likely.
     ax : Axes, optional
 
     Returns
@@ -53,6 +58,10 @@ def plot_transitions(
     model = mdp_of(model)
     found, graph = moves(model, policy, most=MOST), nx.DiGraph()
     plain = not any(move.taken for move in found)
+    few = plain or model.n_states <= FEW
+    outcomes = sum(len(move.outcomes) for move in found if few or move.taken)
+    if outcomes > MANY:
+        return _heat_map(model, policy, outcomes, ax)
     labels = dict[tuple[object, object], str]()
     graph.add_nodes_from(range(model.n_states))
     for number, move in enumerate(found):
@@ -64,7 +73,7 @@ def plot_transitions(
             before = labels.get((point, following))
             labels[point, following] = text if before is None else f"{before}; {text}"
     place = nx.kamada_kawai_layout(graph.to_undirected())
-    if not plain and model.n_states > FEW:  # where they stand does not depend on the policy
+    if not few:  # where they stand does not depend on the policy
         unused = [f"a{number}" for number, move in enumerate(found) if not move.taken]
         graph.remove_nodes_from(unused)
         labels = {edge: label for edge, label in labels.items() if graph.has_edge(*edge)}
@@ -98,4 +107,24 @@ def plot_transitions(
     ax.margins(0.05)
     ax.set_axis_off()
     titled(ax, "at an arrow: probability, reward (none where it is 0)")
+    return ax
+
+
+def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | None) -> Axes:
+    """Draw the probability of every next state, by shade."""
+    chosen = Policy.uniform(model) if policy is None else policy_of(model, policy)
+    weights, states = chosen.weights(model), range(model.n_states)
+    doing = sp.csr_array((weights, (model.pair_state, np.arange(model.n_pairs))))
+    if ax is None:
+        side = 2.5 + 0.22 * model.n_states
+        ax = plt.subplots(figsize=(1.15 * side, side), layout="constrained")[1]
+    image = ax.imshow((doing @ model.transition).toarray(), cmap="Greys", vmin=0)
+    names = [model.space.label(state).removeprefix("state ") for state in states]
+    ax.set_xticks(states, names, rotation=90, fontsize=7)
+    ax.set_yticks(states, names, fontsize=7)
+    ax.set_xlabel("next state")
+    ax.set_ylabel("state")
+    ax.figure.colorbar(image, ax=ax, label="probability", shrink=0.8)
+    acting = "all actions equally likely" if policy is None else "as the policy acts"
+    ax.set_title(f"{acting}; {outcomes:,} outcomes are too many for a graph", fontsize=8)
     return ax

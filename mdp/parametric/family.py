@@ -33,6 +33,7 @@ from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, sho
 
 DISCOUNT = "discount"
 MOST_REWARDS = 20  # of a plain MDP, that are parameters without being named
+LISTED = 100  # names of parameters in a message
 
 
 @runtime_checkable
@@ -358,7 +359,10 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
     for parameter in model.parameters:
         if parameter.name == name:
             return parameter
-    fix = suggest(name, [parameter.name for parameter in model.parameters])
+    names = [parameter.name for parameter in model.parameters]
+    fix = suggest(name, names)
+    if fix.startswith("choose"):  # no other place lists them
+        fix = f"choose one of {', '.join(names[:LISTED])}{' …' * (len(names) > LISTED)}"
     if isinstance(unposed(model), Family):
         fix += (
             '; name others yourself: moving(model, {"NAME": [(pair, next state)]}, '

@@ -301,6 +301,9 @@ def test_its_text_names_the_costliest_states_and_its_table_begins_with_what_matt
     table = audit.frame()
     assert [*table.columns[:5]] == ["label", "learned", "optimal", "cost", "share"]
     assert table["share"].sum() == pytest.approx(1)
+    assert (table.index.name, table.index[0]) == ("state", 4)
+    assert "expected_visits" in audit.frame(full=True)
+    assert max(map(len, str(table).splitlines())) <= 80
     assert repr(audit.regret) == "Regret(15 (certified): optimal 15, learned 0)"
 
 
@@ -357,3 +360,12 @@ def test_policies_of_models_without_end_are_judged(pairs: Pairs, rng: Random) ->
         assert check(mdp, proof.policy).passed
     assert audit.message()
     assert len(audit.frame()) == len(audit.disagreements)
+
+
+def test_an_audit_says_from_where_it_measures() -> None:
+    """A wrong policy that the start never leads to loses nothing: that is said."""
+    mdp = MDP.from_arrays([np.eye(3)] * 2, [[1, 0]] * 3, "1/2", states=["x", "y", "z"])
+    audit = check(mdp, [0, 1, 1])
+    assert (audit.passed, audit.begins, audit.never_reached) == (True, "state x", 2)
+    spread = check(mdp.with_(start=["1/2", "1/2", 0]), [0, 1, 1])
+    assert (spread.begins, spread.never_reached) == ("2 states, each with its probability", 1)

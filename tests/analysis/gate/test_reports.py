@@ -243,9 +243,10 @@ def test_a_summary_that_cannot_be_written_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     on_github(monkeypatch, tmp_path / "no" / "s.md")
-    done = run("check", "tea", "optimal")
+    done = run("check", "tea", "optimal", "--html", tmp_path / "page.html")
     assert (done.status, done.out) == (2, "")
     assert "GITHUB_STEP_SUMMARY" in done.err
+    assert not [*tmp_path.iterdir()]
 
 
 def test_nothing_is_said_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:

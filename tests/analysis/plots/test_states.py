@@ -7,6 +7,7 @@ from collections import namedtuple
 from collections.abc import Callable, Collection, Hashable, Iterator
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -23,6 +24,7 @@ from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.plots import plot_policy, plot_states, plot_transitions
 from exact_mdp.mdp import ModelError
+from exact_mdp.mdp.forms.generators import dense
 from exact_mdp.solvers import Certificate
 
 mpl.use("Agg")
@@ -329,3 +331,21 @@ def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
     assert all(box.get_alpha() is None for text in ax.texts if (box := text.get_bbox_patch()))
     few = [text.get_text() for text in plot_transitions(grid(2, 2), [1] * 4).texts]
     assert {"LEFT", "DOWN"} <= set(few)
+
+
+@pytest.mark.parametrize("policy", [None, "random", [0] * 16])
+def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
+    """Its title says so; the shades are the probabilities from state to state."""
+    mdp = dense(16, rng=3)
+    ax = plot_transitions(mdp, policy)
+    assert "outcomes are too many for a graph" in ax.get_title()
+    shades = np.asarray(ax.images[0].get_array())
+    each = [mdp.P(action).toarray() for action in range(mdp.n_actions)]
+    assert np.allclose(shades, each[0] if isinstance(policy, list) else np.mean(each, axis=0))
+
+
+def test_the_sign_of_an_end_is_in_the_legend() -> None:
+    legend = plot_policy(MDP.from_gymnasium("FrozenLake-v1", "99/100"), "optimal").get_legend()
+    assert "∎ an episode ends" in [text.get_text() for text in legend.get_texts()]
+    solved = plot_policy(grid(2, 2), [1] * 4).get_legend()
+    assert "∎ an episode ends" in [text.get_text() for text in solved.get_texts()]

@@ -247,3 +247,12 @@ def use_by_keyboard(browser: Browser) -> None:
     browser.press("ArrowRight")
     holds(F(0))
     assert browser.js("document.querySelectorAll('#map tbody td').length") == 48
+
+
+def test_an_unknown_parameter_is_answered_by_all_names() -> None:
+    tea = Scenario.load("tea")
+    with pytest.raises(ModelError, match="unknown parameter 'zzz'") as caught:
+        explore(tea, "zzz")
+    assert all(parameter.name in caught.value.fix for parameter in tea.parameters)
+    with pytest.raises(ModelError, match="names of parameters are texts"):
+        explore(tea, ["base.anxiety"])  # type: ignore[arg-type]
