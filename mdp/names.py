@@ -69,6 +69,14 @@ def object_key(thing: Any) -> ObjectKey:
     return (isinstance(thing, bool | np.bool_), thing)
 
 
+def several(what: str, name: str) -> ModelError:
+    """Return the error to raise for a name that several have."""
+    return ModelError(
+        f"{name!r} is the name of more than one {what}",
+        fix="give an array in the model's order, or each its own name",
+    )
+
+
 def value_of(thing: object) -> Fraction | None:
     """Return the value of a number, None of anything else."""
     if isinstance(thing, bool) or not isinstance(thing, int | float | Fraction | np.number):
@@ -100,6 +108,7 @@ class Names:
     label: Callable[[int], str]
     objects: Mapping[ObjectKey, int] = field(default_factory=dict)
     otherwise: Callable[[object], int | None] = lambda thing: None
+    twice: frozenset[str] = frozenset()
 
     def number(self, thing: object) -> int:
         """Return the number of one thing; raises ModelError where it is none, or may be two."""
@@ -149,6 +158,8 @@ class Names:
     def _named(self, number: object) -> int | None:
         """Return what a number is the name of."""
         value = value_of(number)
+        if text_of(number) in self.twice:
+            raise several(self.what, text_of(number))
         return self.words.get(text_of(number), None if value is None else self._of_value.get(value))
 
     def _counted(self, value: Fraction | None) -> int | None:
@@ -166,6 +177,8 @@ class Names:
             return made
         text = text_of(thing)
         word = text.strip() if isinstance(thing, str) and text not in self.words else text
+        if word in self.twice and made is None:
+            raise several(self.what, word)
         fits = {made, self.words.get(word)} - {None} or {self.otherwise(thing)} - {None}
         digits = isinstance(thing, str) and word.isascii() and word.isdigit() and len(word) < 19
         if not fits and digits and not self.numbered:

@@ -8,6 +8,7 @@ product, such as an absorbing end. Nothing is stored per state, so a million sta
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
-from exact_mdp.mdp.names import Names, ObjectKey, Reading, object_key, text_of
+from exact_mdp.mdp.names import Names, ObjectKey, Reading, object_key, several, text_of
 
 Integers = NDArray[np.int64]
 TIME = "time"
@@ -50,6 +51,13 @@ class Column:
     def word_values(self) -> dict[str, int]:
         """The value of each word, the first of equal ones."""
         return {word: value for value, word in reversed([*enumerate(self.words)])}
+
+    @cached_property
+    def twice(self) -> frozenset[str]:
+        """The words of several values, which therefore name none."""
+        if len(self.word_values) == len(self.words):
+            return frozenset()
+        return frozenset(word for word, count in Counter(self.words).items() if count > 1)
 
     @cached_property
     def of_object(self) -> dict[ObjectKey, int]:
@@ -93,6 +101,8 @@ class Column:
         text = label.strip()
         if self.words:
             for word in (label, text):
+                if word in self.twice:
+                    raise several(self.name, word)
                 if word in self.word_values:
                     return self.word_values[word]
             fix = suggest(text, self.words)
@@ -208,6 +218,7 @@ class StateSpace:
             words=extra | (alone.word_values if alone else {}),
             label=self.label,
             objects=alone.of_object if alone else {},
+            twice=alone.twice if alone else frozenset(),
             otherwise=self._in_columns,
         )
 
@@ -321,13 +332,6 @@ class StateSpace:
         'state high'
         """
         words = tuple(str(label) for label in labels)
-        if len(set(words)) < len(words):
-            twice = next(word for n, word in enumerate(words) if word in words[:n])
-            raise ModelError(
-                f"two states are both called {twice!r}",
-                where="state space",
-                fix="give each its own name",
-            )
         if words and len(words) != size:
             raise ModelError(
                 f"{len(words)} state labels for {size} states",
