@@ -40,8 +40,9 @@ def render(template: str, **data: Any) -> str:
 
     Examples
     --------
-    >>> "<title></title>" in render("base.html.j2")
-    True
+    >>> page = render("base.html.j2")
+    >>> "<title></title>" in page, "no medical advice" in page
+    (True, True)
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
