@@ -128,13 +128,22 @@ def _refuse_changed(env: Any) -> None:
     """Raise ModelError where a wrapper changes rewards or actions, of which `P` does not know."""
     while not isinstance(env, Mapping | list) and "env" in getattr(env, "__dict__", ()):
         kinds = {each.__name__ for each in type(env).__mro__} & {"RewardWrapper", "ActionWrapper"}
-        if kinds:
+        if kinds and not (kinds == {"ActionWrapper"} and _only_numbers(env)):
             raise ModelError(
                 f"{type(env).__name__} changes the environment, and P does not know of it",
                 where="env",
                 fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
             )
         env = env.env
+
+
+def _only_numbers(env: Any) -> bool:
+    """Return whether an action wrapper numbers several choices, the last the fastest, as P does."""
+    levels = getattr(env.env.action_space, "nvec", None)
+    if levels is None or getattr(env.action_space, "n", None) != np.prod(levels):
+        return False
+    told = [env.action(number) for number in range(int(env.action_space.n))]
+    return bool(np.array_equal(told, np.stack(np.unravel_index(range(len(told)), levels), axis=1)))
 
 
 def _of_the_map(env: Any, states: int) -> dict[str, Any]:

@@ -449,3 +449,25 @@ def test_a_wrapper_that_changes_rewards_is_refused() -> None:
     with pytest.raises(ModelError, match="TransformReward changes the environment"):
         MDP.from_gymnasium(ten)
     assert MDP.from_gymnasium(ten.unwrapped).n_states == 16
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_wrapper_may_number_actions_as_the_matrices_do(kept: bool) -> None:
+    """As that of ICU-Sepsis does, which has five doses of two drugs; another order is refused."""
+
+    class Doses(gymnasium.Env):
+        action_space = gymnasium.spaces.MultiDiscrete([1, 2])
+        observation_space = gymnasium.spaces.Discrete(5)
+        dynamics = Ward().dynamics
+
+    class Flat(gymnasium.ActionWrapper):
+        action_space = gymnasium.spaces.Discrete(2)
+
+        def action(self, action: int) -> tuple[int, int]:
+            return 0, action if kept else 1 - action
+
+    if kept:
+        assert MDP.from_gymnasium(Flat(Doses())).n_actions == 2
+        return
+    with pytest.raises(ModelError, match="Flat changes the environment"):
+        MDP.from_gymnasium(Flat(Doses()))
