@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -74,10 +75,17 @@ def sign(poly: fmpq_poly, x: Fraction) -> int:
 
 def variations(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
     """Return the variations of signs of a polynomial on an open interval."""
-    moved = poly(flint.fmpq_poly([rational(low), rational(high - low)])).numer()
+    moved = poly(_line(low, high)).numer()
     turned = flint.fmpz_poly(moved.coeffs()[::-1])(flint.fmpz_poly([1, 1]))
     signs = [c > 0 for c in turned.coeffs() if c]
     return sum(a != b for a, b in pairwise(signs))
+
+
+@lru_cache(maxsize=16)
+def _line(low: Fraction, high: Fraction) -> fmpq_poly:
+    """Return low + (high - low) t; many polynomials are looked at on one interval in turn."""
+    line: fmpq_poly = flint.fmpq_poly([rational(low), rational(high - low)])
+    return line
 
 
 def simple(poly: fmpq_poly) -> fmpq_poly:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import flint
 import pytest
+from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -260,3 +261,19 @@ def test_the_checker_imports_no_solver() -> None:
     assert "import exact_mdp" not in source
     homes = {line.split()[1] for line in source.splitlines() if line.startswith("from exact_mdp")}
     assert all(home.startswith("exact_mdp.mdp.") for home in homes)
+
+
+def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
+    words = ("sensitivity", "tea", "curve", "--set", "tasks=[1]", "--set", "max_trial=2")
+    asked = (*words, "--parameter", "base.anxiety", "--max-relative-regret", "1/100", "--json")
+    result = run(*asked, "--policy", "always:prompt").result
+    found = value_function(SMALL, "base.anxiety", policy="always:prompt")
+    kept = found.within(max_relative_regret="1/100")
+    brackets = [(*each["from_bracket"], *each["to_bracket"]) for each in result["within"]]
+    assert [tuple(map(F, each)) for each in brackets] == [(*e.low, *e.high) for e in kept]
+    fixed = result["pieces"][0]["fixed"]
+    assert tuple(map(F, fixed["numerator"])) == found.pieces[0].fixed.numerator
+    assert "keeps the limit" in run(*asked[:-1]).out  # of the optimum, unless a policy is given
+    refused = run(*asked, "--max-regret", "1")
+    assert (refused.status, refused.out) == (2, "")
+    assert "two limits" in refused.err
