@@ -147,9 +147,7 @@ def _turns(poly: fmpq_poly, low: Fraction, high: Fraction) -> Iterator[Root]:
     below = low
     last = None
     for root in roots(simple(poly), low, high):
-        near = root.narrowed(WIDTH).simplest()
-        while near.low <= below and sign(poly, near.low) == 0:  # the root before, or the end
-            near = near.narrowed((near.high - near.low) / 2)
+        near = root.narrowed(WIDTH).simplest().beyond(below)
         if sign(poly, (below + near.low) / 2) < 0:
             last = near
         below = near.high

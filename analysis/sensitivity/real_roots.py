@@ -53,9 +53,18 @@ class Root:
         """Return the root at a fraction of small denominator where it is that."""
         for digits in range(1, 13):
             near = ((self.low + self.high) / 2).limit_denominator(10**digits)
-            if self.low <= near <= self.high and sign(self.poly, near) == 0:
+            if self.low < near < self.high and sign(self.poly, near) == 0:
                 return Root(poly=self.poly, low=near, high=near)
         return self
+
+    def beyond(self, point: Fraction) -> Root:
+        """Return a root beyond a point in an interval that is beyond it, too, and ends at none."""
+        near = self
+        while near.low < near.high and (
+            near.low <= point or 0 in (sign(self.poly, near.low), sign(self.poly, near.high))
+        ):
+            near = near.narrowed((near.high - near.low) / 4)
+        return near
 
     def equals(self, poly: fmpq_poly) -> fmpq_poly | None:
         """Return a factor that has this root in common with another polynomial, or None."""

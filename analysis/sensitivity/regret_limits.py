@@ -99,9 +99,7 @@ class _Limit:
         """Yield whether each cell between roots keeps the limit, and the bracket of its end."""
         here, high = self.piece.low[1] - self.origin, self.piece.high[0] - self.origin
         for root in roots(self.every, here, high):
-            near = root.narrowed(WIDTH).simplest()
-            while near.low <= here and near.low < near.high:  # the root before, or the end
-                near = near.narrowed((near.high - near.low) / 4)
+            near = root.narrowed(WIDTH).simplest().beyond(here)
             yield self._keeps(here, near.low), self._bracket(near)
             here = near.high
         yield self._keeps(here, high), self.piece.high

@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import pairwise
 
+import flint
 import pytest
 from average_oracle import best, gain_and_bias
 from cases import BY_NAME
@@ -15,7 +16,9 @@ from strategies import Rows, models
 
 from exact_mdp.analysis.sensitivity import value_function
 from exact_mdp.analysis.sensitivity.blackwell import blackwell
+from exact_mdp.analysis.sensitivity.real_roots import roots
 from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.parametric.polynomial_rows import rational
 from exact_mdp.solvers import certify
 
 F = Fraction
@@ -89,7 +92,7 @@ def test_one_parameter_is_named(more: tuple[str, ...]) -> None:
     assert "--parameter NAME" in done.err
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(rows=models(discounts=(F(1, 2),)))
 def test_it_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:
     """V = g / (1 - γ) + h + …: its first two terms (Puterman 1994, theorem 10.1.5)."""
@@ -148,3 +151,17 @@ def test_two_hundred_states() -> None:
     for at in (found.high + (1 - found.high) / 10**6, 1 - (1 - found.high) / 10**6):
         assert certify(mdp.with_(discount=at)).optimal_pairs[found.optimal].all()
     assert certify(mdp, criterion="average").optimal_pairs[found.optimal].all()
+
+
+def test_roots_closer_than_a_bracket_are_told_apart() -> None:
+    """A root 1e-20 from an exact one is not mistaken for it."""
+    near = F(1, 10**20)
+    every = (F(1, 2) - near, F(1, 2), 1 - near)
+    poly = flint.fmpq_poly([1])
+    for each in every:
+        poly = poly * flint.fmpq_poly([rational(-each), 1])
+    below = F(0)
+    for root, true in zip(roots(poly, F(0), F(1)), every, strict=True):
+        found = root.narrowed(F(1, 10**12)).simplest().beyond(below)
+        assert below < found.low <= true <= found.high <= 1
+        below = found.high
