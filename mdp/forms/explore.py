@@ -18,6 +18,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
+from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.table import Given, exact, given, rounding_of
 from exact_mdp.mdp.validate import counted
 
@@ -47,7 +48,7 @@ def explored(
             )
     max_states = counted(max_states, "max_states")
     states, rows = Numbering(), list[Row]()
-    begins = list(start) if isinstance(start, Mapping) else [start]
+    begins = start if isinstance(start, Mapping) else _alone(start)
     for state in begins:
         states.add(state, "a state", "start")
     if not begins:
@@ -85,7 +86,20 @@ def explored(
         ends = [0] * (len(found) - len(rows))
         names["components"] = {name: amounts + ends for name, amounts in named.items()}
         found = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in found]
-    return found, names | {"start": start, "labels": flags}
+    places = ByNumber({states.number[state]: chance for state, chance in begins.items()})
+    return found, names | {"start": places, "labels": flags}
+
+
+def _alone(start: Any) -> dict[Any, int]:
+    """Return one state as a distribution."""
+    try:
+        return {start: 1}
+    except TypeError as error:
+        raise ModelError(
+            f"a state is {start!r}, which cannot be a key",
+            where="start",
+            fix="use numbers, words or tuples, not lists, arrays or dictionaries",
+        ) from error
 
 
 def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:

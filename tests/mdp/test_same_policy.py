@@ -247,7 +247,7 @@ class Case:
         if not {"state a", "state b"} & {*states, *actions}:
             yield "printed", {f"state {s}": f"action {a}" for s, a in at}
         yield "Q-table", np.eye(len(actions))[self.by_place()] * self.sign
-        if self.explored and self.model.space.columns[0].objects:
+        if self.explored and self.unmistaken and self.model.space.columns[0].objects:
             yield (
                 "function",
                 self._told([(self.states[k], self.actions[self.takes[k]]) for k in self.order]),
