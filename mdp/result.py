@@ -12,6 +12,7 @@ a `policy` where there is one. Reading it is the same everywhere:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from fractions import Fraction
 from html import escape
 from reprlib import Repr
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -19,12 +20,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from exact_mdp.mdp.lazy import load
+from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
 ROWS_SHOWN = 20
+LETTERS_SHOWN = 16  # of an exact number; of a longer one, twelve digits
 
 _SHORT = Repr()
 _SHORT.maxlevel, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxlist = 2, 3, 3, 3
@@ -66,7 +69,11 @@ class Result(Brief, ABC):
         frame = self.frame()
         more = len(frame) - ROWS_SHOWN
         rest = f"<p>… and {more} rows more: <code>.frame()</code></p>" if more > 0 else ""
-        table = frame.head(ROWS_SHOWN).to_html(border=0)
+        head = frame.head(ROWS_SHOWN).copy()
+        for name, kind in head.dtypes.items():
+            if kind.kind == "O":
+                head[name] = head[name].map(_rational)
+        table = head.to_html(border=0)
         said, claim = repr(self), getattr(self, "claim", "")
         said += f" ({claim})" if str(claim) not in said else ""
         return f"<p>{escape(said)}</p>{table}{rest}"
@@ -101,6 +108,15 @@ class Pictured(Result):
         module, _, function = self.picture.partition(":")
         drawn: Axes = getattr(load(module), function)(self, ax=ax, **settings)
         return drawn
+
+
+def _rational(value: Any) -> Any:
+    """Return the text of an exact number, in decimals where it is long; others as they are."""
+    if not isinstance(value, Fraction):
+        return value
+    short = max(abs(value.numerator), value.denominator) < 10**LETTERS_SHOWN
+    text = str(value) if short else ""
+    return text if 0 < len(text) <= LETTERS_SHOWN else f"≈\N{NO-BREAK SPACE}{shown(value, 12)}"
 
 
 def _text(value: Any) -> str:

@@ -7,12 +7,14 @@ sound in floating point) and `Estimated` (a sample mean and its standard error).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from math import inf, nan
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -339,15 +341,8 @@ class Solution(Pictured):
 
     def frame(self) -> DataFrame:
         """Return the value, its error bound and the action of each state."""
-        mdp = self.mdp
-        return pandas.DataFrame(
-            {
-                "state": [mdp.space.label(state) for state in range(len(self.value))],
-                "value": self.value,
-                "error": self.state_error,
-                "action": [mdp.actions[action] for action in self.policy.tolist()],
-            }
-        )
+        columns = {"value": self.value, "error": self.state_error, "action": self.policy}
+        return by_state(self.mdp, columns)
 
     def __repr__(self) -> str:
         return (
@@ -355,3 +350,26 @@ class Solution(Pictured):
             f"regret at most {self.regret_bound:.1g}, {self.iterations} iterations, "
             f"{self.seconds:.3g} s; {self.status})"
         )
+
+
+def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
+    """Return columns (S,) beside the states, and `action` by name; by number without a model."""
+    names: dict[str, Any] = {"state": range(len(columns["action"]))}
+    if mdp is not None:
+        done = [mdp.actions[action] for action in columns["action"].tolist()]
+        names["state"] = [mdp.space.label(state) for state in range(mdp.n_states)]
+        columns = {**columns, "action": done}
+    return pandas.DataFrame({**names, **columns})
+
+
+def in_decimals(numbers: Iterable[Fraction | float | None]) -> list[float]:
+    """Return exact numbers as floats, infinite beyond their range, NaN where there is none."""
+    return [nan if number is None else in_float(number) for number in numbers]
+
+
+def in_float(number: Fraction | float) -> float:
+    """Return a number as a float, an infinite one where it is beyond the range of floats."""
+    try:
+        return float(number)
+    except OverflowError:
+        return inf if number > 0 else -inf

@@ -99,6 +99,10 @@ class Tornado(Pictured):
     today: Values
     bars: tuple[Bar, ...]
 
+    def __repr__(self) -> str:
+        widest = f", the widest of {self.bars[0].parameter.name}" if self.bars else ""
+        return f"Tornado({len(self.bars)} bars{widest}; value today {self.today.optimal})"
+
     @property
     def value(self) -> Bounded:
         """The optimal start value today."""

@@ -12,19 +12,16 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, per_step
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.average.checker import AverageClaims, Rationals, average_violations, surplus
 from exact_mdp.solvers.proof.file import average_fields, save
 from exact_mdp.solvers.proof.rationals import fractions
-from exact_mdp.solvers.solution import Certified, Claim
+from exact_mdp.solvers.solution import Certified, Claim, by_state, in_decimals
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -111,8 +108,10 @@ class AverageCertificate(AverageClaims, Pictured):
         return self.gain.astype(np.float64)
 
     def frame(self) -> DataFrame:
-        """Return gain, bias and action of each state."""
-        return pandas.DataFrame({"gain": self.gain, "bias": self.bias, "action": self.policy})
+        """Return gain, bias and action of each state, in decimals and as they are."""
+        decimals = {"gain": in_decimals(self.gain), "bias": in_decimals(self.bias)}
+        columns = decimals | {"action": self.policy}
+        return by_state(self.mdp, columns | {"exact gain": self.gain, "exact bias": self.bias})
 
     def violations(self, model: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound.

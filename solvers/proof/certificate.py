@@ -11,7 +11,6 @@ they are; `mdp.table` says what rows mean that do not sum to 1 exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from math import inf, lcm
 from pathlib import Path
@@ -21,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Pictured
@@ -34,12 +32,10 @@ from exact_mdp.solvers.proof.checker import (
 )
 from exact_mdp.solvers.proof.file import bounded_fields, exact_fields, save
 from exact_mdp.solvers.proof.rationals import fractions, primes_of
-from exact_mdp.solvers.solution import Certified, Claim
+from exact_mdp.solvers.solution import Certified, Claim, by_state, in_decimals, in_float
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -82,7 +78,7 @@ class Certificate(ExactClaims, Pictured):
     >>> from exact_mdp.solvers import certify
     >>> found = certify(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
     >>> found.frame().iloc[0].to_dict()
-    {'value': Fraction(3, 1), 'action': 1, 'gap': Fraction(2, 1)}
+    {'state': 'state 0', 'value': 3.0, 'action': '1', 'gap': 2.0, 'exact': Fraction(3, 1)}
     """
 
     mdp: MDP | None = None
@@ -94,7 +90,7 @@ class Certificate(ExactClaims, Pictured):
         unique = "the only optimal policy" if self.unique else "not the only optimal policy"
         return (
             f"Certificate({len(self.numerator)} states, "
-            f"start value ≈ {_rounded(self.start_value):.12g}, {unique})"
+            f"start value ≈ {in_float(self.start_value):.12g}, {unique})"
         )
 
     @property
@@ -175,8 +171,16 @@ class Certificate(ExactClaims, Pictured):
         return [self.denominator[group] for group in self.group.tolist()]
 
     def frame(self) -> DataFrame:
-        """Return the value of each state, its action, and what the next best action loses."""
-        return pandas.DataFrame({"value": self.value, "action": self.policy, "gap": self.gaps})
+        """Return the value of each state, its action, and what the next best action loses.
+
+        In decimals, infinite beyond the range of floats; `exact` is the value as it is.
+        """
+        columns = {
+            "value": in_decimals(self.value),
+            "action": self.policy,
+            "gap": in_decimals(self.gaps),
+        }
+        return by_state(self.mdp, columns | {"exact": self.value})
 
     def violations(self, model: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound.
@@ -242,7 +246,7 @@ class BoundedCertificate(BoundedClaims, Pictured):
     --------
     >>> from exact_mdp.solvers import certify
     >>> certify(MDP.from_arrays([[[1]]], [1], "1/2"), bounded=True).frame().columns.tolist()
-    ['value', 'lower', 'upper', 'action']
+    ['state', 'value', 'lower', 'upper', 'action']
     """
 
     mdp: MDP | None = None
@@ -275,7 +279,7 @@ class BoundedCertificate(BoundedClaims, Pictured):
     def frame(self) -> DataFrame:
         """Return the value of each state, its bounds and its action."""
         columns = {"value": self.value, "lower": self.lower, "upper": self.upper}
-        return pandas.DataFrame(columns | {"action": self.policy})
+        return by_state(self.mdp, columns | {"action": self.policy})
 
     def violations(self, model: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound."""
@@ -324,11 +328,3 @@ def _model(given: MDP | None, own: MDP | None) -> MDP:
             fix="give the model: certificate.violations(mdp)",
         )
     return mdp
-
-
-def _rounded(value: Fraction | float) -> float:
-    """Return a float, infinite where the number is beyond the floats."""
-    try:
-        return float(value)
-    except OverflowError:
-        return np.inf if value > 0 else -np.inf

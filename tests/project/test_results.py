@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
+import re
 from collections.abc import Callable, Iterator
+from fractions import Fraction as F
 from functools import cache
 from html.parser import HTMLParser
 
@@ -239,3 +241,27 @@ def test_so_do_the_things_results_are_made_of(thing: Callable[[], object]) -> No
     text = repr(thing())
     assert len(text) <= LETTERS, text[:500]
     assert len(text.splitlines()) < LINES
+
+
+def test_a_table_has_names_and_decimals() -> None:
+    """An exact number of hundreds of digits is in the result, not in the page."""
+    rows = [[F(1, k), 1 - F(1, k)] for k in (10**9 + 7, 10**9 + 9)]
+    mdp = MDP.from_arrays(
+        [rows, [[0, 1], [1, 0]]],
+        [[0, "1/3"], [1, 0]],
+        F(10**9 - 1, 10**9),
+        actions=["wait", "cut"],
+        states=["young", "old"],
+    )
+    proof, bounded = certify(mdp), certify(mdp, bounded=True)
+    for found in (proof, bounded, certify(mdp, criterion="average")):
+        table = found.frame()
+        assert table["state"].tolist() == ["state young", "state old"]
+        assert set(table["action"]) <= {"wait", "cut"}
+    assert proof.frame()["value"].tolist() == [float(value) for value in proof.value]
+    assert proof.frame()["exact"].tolist() == list(proof.value)
+    assert len(str(proof.value[0])) > 40
+    for found in (proof, compare(mdp, {"mine": [0, 0], "best": "optimal"})):
+        page = found._repr_html_()
+        assert max(len(cell) for cell in re.findall("<td>(.*?)</td>", page)) < 25
+        assert "≈" in page
