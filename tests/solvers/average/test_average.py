@@ -98,6 +98,25 @@ def test_howards_taxicab() -> None:
     assert float(found.gain[0]) == pytest.approx(13.34454, abs=5e-6)
 
 
+def test_tijms_maintenance() -> None:
+    """Tijms, A First Course in Stochastic Models (2003), section 6.4, p. 251: the least costs.
+
+    A machine wears out, from 1 to 4; broken (5), it is repaired in two days, the second one 6. A
+    repair before costs 7, 7 and 5. The optimum waits in 1 to 3 and repairs in 4.
+    """
+    wear = [{0: "9/10", 1: "1/10"}, {1: "4/5", 2: "1/10", 3: "1/20", 4: "1/20"}]
+    wear += [{2: "7/10", 3: "1/10", 4: "1/5"}, {3: "1/2", 4: "1/2"}]
+    rows = [(s, 0, [(p, t, 0) for t, p in row.items()]) for s, row in enumerate(wear)]
+    rows += [(s, 1, [(1, 0, cost)]) for s, cost in ((1, 7), (2, 7), (3, 5))]
+    rows += [(4, 2, [(1, 5, 10)]), (5, 2, [(1, 0, 0)])]
+    found = certify(MDP.from_outcomes(sorted(rows), sense="min"), criterion="average")
+    assert found.violations() == []
+    assert found.policy.tolist() == [0, 0, 0, 1, 2, 2]
+    assert [float(g) for g in found.gain] == pytest.approx([0.4338] * 6, abs=5e-5)
+    relative = [float(h - found.bias[5]) for h in found.bias]
+    assert relative == pytest.approx([0.4338, 4.7717, 6.5982, 5, 9.5662, 0], abs=5e-5)
+
+
 def test_gain_and_bias_of_putermans_two_classes() -> None:
     """Puterman, example 8.2.2, pages 345 and 346: its recurrent states."""
     rows = [[1, 0, 0], [0, F(2, 5), F(3, 5)], [0, F(7, 10), F(3, 10)]]
