@@ -237,6 +237,7 @@ def _data(explorer: Explorer) -> dict[str, Any]:
         "taken": taken,
         "sense": mdp.sense,
         "idle": np.flatnonzero(mdp.forced | mdp.terminal).tolist(),
+        "ends": np.flatnonzero(mdp.terminal).tolist(),
         "labels": {state: mdp.space.label(state) for state in states},
         "moving": moving,
         "map": drawn
@@ -244,6 +245,7 @@ def _data(explorer: Explorer) -> dict[str, Any]:
             "caption": f"down: {layout.down}; across: {layout.across}",
             "rows": layout.rows,
             "columns": layout.columns,
+            "listed": layout.listed,
             "cells": [[s, int(layout.row[s]), int(layout.column[s])] for s in states],
         },
         "checked": first.checked,

@@ -193,6 +193,33 @@ def test_the_page_in_a_browser(tmp_path: Path) -> None:
         assert browser.errors == []
 
 
+LISTED = MDP.from_arrays(
+    [[[0, 1, 0], [0, 0, 1], [0, 0, 1]]], [1, 2, 0], "9/10", states=["young", "old", "gone"]
+)
+
+
+def test_the_page_knows_ends_and_names() -> None:
+    data = data_of(explore(LISTED, "discount").page())
+    assert (data["ends"], data["map"]["listed"], data["labels"]["2"]) == ([2], True, "state gone")
+    assert not data_of(tea().page())["map"]["listed"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_cells_have_names_and_ends_a_sign(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(explore(LISTED, "discount").page(), encoding="utf-8")
+    with warnings.catch_warnings(), Browser(tmp_path / "browser") as browser:
+        warnings.simplefilter("ignore", ResourceWarning)
+        browser.open(page, wide=400)
+        cells = browser.js(
+            "[...document.querySelectorAll('#map tbody td')].map((c) => c.innerText)"
+        )
+        assert [cell.split() for cell in cells] == [["young", "0"], ["old", "0"], ["gone", "∎"]]
+        assert browser.js("document.getElementById('switches').closest('.scroll').hidden")
+        assert browser.errors == []
+
+
 def use_by_keyboard(browser: Browser) -> None:
     """Move both parameters without a mouse, and compare what is shown with proofs."""
 
