@@ -14,6 +14,7 @@ from html.parser import HTMLParser
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas
 import pytest
 from matplotlib.axes import Axes
 
@@ -26,9 +27,12 @@ from exact_mdp.analysis import (
     tradeoff,
     value_function,
 )
+from exact_mdp.analysis.gate.check import Audit
+from exact_mdp.analysis.gate.data.posterior import Posterior
 from exact_mdp.analysis.learning import instability
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
+from exact_mdp.analysis.learning.trainers import check_trainer
 from exact_mdp.analysis.pages.explorer import explore
 from exact_mdp.analysis.perception.accuracy import accuracy_curves, hedging
 from exact_mdp.analysis.perception.cost import Counted, price_of_perception, value_under_counts
@@ -56,6 +60,7 @@ from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp import MDP, Policy, Scenario, moving
 from exact_mdp.mdp.care.perception import independent
 from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.coach.model import Coach
 from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
@@ -90,6 +95,15 @@ def moved() -> object:
     return sampled(moving(mdp, {"stay": [(0, 0)]}), ["stay"], np.array([[0.5], [0.75]]))
 
 
+@cache
+def recorded() -> Audit:
+    """An audit of a model from records, whose verdict rests on an interval."""
+    names = ["episode", "state", "action", "reward", "next_state"]
+    rows = [(n, "ill", ("wait", "treat")[n % 2], n % 2, None) for n in range(40)]
+    mdp = MDP.from_transitions(pandas.DataFrame(rows, columns=names), discount="1/2")
+    return check(mdp, "always:treat", confidence=0.95, by="robust")
+
+
 # One of each kind of result. A new kind is added here; the first test says so.
 MADE: dict[str, Callable[[], object]] = {
     "AccuracyCurves": lambda: accuracy_curves(care(), levels=[0.9, 1]),
@@ -106,6 +120,7 @@ MADE: dict[str, Callable[[], object]] = {
     "CVaROptimum": lambda: best_cvar(care(), "1/10"),
     "Certificate": lambda: certify(care()),
     "Blackwell": lambda: blackwell(SMALL),
+    "CoachSolution": lambda: solve(Coach()),
     "Comparison": lambda: instability.compare(np.array([0.5, 0.5]), np.array([3, 5])),
     "ConstrainedSolution": lambda: solve(care(), subject_to={"anger": ">= -50"}),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
@@ -126,13 +141,20 @@ MADE: dict[str, Callable[[], object]] = {
     "MeanField": lambda: settle(care(), [3] * 16, epsilon=0.1),
     "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
     "MultiModel": lambda: multi_model([care(), SMALL.with_(max_trial=2).compile()]),
+    "Needed": lambda: recorded().needed("1/100", "9/10"),
     "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: psa(SMALL, 50, rng=0),
+    "PosteriorInterval": lambda: (
+        check(
+            recorded().mdp, "always:wait", confidence=0.95, by=Posterior(n=50, rng=0)
+        ).regret_interval
+    ),
     "PolicyComparison": lambda: compare(care(), {"a": "random", "b": "optimal"}),
     "Prediction": lambda: instability.predict(care(), LEARNER, episodes=50, n=4),
     "PriceOfPerception": lambda: price_of_perception(care(), ROUGH, tol=1),
     "ReturnDistribution": lambda: return_distribution(care(), "random"),
     "Rationalization": lambda: rationalize(care(), "always:directive"),
+    "RegretInterval": lambda: recorded().interval,
     "Robust": lambda: robust(care()),
     "RobustCurve": lambda: robust_curve(care(), "l1", [0, 0.1]),
     "RobustSolution": lambda: solve_robust(care(), Intervals.relative(care(), 0.1)),
@@ -142,6 +164,9 @@ MADE: dict[str, Callable[[], object]] = {
     "Solution": lambda: solve(care()),
     "Structural": lambda: structural(SMALL, {"own": {"skip_timestep": "own"}}),
     "Thresholds": lambda: thresholds(SMALL, "base.anger"),
+    "TrainerAudit": lambda: check_trainer(
+        care(), lambda seed: "optimal", runs=5, share="1/2", alpha=0.05, rng=0
+    ),
     "Tornado": lambda: tornado(SMALL, names=NAMES),
     "TwoWay": lambda: two_way(SMALL, *NAMES, points=3),
     "ValueFunction": lambda: value_function(SMALL, "base.anger"),
