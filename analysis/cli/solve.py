@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from math import isinf
 from typing import TYPE_CHECKING, Any, cast
 
 import click
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
+FINITE = (
+    "an infinite total tells no policies apart; give --discount X below 1, --horizon N, or "
+    "--criterion average"
+)
 
 
 def solve(
@@ -109,6 +114,8 @@ def solve(
         facts["method"] += f", {solution.iterations:,} iterations, {solution.seconds:.2g} s"
     value = "reward per step" if average else "start value"
     facts[value] = Bounded(value=found.start_value, error=found.error_bound)
+    if isinf(found.start_value):
+        facts["note"] = FINITE
     if proof:
         exact = ratio(proof.start_value)
         long = f"a rational of {len(exact):,} digits; --json prints it"

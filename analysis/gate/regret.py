@@ -245,8 +245,9 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         by_state = np.where(same, 0.0, value - mine)
         known = np.where(np.isfinite(value), value, 0.0)
         gap = -gains(mdp, known).value
-        # A pair that may lead to an infinite value is optimal, or loses all.
-        gap[mdp.transition @ ~np.isfinite(value) > 0] = inf
+        # A pair that is in a state of infinite value, or may lead to one, is optimal or loses all.
+        beyond = ~np.isfinite(value)
+        gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
     lost: Fraction | float = Fraction(0)
     if best.start_value != own.start_value:
         lost = inf

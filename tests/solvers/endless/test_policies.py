@@ -152,3 +152,13 @@ def test_who_waits_is_blamed_where_the_way_out_is() -> None:
     ]
     assert audit.visits[0] == 1
     assert "state t: yours wait, optimal go; waits for ever and loses 1" in str(audit)
+
+
+def test_who_gives_up_an_infinite_value_loses_it() -> None:
+    mdp = MDP.from_function(
+        "x",
+        lambda s: ["loop", "leave"] if s == "x" else [],
+        lambda s, a: [(1, "x", 1)] if a == "loop" else [(1, "end", 0)],
+    )
+    (only,) = check(mdp, {"x": "leave"}).disagreements
+    assert (only.gap, only.cost, only.expected_visits) == (inf, inf, 1.0)
