@@ -26,8 +26,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import common, integers
 from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.basis import combined
 from exact_mdp.solvers.objectives.checker import Limit, Point
-from exact_mdp.solvers.objectives.constrained import ConstrainedSolution, combined, solve_under
+from exact_mdp.solvers.objectives.constrained import ConstrainedSolution, solve_under
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

@@ -26,12 +26,13 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from exact_mdp.mdp.chain import SHOWN, termination
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, exact, integers, multiply, ones, spans
+from exact_mdp.mdp.table import Floats, Integers, Numbers, exact, integers, multiply, ones, spans
 
 REWARD, STEPS = "reward", "steps"
 Column = tuple[Numbers, Numbers]
@@ -111,6 +112,19 @@ class Objectives:
     def sign(self) -> int:
         """1, or -1 where rewards are costs."""
         return 1 if self.mdp.sense == "max" else -1
+
+    @cached_property
+    def in_floats(self) -> tuple[sp.csr_array, Floats]:
+        """(L, S) discounted transitions and (K, L) amounts as floats, none of terminal states.
+
+        An OverflowError is raised where there are none.
+        """
+        rows, state = self.rows, self.mdp.pair_state
+        live, scale = ~rows.terminal[state], rows.scale[state].astype(object)
+        share = live[rows.pair] * (rows.weight / scale[rows.pair]).astype(np.float64)
+        moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(rows.scale)))
+        earned = [live * (own / scale).astype(np.float64) for own in self.amounts]
+        return moves, np.array(earned)
 
     def weighted(self, weights: Sequence[int]) -> Numbers:
         """Return (L,) the amounts added up, with weights."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from math import inf
+from math import inf, lcm
 from typing import NamedTuple
 
 import numpy as np
@@ -59,10 +59,14 @@ def sound(of: Objectives, proof: Proof) -> list[str]:
 
 def slack(of: Objectives, amount: Numbers, values: Values) -> Numbers:
     """Return (L,) what V is above amount + γ P V, times positive integers."""
+    return _slack(of, amount.astype(object) * values.below, values.top)
+
+
+def _slack(of: Objectives, earned: Numbers, top: Sequence[int]) -> Numbers:
     rows, state = of.rows, of.mdp.pair_state
-    own = np.array(values.top, dtype=object)
+    own = np.array(top, dtype=object)
     after = row_sums(rows.weight * own[rows.next], rows.offsets)
-    found = rows.scale[state] * own[state] - amount.astype(object) * values.below - after
+    found = rows.scale[state] * own[state] - earned - after
     return np.where(rows.terminal[state], own[state], found)
 
 
@@ -80,8 +84,10 @@ def tight(
 
 def _weighted_slack(of: Objectives, weights: Sequence[Fraction], values: Values) -> Numbers:
     whole, below = common(list(weights))
-    scaled = Values([number * below for number in values.top], values.below)
-    return slack(of, of.weighted(whole), scaled)
+    unit = lcm(below, values.below)  # prices and values share long denominators
+    times = unit // values.below
+    earned = of.weighted([number * (unit // below) for number in whole])
+    return _slack(of, earned, [number * times for number in values.top])
 
 
 def wrong_totals(of: Objectives, policy: Attained, name: str) -> list[str]:
@@ -227,11 +233,17 @@ class Limit:
 
 def totals_of(of: Objectives, flow: Mapping[int, Fraction]) -> Point:
     """Return what the pairs visited earn of each objective."""
-    scale, state = of.rows.scale, of.mdp.pair_state
+    share, below = _over_scales(of, flow)
     return tuple(
-        sum((v * int(own[l]) / int(scale[state[l]]) for l, v in flow.items()), Fraction(0))
+        Fraction(sum(v * int(own[l]) for l, v in zip(flow, share, strict=True)), below)
         for own in of.amounts
     )
+
+
+def _over_scales(of: Objectives, flow: Mapping[int, Fraction]) -> tuple[list[int], int]:
+    """Return visits over the scales of their states, as integers over one denominator."""
+    scale, state = of.rows.scale, of.mdp.pair_state
+    return common([visits / int(scale[state[l]]) for l, visits in flow.items()])
 
 
 def constrained_violations(
@@ -365,17 +377,19 @@ def _cover(of: Objectives, parts: Sequence[tuple[int, ...]], taken: Mapping[int,
 def _flows(of: Objectives, flow: Mapping[int, Fraction]) -> bool:
     """Return whether visits are positive, and what leaves each state has come into it."""
     rows, state = of.rows, of.mdp.pair_state
-    left = dict(of.mdp.start)
-    for pair, visits in flow.items():
-        own = int(state[pair])
-        if visits <= 0 or rows.terminal[own]:
-            return False
-        left[own] = left.get(own, Fraction(0)) - visits
-        unit = int(rows.scale[own])
+    if any(v <= 0 or rows.terminal[state[pair]] for pair, v in flow.items()):
+        return False
+    share, below = _over_scales(of, flow)
+    first, parts = common([weight for _, weight in of.mdp.start])
+    left = [0] * of.mdp.n_states
+    for (own, _), weight in zip(of.mdp.start, first, strict=True):
+        left[own] += weight * below
+    for pair, number in zip(flow, share, strict=True):
+        visits, own = number * parts, int(state[pair])
+        left[own] -= visits * int(rows.scale[own])
         for i in range(int(rows.offsets[pair]), int(rows.offsets[pair + 1])):
-            then = int(rows.next[i])
-            left[then] = left.get(then, Fraction(0)) + visits * Fraction(int(rows.weight[i]), unit)
-    return not any(rest for s, rest in left.items() if not rows.terminal[s])
+            left[int(rows.next[i])] += visits * int(rows.weight[i])
+    return not any(rest for s, rest in enumerate(left) if not rows.terminal[s])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

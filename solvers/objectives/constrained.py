@@ -14,6 +14,9 @@ The same search, with the least common step t by which all limits are moved to b
 objective, comes first. Where t > 0 no policy keeps them: prices μ ≥ 0 with max over all policies of
 μ c(π) < μ b prove it (Farkas), and the moved limits are the closest ones that can be kept.
 
+Where many states lead to each other, and fractions are long, floats first propose the answer whole
+(`basis`); mixtures are left for what they get wrong.
+
 The mixture becomes one stationary policy by its visits, and visits are shifted, all totals kept,
 until no more pairs than binding limits are taken beside one for each state (Altman, Constrained
 Markov Decision Processes, 1999, theorem 3.8).
@@ -37,6 +40,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, Numbers, exact
 from exact_mdp.solvers.objectives.amounts import REWARD, Objectives
+from exact_mdp.solvers.objectives.basis import by_basis, combined, cyclic
 from exact_mdp.solvers.objectives.checker import (
     Attained,
     Flow,
@@ -255,7 +259,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         Limit(name=of.names[1 + names.index(each.name)], sign=each.sign, bound=each.bound)
         for each in limits
     )
-    found = relaxed(of, limits)
+    found = (by_basis(of, limits) if cyclic(of) else None) or relaxed(of, limits)
     return ConstrainedSolution(
         limits=limits,
         feasible=found.shift == 0,
@@ -406,17 +410,6 @@ class _Mixing:
             if share:
                 _add_to(found, visits(self.of, column.pairs), share)
         return found
-
-
-def combined(
-    of: Objectives, limits: Sequence[Limit], reward: Fraction, price: Sequence[Fraction]
-) -> list[Fraction]:
-    """Return the weights of the objectives where limits have prices."""
-    weights = dict.fromkeys(of.names, ZERO)
-    weights[of.names[0]] = reward
-    for limit, own in zip(limits, price, strict=True):
-        weights[limit.name] += of.sign * limit.sign * own
-    return list(weights.values())
 
 
 def _add_to(total: Flow, other: Mapping[int, Fraction], share: Fraction) -> None:

@@ -26,6 +26,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.basis import combined
 from exact_mdp.solvers.objectives.checker import (
     Attained,
     Part,
@@ -37,7 +38,6 @@ from exact_mdp.solvers.objectives.checker import (
 from exact_mdp.solvers.objectives.constrained import (
     ConstrainedSolution,
     Relaxed,
-    combined,
     relaxed,
     solve_under,
 )

@@ -95,12 +95,8 @@ def proposed(of: Objectives, weights: Sequence[Fraction], pairs: Integers) -> In
 
 def _iterated(of: Objectives, weights: Sequence[Fraction], pairs: Integers) -> Integers:
     rows, state = of.rows, of.mdp.pair_state
-    live = ~rows.terminal[state]
-    scale = rows.scale[state].astype(object)
-    share = live[rows.pair] * (rows.weight / scale[rows.pair]).astype(np.float64)
-    moves = sparse.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(rows.scale)))
-    earned = sum(float(w) * (own / scale) for w, own in zip(weights, of.amounts, strict=True))
-    gain, chosen = live * np.asarray(earned, np.float64), pairs.copy()
+    moves, amounts = of.in_floats
+    gain, chosen = np.array([float(w) for w in weights]) @ amounts, pairs.copy()
     stay = sparse.eye_array(len(rows.scale), format="csc")
     for _ in range(STEPS):
         value = linalg.splu((stay - moves[chosen]).tocsc()).solve(gain[chosen])

@@ -12,15 +12,18 @@ around 0, satisfies A N = d b modulo M, and both sides are smaller than M / 2 wh
     |A| |N| < M / 2,   |d| |b| < M / 2.
 
 Then they are equal, and x = N / d is proven; no bound on the size of x is needed. Otherwise more
-digits are taken. So short solutions are found early. A pivot may vanish modulo p: another prime is
-taken. A few equations, and those that no prime of a few suits, as all singular ones, are left to
-FLINT's dense solver.
+digits are taken. So short solutions are found early. Once d is known, half the digits that it took
+to find it are enough for N, so that another right side of the same equations, or of their
+transpose, takes half the time: its denominator is that of the first one, as a rule.
+
+A pivot may vanish modulo p: another prime is taken. A few equations, and those that no prime of a
+few suits, as all singular ones, are left to FLINT's dense solver.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,21 +51,35 @@ SHORT = 600  # bits that Euclid's algorithm takes off at once
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """A = diag(pivot) - W, of K rows; the M entries of W are listed row by row."""
+    """A = diag(pivot) - W, of K rows; the M entries of W are listed row by row.
+
+    The last `border` rows and columns are long ones, which are eliminated last.
+    """
 
     pivot: Sequence[int]
     row: Integers  # (M,)
     column: Integers  # (M,)
     weight: Numbers  # (M,)
+    border: int = 0
 
-    def solve(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
-        """Return x as integers over one positive denominator; ZeroDivisionError: A is singular."""
-        if len(self.pivot) > FEW:
-            for prime in _primes():
-                found = self.lifted(right, prime)
-                if found is not None:
-                    return found
-        return self.dense(right)
+    def transposed(self) -> Equations:
+        """Return the equations with rows for columns."""
+        return replace(self, row=self.column, column=self.row)
+
+    def solve(self, right: Sequence[fmpz], below: fmpz | None = None) -> tuple[list[fmpz], fmpz]:
+        """Return x as integers over one positive denominator; ZeroDivisionError: A is singular.
+
+        `below` is a guess of the denominator, which saves half the time where it is one.
+        """
+        found = self.lifting(right, below) if len(self.pivot) > FEW else None
+        return found or self.dense(right)
+
+    def lifting(
+        self, right: Sequence[fmpz], below: fmpz | None = None
+    ) -> tuple[list[fmpz], fmpz] | None:
+        """Return x by lifting; None where no prime of a few suits, as where A is singular."""
+        each = (self.lifted(right, prime, below) for prime in _primes())
+        return next((found for found in each if found is not None), None)
 
     def dense(self, right: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
         """Return what FLINT's dense solver finds."""
@@ -80,7 +97,9 @@ class Equations:
         numerator, denominator = found.numer_denom()
         return numerator.entries(), denominator
 
-    def lifted(self, right: Sequence[fmpz], prime: int) -> tuple[list[fmpz], fmpz] | None:
+    def lifted(
+        self, right: Sequence[fmpz], prime: int, below: fmpz | None = None
+    ) -> tuple[list[fmpz], fmpz] | None:
         """Return x by lifting with one prime, None where a pivot vanishes modulo it."""
         size = len(self.pivot)
         own = np.empty(size, dtype=object)
@@ -90,6 +109,7 @@ class Equations:
         entry = np.concatenate([-self.weight.astype(object), own])
         dominant = np.where(row == column, size + 1.0, 1.0)
         order = fill_order(sp.csc_array((dominant, (row, column)), (size, size)))
+        order = order[np.argsort(order >= size - self.border, kind="stable")]
         place = np.argsort(order)
         row, column = place[row], place[column]
         sequence = np.lexsort((column, row))
@@ -101,7 +121,8 @@ class Equations:
         residue, scratch = (entry % prime).astype(np.uint64), np.zeros(size, dtype=np.uint64)
         if modular.eliminate(indptr, column, residue, prime, pattern, factors, scratch) >= 0:
             return None
-        norm = int(np.add.reduceat(np.abs(entry), indptr[:-1]).max())
+        norms = np.add.reduceat(np.abs(entry), indptr[:-1])
+        norm = int(norms.max())
         width = min(22, 31 - int(np.diff(indptr).max()).bit_length())
         matrix = modular.Limbs(indptr, column, _limbs(entry, width), width)
         rest = np.zeros((size, (norm.bit_length() + 33) // width + 2), dtype=np.int64)
@@ -110,10 +131,17 @@ class Equations:
         bits = prime.bit_length() - 1
         known = _expanded(given, flint.fmpz(prime), largest.bit_length() // bits + 2)
         # How much longer than their denominator numerators may be; all digits that det A needs.
-        excess = max(0, largest.bit_length() - int(own.min()).bit_length())
-        full = (2 * sum(int(p).bit_length() for p in self.pivot) + excess + 3 * SPARE) // bits
+        inner = size - self.border
+        excess = max(0, largest.bit_length() - min(int(p).bit_length() for p in own[:inner]))
+        lengths = [int(p).bit_length() for p in (*own[:inner], *norms[inner:])]
+        full = (2 * sum(lengths) + excess + 3 * SPARE) // bits
+
+        def enough(below: fmpz) -> int:
+            return int(below.bit_length() + excess + norm.bit_length() + SPARE) // bits + 2
+
         share = np.random.default_rng(size).integers(1, 1024, size)
-        mixed, parts, count = list[int](), list[Numbers](), FIRST
+        mixed, parts = list[int](), list[Numbers]()
+        count = FIRST if below is None else enough(below)
         while True:
             fresh = np.empty((count - len(mixed), size), dtype=np.int32)
             brought = np.zeros(fresh.shape, dtype=np.int64)
@@ -124,11 +152,15 @@ class Equations:
             parts.append(fresh)
             mixed += (fresh @ share).tolist()
             modulus = flint.fmpz(prime) ** count
-            below = _denominator(_evaluated(mixed, prime) % modulus, modulus, excess)
+            if below is None:
+                below = _denominator(_evaluated(mixed, prime) % modulus, modulus, excess)
             if below is not None:
-                found = _rationals(np.concatenate(parts), below, prime, norm, largest, excess)
-                if found is not None:
-                    return [found[0][i] for i in place.tolist()], found[1]
+                for few in sorted({min(count, enough(below)), count}):
+                    digits = np.concatenate(parts)[:few]
+                    found = _rationals(digits, below, prime, norm, largest, excess)
+                    if found is not None:
+                        return [found[0][i] for i in place.tolist()], found[1]
+                below = None
             more = int(count * GROWTH) + 1
             count = full if count < full < more * GROWTH else more
 

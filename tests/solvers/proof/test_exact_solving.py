@@ -236,6 +236,10 @@ def test_lifting_agrees_with_rational_elimination(prime: int, data: st.DataObjec
         assert matrix.det().numerator % prime == 0 or prime <= 101
     else:
         assert ratios(found) == [F(int(x.p), int(x.q)) for x in wanted]
+        for guess in (found[1], fmpz(1), 7 * found[1] + 2):
+            guessed = system.lifted(right, prime, guess)
+            assert guessed is not None
+            assert ratios(guessed) == ratios(found)
     assert ratios(system.solve(right)) == [F(int(x.p), int(x.q)) for x in wanted]
 
 

@@ -1,0 +1,87 @@
+"""Optima under limits from a basis that floats propose, against mixtures of exact policies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from objective_models import with_components
+
+from exact_mdp import MDP, solve
+from exact_mdp.mdp.forms.generators import garnet
+from exact_mdp.solvers.objectives import constrained
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.basis import by_basis, cyclic
+from exact_mdp.solvers.objectives.checker import constrained_violations
+from exact_mdp.solvers.objectives.constrained import limits_of, relaxed
+from exact_mdp.solvers.objectives.optima import proof
+
+BOUNDS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(1, 7), F(1), F(5, 2)])
+
+
+@settings(max_examples=40)
+@given(mdp=with_components(2), bounds=st.tuples(BOUNDS, BOUNDS))
+def test_a_basis_and_mixtures_give_the_same_optimum(mdp: MDP, bounds: tuple[F, F]) -> None:
+    of = Objectives.of(mdp, ["return=c0+c1", "c0", "c1"])
+    limits = limits_of({"c0": f">= {bounds[0]}", "c1": f"<= {bounds[1]}"})
+    found, wanted = by_basis(of, limits), relaxed(of, limits)
+    if found is not None:
+        weight = F(found.shift == 0)
+        values = (found.flow, (weight, *found.price), found.dual, found.shift)
+        assert constrained_violations(of, proof(of), limits, *values) == []
+        assert found.shift == wanted.shift
+        room = sum(x.sign * p * x.bound for x, p in zip(limits, found.price, strict=True))
+        assert found.shift or of.at_start(*found.dual) - room == wanted.worth
+
+
+def ring(constant: bool = False) -> MDP:
+    """A random model of 60 states on one cycle, of three totals."""
+    mdp, rng = garnet(60, rng=1), np.random.default_rng(2)
+    parts = {name: rng.integers(0, 64, mdp.n_pairs).tolist() for name in "ab"}
+    table = mdp.table
+    if constant:
+        table = replace(table, gain=table.gain * 0 + 7)
+    rows = [
+        (
+            int(mdp.pair_state[l]),
+            int(mdp.pair_action[l]),
+            [
+                (F(int(table.weight[i]), int(table.denominator[l])), int(table.next[i]),
+                 F(int(table.gain[l]), int(table.gain_denominator[l])))
+                for i in range(table.offsets[l], table.offsets[l + 1])
+            ],
+        )
+        for l in range(mdp.n_pairs)
+    ]  # fmt: skip
+    return MDP.from_outcomes(rows, "19/20", components=parts)
+
+
+@pytest.mark.parametrize(
+    "limits, draws",
+    [
+        ({"a": ">= 900"}, 1),
+        ({"a": ">= 900", "b": ">= 900"}, 2),
+        ({"a": [">= 600", "<= 700"]}, 1),
+        ({"a": ">= 1000", "b": ">= 1000"}, None),
+        ({"a": ">= 2000"}, None),
+    ],
+)
+@pytest.mark.parametrize("constant", [False, True])
+def test_states_on_a_cycle_need_no_mixtures(
+    limits: Any, draws: int | None, constant: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The basis is found in all cases, also where all policies have the same return."""
+    monkeypatch.setattr(constrained, "relaxed", None)
+    mdp = ring(constant)
+    found = solve(mdp, subject_to=limits)
+    assert cyclic(found.objectives)
+    assert found.violations() == []
+    assert found.feasible is (draws is not None)
+    assert len(found.randomises) <= (draws or 2)
+    if constant and draws:
+        assert set(found.prices.values()) == {F(0)}
