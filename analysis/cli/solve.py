@@ -171,11 +171,8 @@ def _deterministic(
     found = solvers.solve(mdp, subject_to=limits_from(texts), deterministic=True)
     _sound(found)
     held, mixed = found.found, found.mixed
-    words: dict[str, dict[str, Any] | None] = {}
-    if held is not None:
-        words = policy_words(mdp, [mdp.actions[a] for a in mdp.pair_action[held.pairs]])
-        if policy_out:
-            found.policy.write(policy_out)
+    if held is not None and policy_out:
+        found.policy.write(policy_out)
     value = found.start_value if held else None
     result = {
         "method": "limits, deterministic",
@@ -190,7 +187,9 @@ def _deterministic(
         "limits": [str(limit) for limit in mixed.limits],
         "totals": found.totals,
         "parts": len(found.parts),
-        "policy": words.get("policy") or words.get("policy_by_state"),
+        "policy": None
+        if held is None
+        else whole_policy(mdp, [mdp.actions[a] for a in mdp.pair_action[held.pairs]]),
         "written": [policy_out] if policy_out and held else [],
     }
     facts = {
@@ -227,7 +226,6 @@ def _under_limits(
     found = solvers.solve(mdp, subject_to=limits_from(texts))
     _sound(found)
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
-    words = policy_words(mdp, drawn)
     if policy_out:
         found.policy.write(policy_out)
     result = {
@@ -245,7 +243,7 @@ def _under_limits(
             {"state": mdp.space.label(state), "actions": chances}
             for state, chances in found.randomises.items()
         ],
-        "policy": words["policy"] or words["policy_by_state"],
+        "policy": whole_policy(mdp, drawn),
         "written": [policy_out] if policy_out else [],
     }
     facts = {
@@ -309,6 +307,25 @@ def policy_words(mdp: MDP, names: Sequence[Any]) -> dict[str, dict[str, Any] | N
         return {"policy": None, "policy_by_state": None}
     by_state = dict(zip(_labels(mdp.space), names, strict=True))
     return {"policy": None, "policy_by_state": by_state}
+
+
+def whole_policy(mdp: MDP, names: Sequence[Any]) -> dict[str, Any]:
+    """Return what is said of every state: by status where that alone decides, else by state.
+
+    Both are policies that a file may hold.
+    """
+    if "status" in mdp.space.names:
+        column = mdp.space.column("status")
+        status = mdp.space.values("status")
+        asked = np.flatnonzero(~mdp.forced & ~mdp.terminal & (status >= 0)).tolist()
+        found = {
+            column.label(value): names[mdp.space.index(status=value)]
+            for value in range(column.size)
+        }
+        found |= {column.label(int(status[state])): names[state] for state in asked}
+        if all(found[column.label(int(status[state]))] == names[state] for state in asked):
+            return found
+    return dict(zip(_labels(mdp.space), names, strict=True))
 
 
 def _labels(space: StateSpace) -> list[str]:

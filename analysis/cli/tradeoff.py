@@ -7,12 +7,11 @@ from typing import Any
 
 from exact_mdp.analysis.cli.options import Given, given, policy_from
 from exact_mdp.analysis.cli.render import Report, Table
-from exact_mdp.analysis.cli.solve import policy_words
+from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.risk import best_entropic
 from exact_mdp.solvers.risk.lattice import share_of
 from exact_mdp.solvers.solution import Certified
@@ -44,7 +43,10 @@ def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any
         "names": list(front.names),
         "claim": front.claim,
         "vertices": [
-            {"values": _named(front.names, vertex), **_policy(mdp, policy)}
+            {
+                "values": _named(front.names, vertex),
+                "policy": whole_policy(mdp, [mdp.actions[action] for action in policy]),
+            }
             for vertex, policy in zip(vertices, front.policies, strict=True)
         ],
         "edges": edges,
@@ -190,7 +192,7 @@ def _entropic(asked: Given, aversion: str) -> Report:
         "error_bound": found.value.error,
         "mean": found.mean,
         "distribution": found.distribution(),
-        **_policy(asked.mdp, found.policy),
+        "policy": whole_policy(found.mdp, [found.mdp.actions[a] for a in found.policy]),
     }
     facts = {
         "certainty equivalent": found.value,
@@ -206,9 +208,3 @@ def _named(names: tuple[str, ...], values: Any) -> dict[str, Fraction]:
 
 def _floats(names: tuple[str, ...], values: Any) -> dict[str, Any]:
     return {name: float(value) for name, value in _named(names, values).items()}
-
-
-def _policy(mdp: MDP, policy: Any) -> dict[str, Any]:
-    """Return a policy by status where there are such, else by state."""
-    words = policy_words(mdp, [mdp.actions[action] for action in policy])
-    return {"policy": words["policy"] or words["policy_by_state"]}

@@ -27,7 +27,7 @@ from exact_mdp.mdp.policies.arrays import (
     rows_read,
     too_small,
 )
-from exact_mdp.mdp.space import WHOLE, StateSpace
+from exact_mdp.mdp.space import TIME, WHOLE, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
 Rows = dict[int, dict[int, Fraction]]
@@ -80,12 +80,12 @@ def _digits(text: str) -> Any:
 
 
 def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> list[Form]:
-    """Return what a mapping says: of statuses, {status: action}, or else of states.
+    """Return what a mapping says: of statuses, {status: action}, or of states, by name or print.
 
     Instead of an action there may be {action: probability}; of a state also a row of A
     probabilities or action values, for all of them.
     """
-    if "status" not in model.space.names:
+    if "status" not in model.space.names or any("status " in str(key) for key in entries):
         return from_states(model, entries, kind)
     space = StateSpace(columns=(model.space.column("status"),))
     rows: Rows = {}
@@ -151,7 +151,8 @@ def from_list(model: MDP, names: Sequence[str], kind: str) -> list[Form]:
 
 def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> list[Form]:
     """Return what is said of states: by number, name, column values, or the object itself."""
-    space = model.space.untimed or model.space
+    timed = any(str(key).startswith(f"{TIME} ") for key in entries)
+    space = model.space if timed else model.space.untimed or model.space
     default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
     forms: list[Form] = []
     for reading in space.readings(entries):
@@ -162,15 +163,19 @@ def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> list[Form]
             given[key] = choice
         if default is not None:
             given = {key: given[key] if key in given else default() for key in range(space.size)}
-        forms += from_numbers(model, given, kind, reading.error)
+        forms += from_numbers(model, given, kind, reading.error, space)
     return forms
 
 
 def from_numbers(
-    model: MDP, given: Mapping[int, Any], kind: str, error: ModelError | None = None
+    model: MDP,
+    given: Mapping[int, Any],
+    kind: str,
+    error: ModelError | None = None,
+    space: StateSpace | None = None,
 ) -> list[Form]:
-    """Return what is said of states by number."""
-    space = model.space.untimed or model.space
+    """Return what is said of states by number, by default those without their time."""
+    space = space or model.space.untimed or model.space
     given = {key: _unwrapped(choice) for key, choice in given.items()}
     choices = list(given.values())
     named = [isinstance(row, tuple) and text_of(row) in model.actions for row in choices]

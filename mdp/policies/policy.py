@@ -336,7 +336,8 @@ class Policy(NDArrayOperatorsMixin):
         found, _ = self._by_pair(model, self.shares)
         # Where there is no choice, or all has ended, the policy is not asked.
         other = np.logical_or.reduceat((found > 0) != taken, model.pair_offsets[:-1])
-        return np.where(other[model.pair_state], taken.astype(found.dtype), found)
+        alone = taken.astype(np.int64).astype(found.dtype)  # whole numbers, among objects as well
+        return np.where(other[model.pair_state], alone, found)
 
     def _by_pair(self, model: MDP, rule: Numbers) -> tuple[Numbers, Integers]:
         """Return (L,) what a rule gives each pair, and (S,) how many actions each state takes."""

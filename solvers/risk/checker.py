@@ -104,12 +104,14 @@ def tail_violations(
     if found.trade * (1 - weight) != level * weight:
         wrong.append("the shortages are those of another weight of the mean")
     low, high = found.span
-    every = (found.start(wanted) for wanted in range(low, high + 1))
-    most = max(
-        (1 - weight) * (low + k - lack / level) + weight * gain
-        for k, (lack, gain) in enumerate(every)
-    )
-    if (1 - weight) * value + weight * mean != most:
+    worth = {
+        k: (1 - weight) * (k - lack / level) + weight * gain
+        for k in range(low, high + 1)
+        for lack, gain in [found.start(k)]
+    }
+    if threshold not in worth:
+        return [*wrong, "the threshold is no possible return"]
+    if not worth[int(threshold)] == (1 - weight) * value + weight * mean == max(worth.values()):
         wrong.append("another threshold gives more")
     returns = found.returns(threshold)
     if tail_mean([Fraction(k) for k in returns], [*returns.values()], level)[0] != value:

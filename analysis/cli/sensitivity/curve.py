@@ -9,7 +9,7 @@ import numpy as np
 
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, stated_ranges
-from exact_mdp.analysis.cli.solve import policy_words
+from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.analysis.sensitivity.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.curve import value_function
 from exact_mdp.analysis.sensitivity.curve_checker import Bracket, CurvePiece, RationalFunction
@@ -107,8 +107,7 @@ def _point(bracket: Bracket) -> Fraction:
 
 
 def _policy(mdp: MDP, optimal: Any) -> dict[str, Any]:
-    """Return the first optimal action of each state, by status where there are such."""
+    """Return the first optimal action of each state."""
     marked = np.flatnonzero(optimal)
     first = marked[np.flatnonzero(np.diff(mdp.pair_state[marked], prepend=-1))]
-    words = policy_words(mdp, [mdp.actions[action] for action in mdp.pair_action[first]])
-    return {"policy": words["policy"] or words["policy_by_state"]}
+    return {"policy": whole_policy(mdp, [mdp.actions[a] for a in mdp.pair_action[first]])}

@@ -14,6 +14,7 @@ from forest import forest
 from hypothesis import given, settings
 from strategies import Rows, models
 
+from exact_mdp import evaluate, solve
 from exact_mdp.analysis.sensitivity import value_function
 from exact_mdp.analysis.sensitivity.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.real_roots import roots
@@ -78,10 +79,12 @@ def test_the_command(tmp_path: object) -> None:
     below = sum(F(c) * at**k for k, c in enumerate(first["denominator"]))
     scenario = Scenario.load("tea").with_(tasks=[1], max_trial=2)
     assert top / below == value_function(scenario, "base.anxiety").at(at)
-    assert first["policy"].keys() == {f"{n:03b}" for n in range(8)}
+    mdp = scenario.with_(parameters={"base.anxiety": at}).compile()
+    assert evaluate(mdp, first["policy"]).mean == pytest.approx(float(top / below))
     far = run(*words, "--parameter", "discount", "--json").result
     assert F(far["blackwell"]["from"]) < 1
-    assert far["blackwell"]["policy"].keys() == first["policy"].keys()
+    last = scenario.compile().with_(discount="999999/1000000")
+    assert evaluate(last, far["blackwell"]["policy"]).mean == pytest.approx(solve(last).start.value)
     assert "pieces of the optimal value" in run(*words, "--parameter", "discount").out
 
 

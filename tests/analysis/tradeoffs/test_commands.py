@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from fractions import Fraction
 from pathlib import Path
 
@@ -9,14 +10,21 @@ import matplotlib.pyplot as plt
 import pytest
 from cli_runner import run
 
-from exact_mdp import Scenario, evaluate, solve, tradeoff
+from exact_mdp import MDP, Policy, Scenario, check, evaluate, solve, tradeoff
+from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.mdp import ModelError
 
 SMALL = ("--set", "tasks=[1]", "--set", "max_trial=2")
 TWO = ("anger", "done=subtask-complete-1/2*trial")
 
 
-def test_a_front_as_json() -> None:
+def as_read(mdp: MDP, folder: Path, policy: object) -> Policy:
+    """The policy that a file with a part of the JSON says."""
+    (folder / "own.json").write_text(json.dumps(policy), encoding="utf-8")
+    return Policy.read(folder / "own.json", mdp)
+
+
+def test_a_front_as_json(tmp_path: Path) -> None:
     found = run("tradeoff", "yuan2025", *TWO, *SMALL, "--policy", "random", "--json").result
     front = tradeoff(Scenario.load("yuan2025").with_(tasks=[1], max_trial=2), ["anger", TWO[1]])
     assert (found["names"], found["claim"]) == (["anger", "done"], "certified")
@@ -26,7 +34,9 @@ def test_a_front_as_json() -> None:
         (n, n + 1) for n in range(len(got) - 1)
     ]
     assert [Fraction(e["rate"]) for e in found["edges"]] == [e.rate for e in front.edges]
-    assert found["vertices"][0]["policy"].keys() == {f"{n:04b}" for n in range(16)}
+    mdp = front.objectives.mdp
+    for vertex, point in zip(found["vertices"], front.vertices, strict=True):
+        assert front.totals(as_read(mdp, tmp_path, vertex["policy"])) == point
     assert Fraction(found["policies"][0]["distance"]) == front.distance("random") > 0
     text = run("tradeoff", "yuan2025", *TWO, *SMALL, "--policy", "random")
     assert (text.status, "policies beside the front" in text.out) == (0, True)
@@ -49,10 +59,43 @@ def test_limits_as_json(tmp_path: Path) -> None:
     assert Fraction(found["totals"]["anger"]) == Fraction(-1, 10)
     (drawn,) = found["randomises"]
     assert sum(map(Fraction, drawn["actions"].values())) == 1
-    assert found["policy"].keys() == {f"{n:04b}" for n in range(16)}
     assert all(sum(map(Fraction, own.values())) == 1 for own in found["policy"].values())
-    again = evaluate(scenario.compile(), tmp_path / "p.csv")
-    assert again.mean == pytest.approx(found["start_value"])
+    assert found["policy"][drawn["state"]] == drawn["actions"]
+    mdp = scenario.compile()
+    for given in (tmp_path / "p.csv", as_read(mdp, tmp_path, found["policy"])):
+        assert evaluate(mdp, given).mean == pytest.approx(found["start_value"])
+        assert check(mdp, given, subject_to={"anger": ">= -1/10"}).passed
+
+
+def test_a_check_reads_the_policy_that_limits_wrote(tmp_path: Path) -> None:
+    """The exact shares of the whole model do not fit in 64 bits."""
+    file, limit = tmp_path / "p.csv", ("--subject-to", "anger >= -1/2", "--json")
+    found = run("solve", "yuan2025", *limit, "--policy-out", file).result
+    checked = run("check", "yuan2025", file, *limit)
+    assert (checked.status, checked.result["passed"], checked.result["regret"]) == (0, True, 0)
+    (tmp_path / "p.json").write_text(json.dumps(found["policy"]), encoding="utf-8")
+    assert run("check", "yuan2025", tmp_path / "p.json", *limit).status == 0
+
+
+def test_a_policy_by_status_is_one_that_reads_nothing_else(tmp_path: Path) -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
+    always = Policy.always(mdp, "directive").choices(mdp)
+    late = always.copy()
+    late[mdp.space.index(trial=1, status=3)] = 0
+    for numbers, by_status in ((always, True), (late, False)):
+        found = whole_policy(mdp, [mdp.actions[a] for a in numbers])
+        assert (found.keys() == {f"{n:04b}" for n in range(16)}) is by_status
+        again = as_read(mdp, tmp_path, found)
+        assert (again.weights(mdp) == Policy.from_choices(mdp, numbers).weights(mdp)).all()
+
+
+def test_a_policy_with_the_time_in_its_states(tmp_path: Path) -> None:
+    words = (*TWO, *SMALL, "--horizon", "2")
+    found = run("tradeoff", "yuan2025", *words, "--json").result
+    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile().within(2)
+    front = tradeoff(mdp, TWO)
+    for vertex, point in zip(found["vertices"], front.vertices, strict=True):
+        assert front.totals(as_read(mdp, tmp_path, vertex["policy"])) == point
 
 
 def test_limits_that_no_policy_keeps() -> None:

@@ -161,7 +161,13 @@ def test_what_is_false_is_found() -> None:
     rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
     found = best_cvar(MDP.from_outcomes(rows), "1/2")
     assert found.violations() == []
-    for change in ({"value": F(5)}, {"mean": F(5)}, {"weight": F(1, 2)}, {"threshold": F(10)}):
+    for change in (
+        {"value": F(5)},
+        {"mean": F(5)},
+        {"weight": F(1, 2)},
+        {"threshold": F(10)},
+        {"threshold": F(1, 2)},
+    ):
         assert replace(found, **change).violations()
     own = found.shortages
     less = [own.lack[0] * 0, *own.lack[1:]]
