@@ -21,7 +21,8 @@ trains with a seed. The test fails where the share of seeds within the limits is
     def test_trainer(policy_gate):
         policy_gate("yuan2025", train, max_regret=0.5, runs=100, share="9/10", alpha="1/100", rng=0)
 
-`share`, `alpha`, `rng` and `prove` are those of `analysis.check_trainer`.
+`share`, `alpha`, `rng` (0 unless given) and `prove` are those of `analysis.check_trainer`; a list
+of policies may stand in place of the function.
 
 What was found is recorded as properties of the test in pytest's own JUnit report (`--junitxml`).
 pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves it out.
@@ -29,7 +30,7 @@ pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, overload
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.learning.trainers import TrainerAudit
     from exact_mdp.mdp.model import MDP
 
+OF_RUNS = ("share", "alpha", "rng", "prove")
 SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")
 
 
@@ -91,11 +93,18 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.
         if "runs" in limits:
             check = import_module("exact_mdp.analysis.learning.trainers").check_trainer
-            each = None if callable(policy) else (_beside(request.path, one) for one in policy)
-            found = check(mdp, policy if each is None else each, **limits)
+            if isinstance(policy, list | tuple | Iterator):
+                policy = [_beside(request.path, one) for one in policy]
+            found = check(mdp, policy, **{"rng": 0} | limits)
             low, high = map(float, found.interval)
             known = {"within": found.within, "runs": len(found.audits), "low": low, "high": high}
         else:
+            if few := [name for name in OF_RUNS if name in limits]:
+                raise import_module("exact_mdp.mdp.errors").ModelError(
+                    f"{few[0]} is a question of several runs",
+                    where=few[0],
+                    fix="give runs, as in runs=100, or leave it out",
+                )
             check = import_module("exact_mdp.analysis.gate.check").check
             found = check(mdp, _beside(request.path, policy), **limits)
             known = {"regret": float(found.regret.at_start.value), "agreement": found.agreement}

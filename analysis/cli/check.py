@@ -237,6 +237,7 @@ def _result(audit: Audit) -> dict[str, Any]:
     return {
         "passed": audit.passed,
         "claim": audit.claim,
+        "regret_claim": audit.value.claim,
         "regret": float(lost.at_start.value),
         "exact_regret": lost.at_start.value if exact else None,
         "error_bound": 0.0 if isinstance(lost.at_start, Certified) else lost.at_start.error,
@@ -339,7 +340,7 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
     for each in audit.verdicts:
         facts[each.name] = f"{'yes' if each.passed else 'no'}: {each.text}"
     if audit.interval is not None:
-        facts["regret of the process"] = str(audit.interval)
+        facts["regret of the process"] = f"{audit.interval} ({audit.claim})"
         for name, value in _of_interval(audit)["interval"].items():
             facts[f"{audit.interval.by}: {name.replace('_', ' ')}"] = (
                 f"[{value[0]:.6g}, {value[1]:.6g}]" if isinstance(value, tuple) else value

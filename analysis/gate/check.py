@@ -91,7 +91,8 @@ class Verdict:
         """
         if self.passed:
             return f"{self.name}: {self.text}"
-        words = "is not known to be" if self.text.endswith((UNDECIDED, OPEN)) else "is not"
+        open_ = OPEN in self.text or self.text.endswith(UNDECIDED)
+        words = "is not known to be" if open_ else "is not"
         return f"{self.name.replace(' is', f' {words}', 1)}: {self.text}"
 
 
@@ -201,8 +202,11 @@ class Audit(Pictured):
 
     @property
     def claim(self) -> Claim:
-        """Certified, or bounded."""
-        return self.value.claim
+        """What the verdict can claim: that of the regret, or of the interval where it rests on one.
+
+        The regret in the estimated model keeps its own: `audit.value.claim`.
+        """
+        return self.value.claim if self.interval is None else self.interval.claim
 
     @property
     def read_as(self) -> ReadAs:
@@ -236,7 +240,8 @@ class Audit(Pictured):
         """Return which pairs' counts leave the verdict open, and how many more would decide it.
 
         See `analysis.gate.data.needed`. The audit's own limit (0 without one), confidence and, of a
-        robust audit, settings are taken unless given.
+        robust audit, settings are taken unless given. The plan is for the robust interval, whatever
+        the audit's own is made by.
 
         Parameters
         ----------
@@ -301,7 +306,10 @@ class Audit(Pictured):
 
     @property
     def _open(self) -> str:
-        return UNDECIDED if self.interval is None else OPEN
+        if self.interval is None:
+            return UNDECIDED
+        how = " (in Python audit.needed() says which)" if self.interval.by == "robust" else ""
+        return f"{OPEN}: more records decide it{how}, or give a limit above the interval"
 
     @cached_property
     def _decisions(self) -> tuple[tuple[str, bool | None, str], ...]:
@@ -472,10 +480,7 @@ UNDECIDED = (
     " max_regret=…), or ask for exact values (--certify, exact_values=True)"
 )
 
-OPEN = (
-    "which leaves the limit open: more records decide it (audit.needed says which), or give a "
-    "limit above the interval"
-)
+OPEN = "which leaves the limit open"
 
 
 def share_of(cost: float, lost: float) -> float | None:

@@ -19,9 +19,10 @@ All is worked out in integers: no rounding decides what is excluded.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
-from math import comb
+from math import comb, lgamma, log, log1p
 
 GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
 
@@ -38,6 +39,30 @@ def excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
     won = comb(2 * hits, hits) * comb(2 * misses, misses) * below**n * alpha.numerator
     fair = comb(n, hits) * 4**n * top**hits * (below - top) ** misses * alpha.denominator
     return bool(won >= fair)
+
+
+def fewest(share: Fraction, alpha: Fraction) -> int:
+    """Return the least number of misses, without a hit, that exclude a share below 1.
+
+    E_n(p) falls and then rises in the number of misses, so that it is found by bisection; in
+    logarithms, since a small share needs millions.
+
+    Examples
+    --------
+    >>> fewest(Fraction(9, 10), Fraction(1, 100)), fewest(Fraction(1, 10), Fraction(1, 100))
+    (3, 70)
+    """
+    if share == 1:
+        return 1
+
+    def excludes(misses: int) -> bool:
+        mixed = lgamma(2 * misses + 1) - 2 * lgamma(misses + 1) - misses * log(4)
+        return mixed - misses * log1p(-float(share)) >= -log(alpha)
+
+    high = 1
+    while not excludes(high):
+        high *= 2
+    return bisect_left(range(high), True, key=excludes)
 
 
 def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[tuple[Fraction, Fraction]]:

@@ -11,19 +11,21 @@ run at once (`analysis.learning.anytime`), so that the gate ends as soon as it c
     passed    it is proven to be at least `share`, or it is still open after all runs (`proven`)
 
 So a trainer that is good enough does not fail more often than α, however many runs there are; with
-`prove`, what is open fails too.
+`prove`, what is open fails too. Runs so few that all of them could lose and the gate would still be
+open are refused: what cannot fail is no gate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
+from numbers import Number
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from exact_mdp.analysis.gate.check import Audit, check
-from exact_mdp.analysis.learning.anytime import excluded, share_intervals
+from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
@@ -191,7 +193,8 @@ def check_trainer(
     Raises
     ------
     ModelError
-        For shares and counts out of range, no runs at all, and what `check` refuses.
+        For shares and counts out of range, no runs at all, so few that none of their outcomes
+        could fail, and what `check` refuses.
 
     Examples
     --------
@@ -207,6 +210,8 @@ def check_trainer(
         raise ModelError("alpha is 1", where="alpha", fix="choose less: 1/100")
     if isinstance(runs, bool) or not isinstance(runs, int) or runs < 1:
         raise ModelError(f"runs is {runs!r}", where="runs", fix="give a whole number > 0")
+    if not prove:
+        _require_runs(runs, wanted, risk)
     mdp = mdp_of(model)
     if (horizon := limits.pop("horizon", None)) is not None:
         mdp = mdp.within(horizon)
@@ -226,7 +231,7 @@ def check_trainer(
             break
     if not audits:
         raise ModelError("no policies", where="check_trainer", fix="give at least one")
-    return TrainerAudit(
+    found = TrainerAudit(
         names=tuple(names),
         audits=tuple(audits),
         intervals=tuple(intervals),
@@ -234,6 +239,23 @@ def check_trainer(
         alpha=risk,
         runs=runs,
         prove=prove,
+    )
+    if found.proven is None and not prove:
+        _require_runs(len(audits), wanted, risk)
+    return found
+
+
+def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
+    """Raise ModelError where so few runs leave the share open even if none is within the limits."""
+    if excluded(share, 0, runs, alpha):
+        return
+    least = fewest(share, alpha)
+    raise ModelError(
+        f"of {runs} run{'s' * (runs > 1)} no outcome could fail: even if none keeps the limits, a "
+        f"share of {shown(share, 10)} stays possible",
+        where="runs",
+        fix=f"give {least} runs or more, or ask for a proof that the share is kept (--prove, "
+        "prove=True)",
     )
 
 
@@ -247,6 +269,12 @@ def _policies(
 ) -> Iterator[tuple[Any, PolicyLike]]:
     """Yield the policies with the names of their runs."""
     if not callable(train):
+        if _is_one(train):
+            raise ModelError(
+                "one policy, where runs ask for several",
+                where="policies",
+                fix="give a function of a seed or a list of policies; or check one, without runs",
+            )
         yield from enumerate(train)
         return
     if rng is None:
@@ -256,6 +284,17 @@ def _policies(
         seed = int(child(root, number).generate_state(1)[0])
         yield seed, train(seed)
         number += 1
+
+
+def _is_one(given: object) -> bool:
+    """Return whether this is one policy: a name, a mapping, an array, or a list of its actions."""
+    if isinstance(given, list | tuple):
+        return any(isinstance(one, Number) for one in given)
+    return (
+        isinstance(given, str | Mapping)
+        or hasattr(given, "__array__")
+        or not (isinstance(given, Iterable))
+    )
 
 
 def _between(name: str, number: object) -> Fraction:

@@ -265,7 +265,9 @@ class Record:
                 )
             if column not in chunk:
                 near = suggest(column, map(str, chunk.columns))
-                fix = f"{near}; name it by columns={{{name!r}: …}}"
+                fix = f"{near}; name it (--column {name}=…, columns={{{name!r}: …}})"
+                if len(chunk.columns) == 1 and {";", "\t", "|"} & set(str(chunk.columns[0])):
+                    fix = "separate columns by commas: the first line has none"
                 raise ModelError(f"no column {column!r}", where=self.where, fix=fix)
         parts = {name: chunk[column] for name, column in self.columns.items()}
         episode, state, action = (

@@ -163,7 +163,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Structural": lambda: structural(SMALL, {"own": {"skip_timestep": "own"}}),
     "Thresholds": lambda: thresholds(SMALL, "base.anger"),
     "TrainerAudit": lambda: check_trainer(
-        care(), lambda seed: "optimal", runs=5, share="1/2", alpha=0.05, rng=0
+        care(), lambda seed: "optimal", runs=9, share="1/2", alpha=0.05, rng=0
     ),
     "Tornado": lambda: tornado(SMALL, names=NAMES),
     "TwoWay": lambda: two_way(SMALL, *NAMES, points=3),

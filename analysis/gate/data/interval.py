@@ -17,6 +17,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -42,6 +43,9 @@ class RegretInterval(Result):
         What the interval rests on besides the records.
     found : {name: number or pair}
         What else this kind of evidence says.
+    claim : Claim
+        Bounded where the ends are bounds for every process in the sets, estimated where they are
+        drawn or worked out in floats without a bound of the rounding; at the confidence, in both.
 
     Examples
     --------
@@ -55,6 +59,7 @@ class RegretInterval(Result):
     by: str
     assumptions: tuple[str, ...]
     found: Mapping[str, Any]
+    claim: Claim = Claim.ESTIMATED
 
     def __repr__(self) -> str:
         return f"RegretInterval({self})"

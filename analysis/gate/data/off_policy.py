@@ -92,13 +92,20 @@ class OffPolicy:
             raise ModelError(
                 "no trajectories, and the model's counts do not keep them",
                 where="records",
-                fix="name the records: by=OffPolicy(records=…), --records FILE",
+                fix="name the records (--records FILE, by=OffPolicy(records=…))",
             )
         doubt = float(1 - confidence)
         robust = Robust(rewards=self.rewards, returns=self.returns)
         sets = RowSets.of(mdp, doubt / 2, self.rewards)
         bounds = RobustBounds(sets=sets, own=chain.weights, returns=robust.range(mdp))
-        ratio = _ratios(mdp, chain.weights, self._behaviour(mdp))
+        behaviour = self._behaviour(mdp)
+        ratio = _ratios(mdp, chain.weights, behaviour)
+        if (refuted := (behaviour <= 0) & (observations_of(mdp) > 0)).any():
+            raise ModelError(
+                "the behaviour never does what was recorded",
+                where=mdp.where(int(np.flatnonzero(refuted)[0])),
+                fix="state the policy that chose the recorded actions, or leave it to be estimated",
+            )
         seen = _trajectories(mdp, ratio, self.records, self.columns)
         lowest, highest = bounds.range
         whole = seen.returns[~seen.cut]

@@ -14,6 +14,12 @@ ends are moved outward by the 95 % intervals of the sample's quantiles, so that 
 it. Draws come in blocks with a stream of random numbers each: the same seed gives the same bytes
 wherever the work is done.
 
+A credible interval holds its share of the models by the posterior; that it holds the truth in as
+many data sets nobody guarantees. It does not at the boundary: where the policy is optimal or close
+to it, as where actions tie, the true regret is 0, but a maximum over draws lies above 0 in nearly
+all of them, the more states there are. So the lower end is 0 wherever the policy is optimal in any
+draw, and elsewhere it does not prove a loss. For coverage take `robust`.
+
 Draws are dense: (L, S) numbers each, which fits into memory up to about 10^8 of them.
 """
 
@@ -93,6 +99,9 @@ class PosteriorInterval(RegretInterval):
 class Posterior:
     """A credible interval of the regret under a Dirichlet prior.
 
+    It has no guaranteed coverage over data sets: where actions tie its lower end may lie above a
+    true regret of 0.
+
     Attributes
     ----------
     prior : number
@@ -154,7 +163,7 @@ class Posterior:
         tail = float((1 - confidence) / 2)
         low, high = quantiles(draws, [tail, 1 - tail])
         return PosteriorInterval(
-            low=low.low,
+            low=low.low if draws.min() > 0 else 0.0,
             high=high.high,
             confidence=float(confidence),
             by=self.by,
@@ -165,6 +174,9 @@ class Posterior:
                 f"before the records, rows are Dirichlet, each worth {prior:g} observations that "
                 "are spread evenly over all states",
                 "rewards are among those that were seen",
+                "the confidence is a probability by the posterior, no share of data sets: where "
+                "the policy is optimal or nearly so, as where actions tie, the interval may lie "
+                "above the true regret",
             ),
             found={
                 "mean": float(draws.mean()),

@@ -39,13 +39,19 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, range_of
+from exact_mdp.analysis.gate.data.interval import (
+    Ends,
+    RegretInterval,
+    observations_of,
+    range_of,
+)
 from exact_mdp.analysis.gate.data.sets import Given, Rows, RowSets
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 IMPROVEMENTS = 50
@@ -96,11 +102,14 @@ class Robust:
                 "optimal_value": found.at_start(mdp, "best"),
                 "learned_value": found.at_start(mdp, "own"),
             },
+            claim=Claim.BOUNDED,
         )
 
     def range(self, mdp: MDP) -> Ends | None:
         """Return where total rewards lie, of rewards even where the model is one of costs."""
         ends = range_of(self.returns, "returns")
+        if ends is not None:
+            _require_seen(mdp, ends)
         if ends is None or mdp.sense == "max":
             return ends
         return -ends[1], -ends[0]
@@ -127,6 +136,24 @@ class Robust:
         if (sets.counted[~mdp.terminal[mdp.pair_state]] == 0).any():
             told.append("actions that nobody took are worth what the model says")
         return tuple(told)
+
+
+def _require_seen(mdp: MDP, returns: Ends) -> None:
+    """Raise ModelError where a recorded transition cannot have a total in the range stated."""
+    table = mdp.table
+    pair = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))
+    kept = observations_of(mdp)[pair] > 0
+    gain, after = table.gains(), np.where(mdp.terminal[table.next], 0.0, mdp.discount)
+    low, high = (gain + after * end for end in returns)
+    outside = kept & ((low > returns[1]) | (high < returns[0]))
+    if outside.any():
+        first = int(np.flatnonzero(outside)[0])
+        raise ModelError(
+            f"a reward of {gain[first]:g} was seen, after which no total lies from "
+            f"{returns[0]:g} to {returns[1]:g}",
+            where=mdp.where(int(pair[first])),
+            fix="state a range that holds all totals (--returns LOW,HIGH, returns=(low, high))",
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

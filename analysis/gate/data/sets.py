@@ -173,7 +173,7 @@ class RowSets:
             raise ModelError(
                 "two rewards were seen for the same next state, so that rewards are not known",
                 where=mdp.where(int(row[1:][unlike][0])),
-                fix="state where rewards lie: rewards=(low, high), --rewards LOW,HIGH",
+                fix="state where rewards lie (--rewards LOW,HIGH, rewards=(low, high))",
             )
         return np.asarray(gain[np.append(True, ~again)])
 

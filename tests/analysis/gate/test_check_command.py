@@ -229,7 +229,7 @@ def test_fails(policy_gate):
 def test_trainer(policy_gate):
     files = policy_gate("yuan2025", ["best.json"] * 80, set=SMALL, runs=80)
     assert files.proven and len(files.audits) < 80
-    policy_gate("tea", lambda seed: "random", runs=9, alpha="1/20", rng=0)
+    policy_gate("tea", lambda seed: "random", runs=9, alpha="1/20")
 
 
 def test_asserts():
@@ -241,6 +241,10 @@ def test_refuses(policy_gate):
         policy_gate("yuan2025", "missing.json", set=SMALL)
     with pytest.raises(ModelError):
         policy_gate("missing.toml", "best.json")
+    with pytest.raises(ModelError, match="alpha is a question of several runs"):
+        policy_gate("tea", "random", alpha="1/100")
+    with pytest.raises(ModelError, match="one policy"):
+        policy_gate("tea", np.array([0, 0]), runs=5)
 """
 
 

@@ -47,6 +47,8 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
     ]
     found = run(*words, "--max-regret", "0.9", "--json").result
     assert (found["passed"], found["confidence"], found["by"]) == (True, 0.95, kind)
+    claim = "bounded" if kind == "robust" else "estimated"
+    assert (found["claim"], found["regret_claim"]) == (claim, "certified")
     low, high = found["regret_interval"]
     assert low <= found["regret"] <= high <= 0.9
     assert found["assumptions"]
@@ -64,9 +66,12 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
     tree = ElementTree.parse(report)
     listed = {each.get("name"): each.get("value") for each in tree.iter("property")}
     assert shown in (listed["regret_interval"] or "")
+    assert listed["claim"] == claim
+    assert f"{shown} ({claim})" in page.read_text("utf-8")
     for text in (done.out, page.read_text("utf-8"), report.read_text("utf-8")):
         assert shown in text
         assert "leaves the limit open" in text
+        assert ("audit.needed" in text) == (kind == "robust")
     assert "no medical advice" in page.read_text("utf-8")
 
 
@@ -94,6 +99,23 @@ def test_bad_input_prints_nothing_and_exits_with_2(
     assert (done.status, done.out) == (2, "")
     assert what in done.err
     assert "fix:" in done.err
+
+
+def test_a_behaviour_that_the_records_refute_is_refused(folder: Path) -> None:
+    words = ("--confidence=0.9", "--by=off-policy", f"--records={folder / 'records.csv'}")
+    ranges = ("--rewards=0,1", "--behaviour=always:a")
+    done = run("check", folder / "model.npz", "always:a", *words, *ranges)
+    assert (done.status, done.out) == (2, "")
+    assert "the behaviour never does what was recorded" in done.err
+
+
+def test_a_file_with_other_separators_or_names_is_told_apart(folder: Path, tmp_path: Path) -> None:
+    text, other = (folder / "records.csv").read_text("utf-8"), tmp_path / "other.csv"
+    words = ("data", other, "--discount=0.9", f"--out={tmp_path / 'other.npz'}")
+    other.write_text(text.replace(",", ";"), "utf-8")
+    assert "separate columns by commas" in run(*words).err
+    other.write_text(text.replace("state", "ward", 1), "utf-8")
+    assert "--column state=" in run(*words).err
 
 
 def test_trajectories_that_tell_nothing_are_refused(folder: Path) -> None:

@@ -110,7 +110,33 @@ def test_intervals_hold_the_truth(kind: str) -> None:
 @pytest.mark.parametrize("episodes", [100, 400, 1600])
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_400_data_sets_the_stated_share_holds_the_truth(kind: str, episodes: int) -> None:
+    """In the model above: 3 states without ties, one start, a policy with some regret."""
     assert float(wilson(held(kind, episodes, 400), 400)[1]) >= float(LEVEL)
+
+
+def test_where_actions_tie_the_posterior_covers_less_and_says_so() -> None:
+    """Twelve choices without a difference: the regret is 0, which nearly no draw shows."""
+    held = dict.fromkeys(["robust", "posterior"], 0)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        rows = [(n, f"s{n % 12}", "ab"[n // 12 % 2], rng.integers(2), None) for n in range(600)]
+        mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), "1/2")
+        for by in (Robust(rewards=(0, 1)), Posterior(n=400, rng=seed)):
+            found = by.interval(mdp, PolicyChain.of(mdp, "always:a"), LEVEL)
+            held[by.by] += found.low == 0
+    assert held["robust"] == 5
+    assert held["posterior"] <= 1
+    assert "no share of data sets" in found.assumptions[-1]
+
+
+def test_the_lower_end_is_0_where_a_draw_has_no_regret() -> None:
+    rows = [(n, "ill", "ab"[n % 2], n // 2 % 2, None) for n in range(40)]
+    rows += [(n, "ill", "b", 1, None) for n in range(40, 46)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), "1/2")
+    found = Posterior(n=1000).interval(mdp, PolicyChain.of(mdp, "always:a"), F(1, 2))
+    assert found.draws.min() == 0
+    assert np.quantile(found.draws, 0.25) > 0
+    assert found.low == 0
 
 
 # ---- robust: sets ------------------------------------------------------------------------------
@@ -312,6 +338,8 @@ def test_at_discount_1_a_range_of_returns_is_needed() -> None:
     assert audit.regret_interval is not None
     low, high = audit.regret_interval
     assert low <= float(audit.value.value) <= high < 20
+    with pytest.raises(ModelError, match="a reward of 1 was seen"):  # at the end of an episode
+        check(mdp, POLICY, confidence=0.95, by=Robust(rewards=(0, 1), returns=(0, 0.5)))
 
 
 # ---- posterior ---------------------------------------------------------------------------------
@@ -574,6 +602,7 @@ def test_records_that_do_not_fit_are_refused() -> None:
     refused("no state '9'", frame.assign(state=9, next_state=None, episode=range(len(frame))))
     refused("no action 'left'", frame.assign(action="left"))
     refused("no column", frame.drop(columns="reward"))
-    refused("returns from", returns=(0, "1/2"))
+    refused("a reward of 1 was seen", returns=(0, "1/2"))
+    refused("returns from", returns=(0, 1))
     with pytest.raises(ModelError, match="no counts"):
         check(MDP.from_arrays([[[1]]], [1], "1/2"), [0], confidence=0.95)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from fractions import Fraction as F
+from itertools import count
 from math import log
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,7 +16,7 @@ from scipy.special import betaln
 from scipy.stats import binomtest
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, check, check_trainer
-from exact_mdp.analysis.learning.anytime import GRID, excluded, share_intervals
+from exact_mdp.analysis.learning.anytime import GRID, excluded, fewest, share_intervals
 from exact_mdp.analysis.learning.trainers import _decided
 from exact_mdp.solvers.learning.q_learning import QLearning
 
@@ -62,6 +63,11 @@ def test_intervals_hold_all_shares_not_excluded_so_far(trials: list[bool], alpha
         inside = [j for j in range(1, 100) if left < F(j, 100) < right]
         assert not any(excluded(F(j, 100), k, n - k, alpha) for j in inside)
         low, high = left, right
+
+
+@given(SHARES, st.fractions(F(1, 1000), F(1, 2), max_denominator=1000))
+def test_the_fewest_runs_that_can_fail(share: F, alpha: F) -> None:
+    assert fewest(share, alpha) == next(n for n in count(1) if excluded(share, 0, n, alpha))
 
 
 LIMIT, ALPHA = F(9, 10), F(1, 20)
@@ -174,6 +180,24 @@ def test_what_is_open_passes_unless_it_has_to_be_proven() -> None:
     assert not check_trainer(TWO, often(0), max_regret="199/100").passed
 
 
+def test_too_few_runs_to_fail_are_refused() -> None:
+    """Two bad runs leave a share of 9/10 open, three do not; a proof may be asked for with any."""
+    for train in (lambda seed: [0, 0], [[0, 0]] * 9):
+        with pytest.raises(ModelError, match="of 2 runs no outcome could fail") as refused:
+            check_trainer(TWO, train, runs=2, rng=0)
+        assert "give 3 runs or more" in str(refused.value)
+        assert not check_trainer(TWO, train, runs=3, rng=0).passed
+        assert not check_trainer(TWO, train, runs=2, rng=0, prove=True).passed
+    with pytest.raises(ModelError, match="of 2 runs"):  # however many there might have been
+        check_trainer(TWO, iter([[1, 0]] * 2))
+
+
+@pytest.mark.parametrize("one", [[0, 0], np.array([0, 0]), "best.json", Path("a"), {"0": 1}])
+def test_one_policy_is_no_list_of_them(one: object) -> None:
+    with pytest.raises(ModelError, match="one policy, where runs ask for several"):
+        check_trainer(TWO, one)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("wrong", "what"),
     [
@@ -240,10 +264,10 @@ def test_check_takes_the_policies_of_many_seeds(policies: list[str], tmp_path: P
     failure = ElementTree.parse(report).getroot().find(".//failure")
     assert failure is not None
     assert "is not at least 0.9" in str(failure.get("message"))
-    shown = run("check", model, *policies, "--share", "1/10")
+    shown = run("check", model, *policies, "--share", "1/4")
     assert shown.status == 0
     assert "passed: the share of runs within the limits" in shown.out
-    table = run("check", model, *policies, "--share", "1/10", "--markdown")
+    table = run("check", model, *policies, "--share", "1/4", "--markdown")
     assert "| policy" in table.out
 
 
@@ -255,6 +279,7 @@ def test_check_takes_the_policies_of_many_seeds(policies: list[str], tmp_path: P
         (True, ["--html", "page.html"], "--html does not apply to several policies"),
         (True, ["--no-explain"], "--no-explain does not apply"),
         (True, ["--share", "2"], "share is 2"),
+        (True, ["--share", "1/2"], "give 10 runs or more"),
     ],
 )
 def test_options_that_do_not_fit(
