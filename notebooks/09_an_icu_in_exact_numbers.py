@@ -269,7 +269,7 @@ with style():
 # %%
 audit = check(mdp, greedy[-1], max_regret="1/100")
 print(audit.verdicts[0].told)
-audit.frame().head(5)[["label", "learned", "optimal", "gap", "expected_visits", "cost", "share"]]
+audit.frame(full=True).head(5)[["label", "learned", "optimal", "expected_visits", "cost", "share"]]
 
 # %% [markdown]
 # On the command line, for a policy or Q-table in a file:
@@ -306,7 +306,7 @@ with style():
 
 # %%
 listed = by_expert.frame()
-scores = env.sofa_scores[listed["state"]]
+scores = env.sofa_scores[listed.index]
 order = np.argsort(scores)
 weights = listed["share"].to_numpy()[order]
 middle = scores[order][np.searchsorted(weights.cumsum(), 0.5)]

@@ -297,8 +297,8 @@ def programs(folder: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
         )
     try:
         deadline = time.monotonic() + 60
-        while not file.exists() and time.monotonic() < deadline:
-            time.sleep(0.02)
+        while not (file.exists() and file.stat().st_size) and time.monotonic() < deadline:
+            time.sleep(0.02)  # a scheduler makes the file before it writes the address
         address = json.loads(file.read_text())["address"]
         with distributed.Client(address, set_as_default=False, timeout=60) as client:
             client.wait_for_workers(1, timeout=60)
