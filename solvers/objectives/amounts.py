@@ -33,7 +33,9 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact, integers, multiply, ones, spans
+from exact_mdp.solvers.proof.stages import Kind, stages
 
+SHORT = 40  # states on a cycle, which are solved fast whatever is asked
 REWARD, STEPS = "reward", "steps"
 Column = tuple[Numbers, Numbers]
 
@@ -112,6 +114,11 @@ class Objectives:
     def sign(self) -> int:
         """1, or -1 where rewards are costs."""
         return 1 if self.mdp.sense == "max" else -1
+
+    @cached_property
+    def cyclic(self) -> bool:
+        """Whether many states lead to each other, so that fractions are long."""
+        return any(s.kind is Kind.CYCLE and len(s.states) > SHORT for s in stages(self.rows))
 
     @cached_property
     def in_floats(self) -> tuple[sp.csr_array, Floats]:

@@ -31,13 +31,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers, Numbers, common, spans
+from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Flow, Limit, Values, room, totals_of, wrong_bound
-from exact_mdp.solvers.objectives.optima import NOISE, proposed
-from exact_mdp.solvers.proof.linear import Equations
+from exact_mdp.solvers.objectives.optima import NOISE, equations, proposed
 from exact_mdp.solvers.proof.rationals import fraction
-from exact_mdp.solvers.proof.stages import Kind, stages
 
 if TYPE_CHECKING:
     from flint import fmpz
@@ -45,7 +43,6 @@ if TYPE_CHECKING:
 flint = later("flint")
 optimize = later("scipy.optimize")
 
-SHORT = 40  # states on a cycle, which are solved fast whatever is asked
 PIVOTS = 10  # for each state: the simplex method may go round in circles
 SOLVED = 0  # what SciPy says of a program
 
@@ -67,11 +64,6 @@ class _Basis:
     pairs: Integers
     extra: list[int]
     binding: list[int]
-
-
-def cyclic(of: Objectives) -> bool:
-    """Return whether many states lead to each other, so that fractions are long."""
-    return any(s.kind is Kind.CYCLE and len(s.states) > SHORT for s in stages(of.rows))
 
 
 def by_basis(of: Objectives, limits: Sequence[Limit]) -> Optimal | None:
@@ -158,53 +150,19 @@ def _proven(
         signs[k] * of.amounts[of.names.index(limits[k].name)].astype(object)[chosen]
         for k in basis.binding
     ]
-    equations = _equations(of, live, chosen, limited, steps=not feasible)
+    system = equations(of, live, chosen, limited, steps=not feasible)
     earned = (of.amounts[0].astype(object)[chosen] * feasible).tolist()
-    values = equations.lifting([flint.fmpz(v) for v in [*earned, *[1] * (not feasible)]])
+    values = system.lifting([flint.fmpz(v) for v in [*earned, *[1] * (not feasible)]])
     if values is None:
         return None
     first = dict.fromkeys(live.tolist(), Fraction(0))
     first.update((s, weight) for s, weight in of.mdp.start if s in first)
     given = [-limits[k].sign * limits[k].bound for k in basis.binding]
     whole, parts = common([*first.values(), *given])
-    visits = equations.transposed().lifting([flint.fmpz(v) for v in whole], values[1])
+    visits = system.transposed().lifting([flint.fmpz(v) for v in whole], values[1])
     if visits is None:
         return None
     return _checked(of, limits, basis, chosen, values, (visits[0], visits[1] * parts), feasible)
-
-
-def _equations(
-    of: Objectives, live: Integers, chosen: Integers, limited: Sequence[Numbers], *, steps: bool
-) -> Equations:
-    """Return B: the equations of pairs over the values of live states and the prices of limits."""
-    states, size, state = len(live), len(live) + len(limited), of.mdp.pair_state[chosen]
-    place = np.full(of.mdp.n_states, -1)
-    place[live] = np.arange(states)
-    first, last = of.rows.offsets[chosen], of.rows.offsets[chosen + 1]
-    entries, number = spans(first, last), np.arange(len(chosen))
-    ahead = place[of.rows.next[entries]]
-    inside = ahead >= 0
-    row = [np.repeat(number, last - first)[inside], number, *[number for _ in limited]]
-    column = [ahead[inside], place[state], *[number * 0 + states + k for k in range(len(limited))]]
-    entry = [-of.rows.weight[entries][inside].astype(object), of.rows.scale[state].astype(object)]
-    entry += [-own for own in limited]
-    if steps:
-        row.append(np.full(len(limited), size - 1))
-        column.append(np.arange(states, size))
-        entry.append(np.full(len(limited), 1, dtype=object))
-    key, same = np.unique(np.concatenate(row) * size + np.concatenate(column), return_inverse=True)
-    total = np.zeros(len(key), dtype=object)
-    np.add.at(total, same, np.concatenate(entry))
-    at, to = np.divmod(key, size)
-    pivot, beside = np.zeros(size, dtype=object), (at != to) & (total != 0)
-    pivot[at[at == to]] = total[at == to]
-    return Equations(
-        pivot=pivot.tolist(),
-        row=at[beside],
-        column=to[beside],
-        weight=-total[beside],
-        border=len(limited),
-    )
 
 
 def _checked(

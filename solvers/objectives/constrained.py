@@ -40,7 +40,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, Numbers, exact
 from exact_mdp.solvers.objectives.amounts import REWARD, Objectives
-from exact_mdp.solvers.objectives.basis import by_basis, combined, cyclic
+from exact_mdp.solvers.objectives.basis import by_basis, combined
 from exact_mdp.solvers.objectives.checker import (
     Attained,
     Flow,
@@ -259,7 +259,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         Limit(name=of.names[1 + names.index(each.name)], sign=each.sign, bound=each.bound)
         for each in limits
     )
-    found = (by_basis(of, limits) if cyclic(of) else None) or relaxed(of, limits)
+    found = (by_basis(of, limits) if of.cyclic else None) or relaxed(of, limits)
     return ConstrainedSolution(
         limits=limits,
         feasible=found.shift == 0,

@@ -12,16 +12,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import inf, lcm
+from math import lcm
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers, common
+from exact_mdp.mdp.table import Integers, Numbers, common, spans
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Attained, Proof, Values, slack
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
+from exact_mdp.solvers.proof.linear import Equations
+from exact_mdp.solvers.proof.margins import quotient
 from exact_mdp.solvers.proof.uniqueness import uniqueness
 
 if TYPE_CHECKING:
@@ -121,10 +123,7 @@ class Losses:
         each = [slack(of, a, v) for a, v in zip(of.amounts, policy.values, strict=True)]
         self.exact = [numbers.tolist() for numbers in each]
         self.times = [lcm(*below) // own for own in below]
-        try:
-            near = [[n / b for n in own] for own, b in zip(self.exact, below, strict=True)]
-        except OverflowError:  # beyond the floats: integers alone
-            near = [[inf] * len(own) for own in self.exact]
+        near = [[quotient(n, b) for n in own] for own, b in zip(self.exact, below, strict=True)]
         self.near = np.array(near)
 
     def signs(self, weights: Sequence[int]) -> Integers:
@@ -167,9 +166,65 @@ def _mixed(values: Sequence[Values], factors: Sequence[fmpq]) -> Values:
 
 
 def attained(of: Objectives, pairs: Integers) -> Attained:
-    """Return the totals of the policy that takes one pair (S,) of each state."""
-    values = tuple(_values(solve_exactly(of.restricted(pairs, amount)), 1) for amount in of.amounts)
-    return Attained(pairs=pairs, values=values, total=tuple(of.at_start(*v) for v in values))
+    """Return the totals of the policy that takes one pair (S,) of each state.
+
+    On a cycle, all totals share their equations, and so their denominator as a rule.
+    """
+    if of.cyclic:
+        live, found = np.flatnonzero(~of.rows.terminal), list[Values]()
+        chosen, below, own = equations(of, live, pairs[live]), None, [0] * of.mdp.n_states
+        for amount in of.amounts:
+            top, below = chosen.solve([flint.fmpz(int(a)) for a in amount[pairs[live]]], below)
+            for state, number in zip(live.tolist(), top, strict=True):
+                own[state] = int(number)
+            found.append(Values(list(own), int(below)))
+    else:
+        found = [_values(solve_exactly(of.restricted(pairs, own)), 1) for own in of.amounts]
+    return Attained(pairs=pairs, values=tuple(found), total=tuple(of.at_start(*v) for v in found))
+
+
+def equations(
+    of: Objectives,
+    live: Integers,
+    chosen: Integers,
+    limited: Sequence[Numbers] = (),
+    *,
+    steps: bool = False,
+) -> Equations:
+    """Return the equations of pairs, states' first, over the values of live states and prices.
+
+    `limited` are the amounts, of each pair, that have prices; with `steps`, the last equation says
+    that prices sum to 1.
+    """
+    states, size, state = len(live), len(live) + len(limited), of.mdp.pair_state[chosen]
+    place = np.full(of.mdp.n_states, -1)
+    place[live] = np.arange(states)
+    first, last = of.rows.offsets[chosen], of.rows.offsets[chosen + 1]
+    entries, number = spans(first, last), np.arange(len(chosen))
+    ahead = place[of.rows.next[entries]]
+    inside = ahead >= 0
+    row = [np.repeat(number, last - first)[inside], number, *[number for _ in limited]]
+    column = [ahead[inside], place[state], *[number * 0 + states + k for k in range(len(limited))]]
+    entry = [-of.rows.weight[entries][inside].astype(object), of.rows.scale[state].astype(object)]
+    entry += [-own for own in limited]
+    if steps:
+        row.append(np.full(len(limited), size - 1))
+        column.append(np.arange(states, size))
+        entry.append(np.full(len(limited), 1, dtype=object))
+    key, same = np.unique(np.concatenate(row) * size + np.concatenate(column), return_inverse=True)
+    total = np.zeros(len(key), dtype=object)
+    np.add.at(total, same, np.concatenate(entry))
+    at, to = np.divmod(key, size)
+    pivot, beside = np.zeros(size, dtype=object), (at != to) & (total != 0)
+    pivot[at[at == to]] = total[at == to]
+    return Equations(
+        pivot=pivot.tolist(),
+        row=at[beside],
+        column=to[beside],
+        weight=-total[beside],
+        border=len(limited),
+        long=True,
+    )
 
 
 def proof(of: Objectives) -> Proof:

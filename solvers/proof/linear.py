@@ -53,7 +53,8 @@ SHORT = 600  # bits that Euclid's algorithm takes off at once
 class Equations:
     """A = diag(pivot) - W, of K rows; the M entries of W are listed row by row.
 
-    The last `border` rows and columns are long ones, which are eliminated last.
+    The last `border` rows and columns are long ones, which are eliminated last. `long` solutions
+    are taken to be as long as det A, and not looked for before.
     """
 
     pivot: Sequence[int]
@@ -61,6 +62,7 @@ class Equations:
     column: Integers  # (M,)
     weight: Numbers  # (M,)
     border: int = 0
+    long: bool = False
 
     def transposed(self) -> Equations:
         """Return the equations with rows for columns."""
@@ -141,7 +143,8 @@ class Equations:
 
         share = np.random.default_rng(size).integers(1, 1024, size)
         mixed, parts = list[int](), list[Numbers]()
-        count = FIRST if below is None else enough(below)
+        start = max(1, full) if self.long else FIRST
+        count = start if below is None else enough(below)
         while True:
             fresh = np.empty((count - len(mixed), size), dtype=np.int32)
             brought = np.zeros(fresh.shape, dtype=np.int64)

@@ -60,9 +60,9 @@ def undecided(mdp: MDP, found: Claims) -> Integers:
     if mdp.n_pairs == mdp.n_states:
         return np.arange(mdp.n_pairs)
     below = [found.denominator[group] for group in found.group.tolist()]
-    value = np.array([_quotient(a, b) for a, b in zip(found.numerator, below, strict=True)])
+    value = np.array([quotient(a, b) for a, b in zip(found.numerator, below, strict=True)])
     claimed = zip(found.gap, found.gap_scale, below, strict=True)
-    gap = np.array([np.inf if a is None else _quotient(a, scale * b) for a, scale, b in claimed])
+    gap = np.array([np.inf if a is None else quotient(a, scale * b) for a, scale, b in claimed])
     state = mdp.pair_state
     with np.errstate(all="ignore"):
         gain, error = _about(mdp, value, earning=True)
@@ -104,13 +104,13 @@ def alike(mdp: MDP, pairs: Integers) -> Integers:
 def falling(mdp: MDP, weight: Numbers) -> NDArray[np.bool_]:
     """Return (L,) the pairs of which floats prove w > γ P w."""
     largest = max(1, *(abs(int(number)) for number in weight))
-    value = np.array([_quotient(int(number), largest) for number in weight])
+    value = np.array([quotient(int(number), largest) for number in weight])
     with np.errstate(all="ignore"):
         gain, error = _about(mdp, value, earning=False)
         return np.asarray(-gain - error > 0)
 
 
-def _quotient(top: int, bottom: int) -> float:
+def quotient(top: int, bottom: int) -> float:
     """Return a float off by at most u (1 + 2⁻⁹⁰) times its size; not a number where there is none.
 
     Long numbers are divided by their leading digits.

@@ -16,7 +16,7 @@ from exact_mdp import MDP, solve
 from exact_mdp.mdp.forms.generators import garnet
 from exact_mdp.solvers.objectives import constrained
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.basis import by_basis, cyclic
+from exact_mdp.solvers.objectives.basis import by_basis
 from exact_mdp.solvers.objectives.checker import constrained_violations
 from exact_mdp.solvers.objectives.constrained import limits_of, relaxed
 from exact_mdp.solvers.objectives.optima import proof
@@ -79,7 +79,7 @@ def test_states_on_a_cycle_need_no_mixtures(
     monkeypatch.setattr(constrained, "relaxed", None)
     mdp = ring(constant)
     found = solve(mdp, subject_to=limits)
-    assert cyclic(found.objectives)
+    assert found.objectives.cyclic
     assert found.violations() == []
     assert found.feasible is (draws is not None)
     assert len(found.randomises) <= (draws or 2)
