@@ -97,6 +97,7 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
         },
         "goal": None,  # every episode is over at time N
         "observations": None,  # a pair has one number of them, not one for each time
+        "episodes": None,
     }
 
 

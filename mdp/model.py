@@ -98,6 +98,8 @@ class MDP(Parts):
     observations : (L,) int64, optional
         How often each pair was observed, where the model comes from data; 0 for pairs that nobody
         observed and that are certain.
+    episodes : int, optional
+        How many recorded episodes `start` was counted from; None where the start is known.
 
     Raises
     ------
@@ -412,8 +414,9 @@ class MDP(Parts):
             parts = {"action_objects": ()} | parts
         if start is not None:
             parts["start"] = as_start(start, parts.get("space", self.space))
+            parts.setdefault("episodes", None)
         if "table" in parts:
-            parts = {"observations": None} | parts
+            parts = questions.NO_DATA | parts
             if not parts.keys() & {"components", "component_table"}:
                 parts |= questions.ONE_COMPONENT
         if "components" in parts:
@@ -810,6 +813,7 @@ class MDP(Parts):
         frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
             One row for each transition: episode, state, action, reward and next state, in the order
             of time, one episode after the other. Without a next state the episode is over there.
+            A whole number is the same name as 1 and as 1.0.
         discount : number or "p/q"
         columns : mapping, optional
             The names that the table has for "episode", "state", "action", "reward", "next_state".
@@ -819,12 +823,13 @@ class MDP(Parts):
         progress : bool
             Show a bar on standard error where that is a terminal.
         **names
-            `name`, `sense`; `start` instead of the shares of the states that episodes begin in.
+            `name`, `sense`; `start`, which is then known, instead of the shares of the states that
+            episodes begin in, which are estimates.
 
         Returns
         -------
         MDP
-            With `observations` (L,) and `counts` (L, S).
+            With `observations` (L,), `counts` (L, S) and `episodes`.
 
         Raises
         ------

@@ -86,7 +86,10 @@ def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
     }
 
 
-NO_DATA = {"observations": None}  # other rows than those that were observed
+NO_DATA: dict[str, Any] = {
+    "observations": None,
+    "episodes": None,
+}  # other rows than those that were observed
 ONE_COMPONENT = {"component_names": ("reward",), "component_table": None}
 
 

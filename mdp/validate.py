@@ -62,6 +62,7 @@ class Parts:
     goal: Flags | None = None
     unreached: float = inf
     observations: Integers | None = None
+    episodes: int | None = None
     action_objects: tuple[Hashable, ...] = ()
 
     @property
@@ -98,6 +99,7 @@ def check_model(model: Parts) -> None:
     _check_order(model.table)
     _check_observations(model)
     _check_start(model)
+    _check_episodes(model)
     _check_discount(model.discount_exact)
 
 
@@ -486,6 +488,22 @@ def _check_start(model: Parts) -> None:
             f"start probabilities sum to {beside(total, Fraction(1))}, not 1, or one is negative",
             where="start",
             fix="give a distribution over states",
+        )
+
+
+def _check_episodes(model: Parts) -> None:
+    number = model.episodes
+    if number is None:
+        return
+    if type(number) is not int or number < 1:
+        raise ModelError(
+            f"{number!r} episodes", where="episodes", fix="give a whole number from 1, or None"
+        )
+    if any((weight * number).denominator > 1 for _, weight in model.start):
+        raise ModelError(
+            f"the start probabilities are no shares of {number:,} episodes",
+            where="episodes",
+            fix="give episodes=None where the start was not counted",
         )
 
 

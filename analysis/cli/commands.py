@@ -139,7 +139,7 @@ of_interval = together(
         "--rewards",
         metavar="known|LOW,HIGH",
         help="Rewards are known functions of state, action and next state, or lie in this range; "
-        "unless given, in the range that was seen.",
+        "robust and off-policy need one of these.",
     ),
     click.option(
         "--returns",

@@ -139,6 +139,7 @@ def data(
     seen = mdp.observations
     assert seen is not None
     few = np.flatnonzero((seen > 0) & (seen < least))
+    ends = transitions.entered(mdp)
     rows = [
         {
             "state": mdp.space.label(int(mdp.pair_state[pair])),
@@ -155,6 +156,7 @@ def data(
         "actions": mdp.n_actions,
         "pairs": int((seen > 0).sum()),
         "discount": mdp.discount,
+        "ends": list(ends),
         "rare": rows,
         "model_hash": fingerprint(mdp),
     }
@@ -163,9 +165,16 @@ def data(
     }
     offered = mdp.n_actions * len(np.unique(mdp.pair_state[seen > 0]))
     facts["pairs"] = f"{result['pairs']:,} observed of {offered:,}, {len(rows):,} of them rare"
+    if ends:
+        facts["ends"] = f"{_some(list(ends[:SHOWN]), ends)} (entered, never left)"
     shown = {"state": "state", "action": "action", "observations": "observations"}
     title = f"pairs observed fewer than {least} times"
     notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
+    if ends:
+        notes.append(
+            "a state that no record leaves is taken for an end, worth 0: where episodes were cut "
+            "off there, no verdict holds: record what follows"
+        )
     table = Table(title=title, rows=rows, columns=shown, first=MOST_RARE)
     return Report(result=result, facts=facts, tables=[table], notes=notes)
 

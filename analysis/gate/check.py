@@ -256,7 +256,7 @@ class Audit(Pictured):
         Raises
         ------
         ModelError
-            For a model without counts.
+            For a model without counts, and of an audit that does not state where rewards lie.
 
         Examples
         --------
@@ -265,7 +265,8 @@ class Audit(Pictured):
         >>> rows = [(n, "ill", "wait", n % 2, None) for n in range(40)]
         >>> rows += [(n + 40, "ill", "treat", n % 4 > 0, None) for n in range(40)]
         >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
-        >>> check(mdp, "always:treat").needed(0.1, 0.95).frame()["more"].tolist()
+        >>> audit = check(mdp, "always:treat", confidence=0.95, by=robust.Robust(rewards=(0, 1)))
+        >>> audit.needed(0.1).frame()["more"].tolist()
         [..., ...]
         """
         limit = self.max_regret or Fraction(0)

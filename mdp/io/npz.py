@@ -96,6 +96,7 @@ def as_header(mdp: MDP) -> dict[str, Any]:
             for p in mdp.parameters
         ],
         "time_limit": mdp.time_limit,
+        "episodes": mdp.episodes,
         "sense": mdp.sense,
         "labels": list(mdp.labels),
         "unreached": str(mdp.unreached),
@@ -131,6 +132,7 @@ def parts_of(content: object, *, pairs: int, labels: Sequence[Any] = ()) -> dict
             fix="every state has at least one pair; save the model again",
         )
     limit = header.get("time_limit")  # files of before there were limits have none
+    episodes = header.get("episodes")
     named = _words({"labels": []} | header, "labels")
     if len(named) != len(labels):
         raise ModelError(
@@ -154,6 +156,7 @@ def parts_of(content: object, *, pairs: int, labels: Sequence[Any] = ()) -> dict
             map(_parameter, _of_kind(header.get("parameters"), "parameters", list))
         ),
         "time_limit": None if limit is None else _of_kind(limit, "time_limit", int),
+        "episodes": None if episodes is None else _of_kind(episodes, "episodes", int),
         "sense": _of_kind(header.get("sense", "max"), "sense", str),
         "labels": dict(zip(named, labels, strict=True)),
         "unreached": float(unreached),

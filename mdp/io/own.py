@@ -88,7 +88,7 @@ def restored(
     if discount is not None:
         parts["discount_exact"] = as_discount(discount)
     if start is not None:
-        parts["start"] = as_start(start, parts["space"])
+        parts["start"], parts["episodes"] = as_start(start, parts["space"]), None
     table = table_of(found, found.rewards[chosen])
     coarse, finer = table, ours and "gain" in own
     if ours:

@@ -4,10 +4,10 @@ Of n(s, a) times that action a was taken in state s, k ended in s' with reward r
 
     P(s', r | s, a) = k / n(s, a)          the maximum likelihood estimate, a rational number
 
-Episodes begin as they were seen to begin. A state that is only ever entered is an end: nothing
-happens after it. An action that was never taken in a state is not available there; or it is as bad
-as the caller says, so that an optimum does not rely on what nobody tried (the pessimism of Jin,
-Yang and Wang, ICML 2021).
+Episodes begin as they were seen to begin; the model keeps their number. A state that is only ever
+entered is taken for an end, where nothing happens any more: `entered` names these. An action that
+was never taken in a state is not available there; or it is as bad as the caller says, so that an
+optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang, ICML 2021).
 
 Rows come in chunks, are counted and forgotten, so that memory holds one chunk and one number for
 each different outcome (s, a, s', r). Rewards that hardly ever repeat should be rounded first.
@@ -17,8 +17,9 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
@@ -37,11 +38,14 @@ from exact_mdp.mdp.validate import as_discount
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
+    from exact_mdp.mdp.model import MDP
+
 pandas, tqdm = later("pandas"), later("tqdm")
 
 COLUMNS = ("episode", "state", "action", "reward", "next_state")
 ROWS = 10**6  # of a chunk
 LARGEST_FILE = 2**40
+WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
 END, UNSEEN = "end", "unseen"
 UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"
 
@@ -152,7 +156,7 @@ def _csv(file: Any, path: str) -> Generator[DataFrame]:
     try:
         _check_widths(file, path, len(header))
         with warnings.catch_warnings(action="error", category=errors.ParserWarning):
-            # Text is kept as it is written: "0.1" is 1/10, and 007 is not 7.
+            # Text is kept as it is written: "0.1" is 1/10, and 007 is not 7 (but see `_name`).
             reader = pandas.read_csv(
                 file, dtype=str, chunksize=ROWS, encoding="utf-8-sig", na_values=[""],
                 keep_default_na=False, index_col=False,
@@ -209,11 +213,22 @@ def _parquet(file: Any, path: str, used: list[str]) -> Generator[DataFrame]:
         ) from error
 
 
+def _name(value: Any) -> Any:
+    """Return a value as a name: a whole number is the same, be it written 1 or 1.0."""
+    if isinstance(value, str):
+        found = WHOLE.fullmatch(value)
+        return found[1] if found else value
+    if isinstance(value, float | np.floating) and value.is_integer():
+        return int(value)
+    return value
+
+
 class _Names:
     """Numbers for names, in the order in which they come."""
 
-    def __init__(self) -> None:
+    def __init__(self, read: Callable[[Any], Any] = _name) -> None:
         self.numbers: dict[Any, int] = {}
+        self.read = read
 
     def of(self, column: Series) -> Integers:
         """Return the number of each value; -1 where there is none."""
@@ -225,7 +240,7 @@ class _Names:
                 where=f"column {column.name}",
                 fix="give numbers or text",
             ) from error
-        known = [self.numbers.setdefault(value, len(self.numbers)) for value in values]
+        known = [self.numbers.setdefault(self.read(v), len(self.numbers)) for v in values]
         found: Integers = np.array([*known, -1], dtype=np.int64)[codes]
         return found
 
@@ -236,7 +251,8 @@ class Record:
     def __init__(self, where: str, columns: dict[str, str]) -> None:
         self.where, self.columns = where, columns
         self.file = Path(where).suffix.lower() == ".csv"
-        self.states, self.actions, self.rewards, self.episodes = (_Names() for _ in range(4))
+        self.states, self.actions, self.episodes = (_Names() for _ in range(3))
+        self.rewards = _Names(lambda value: value)
         self.counts: list[tuple[Integers, Integers]] = []
         self.values: list[Any] = []  # of the rewards, by number
         self.starts: dict[int, int] = {}
@@ -383,6 +399,7 @@ class Record:
                     for each, number in self.starts.items()
                 )
             ),
+            "episodes": self.n_episodes,
         }
 
     def _worst(self, unseen: object, discount: Fraction, *, costs: bool) -> Fraction | None:
@@ -406,6 +423,18 @@ class Record:
             )
         worst = max if costs else min
         return worst(Fraction(0), *map(exact, self.values)) / (1 - discount)
+
+
+def entered(mdp: MDP) -> tuple[str, ...]:
+    """Return the states of a model with counts that were entered and never left.
+
+    It takes them for ends, which the records do not say: they may have been cut off there.
+    """
+    assert mdp.observations is not None
+    left = np.logical_or.reduceat(mdp.observations > 0, mdp.pair_offsets[:-1])
+    states = np.flatnonzero(mdp.terminal & ~left)
+    own = states[states < mdp.n_states - len(mdp.space.extra)]
+    return tuple(mdp.space.label(state) for state in own.tolist())
 
 
 def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:

@@ -29,6 +29,7 @@ from exact_mdp.analysis import (
 )
 from exact_mdp.analysis.gate.check import Audit
 from exact_mdp.analysis.gate.data.posterior import Posterior
+from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.learning import instability
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
@@ -101,7 +102,7 @@ def recorded() -> Audit:
     names = ["episode", "state", "action", "reward", "next_state"]
     rows = [(n, "ill", ("wait", "treat")[n % 2], n % 2, None) for n in range(40)]
     mdp = MDP.from_transitions(pandas.DataFrame(rows, columns=names), discount="1/2")
-    return check(mdp, "always:treat", confidence=0.95, by="robust")
+    return check(mdp, "always:treat", confidence=0.95, by=Robust(rewards="known"))
 
 
 # One of each kind of result. A new kind is added here; the first test says so.

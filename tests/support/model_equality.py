@@ -26,7 +26,7 @@ def assert_same(left: MDP, right: MDP) -> None:
         same_array(getattr(left.transition, name), getattr(right.transition, name), name)
     for name in (
         "space", "actions", "discount_exact", "start", "component_names", "events", "name",
-        "parameters", "time_limit",
+        "parameters", "time_limit", "episodes",
     ):  # fmt: skip
         assert getattr(left, name) == getattr(right, name), name
 

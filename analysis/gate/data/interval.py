@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 pandas = later("pandas")
+transitions = later("exact_mdp.mdp.io.transitions")
+
+SHOWN = 5  # states that are named
 
 Ends = tuple[float, float]
 
@@ -120,6 +123,24 @@ def observations_of(mdp: MDP) -> Integers:
             "question or changed rows leave the counts behind",
         )
     return mdp.observations
+
+
+def of_process(mdp: MDP) -> tuple[str, ...]:
+    """Return what every interval takes for true of the process behind a model's counts."""
+    ends = transitions.entered(mdp)
+    listed = ", ".join(ends[:SHOWN]) + (f" and {len(ends) - SHOWN:,} more" * (len(ends) > SHOWN))
+    return (
+        "the process has the states and actions that were recorded, and what follows a state and "
+        "an action depends on these alone",
+        "episodes begin as the model says"
+        if mdp.episodes is None
+        else "each episode begins in a state drawn as those of the process are",
+        *(
+            [f"nothing is earned any more after ({listed}): entered and never left, taken for ends"]
+            if ends
+            else []
+        ),
+    )
 
 
 def range_of(given: object, what: str) -> Ends | None:

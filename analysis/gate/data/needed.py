@@ -2,9 +2,9 @@
 
 The verdict is open while the limit lies inside the robust interval of `analysis.gate.data.robust`.
 The regret of the estimated model says to which side more records will bring it, if they show what
-was seen, in the same shares: the *deciding end* is the upper end where that regret keeps the limit,
-and the lower end elsewhere. Both ends are computed anew, in the model, for every number of
-observations that is asked about; nothing is extrapolated.
+was seen, in the same shares and in episodes as long: the *deciding end* is the upper end where that
+regret keeps the limit, and the lower end elsewhere. Both ends are computed anew, in the model, for
+every number of observations that is asked about; nothing is extrapolated.
 
 *worth* of a pair is the value of information about it: how far the deciding end would move if its
 row were known and all others as they are.
@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING
 
@@ -121,11 +122,11 @@ def needed(
     sets = RowSets.of(mdp, float(1 - confidence), by.rewards)
     returns, expected = by.range(mdp), estimate <= limit
 
-    def bounds(counts: Floats) -> RobustBounds:
-        return RobustBounds(sets=sets.with_more(counts), own=own, returns=returns)
+    def bounds(counts: Floats, *, start: bool = True) -> RobustBounds:
+        return RobustBounds(sets=sets.with_more(counts, start=start), own=own, returns=returns)
 
-    def end(counts: Floats) -> float:
-        return bounds(counts).regret_end(most=expected)
+    def end(counts: Floats, *, start: bool = True) -> float:
+        return bounds(counts, start=start).regret_end(most=expected)
 
     def decides(counts: Floats) -> bool:
         return end(counts) <= limit if expected else end(counts) > limit
@@ -134,7 +135,7 @@ def needed(
     decided = True if high <= limit else False if low > limit else None
     worth, more, possible = np.zeros(mdp.n_pairs), np.zeros(mdp.n_pairs), True
     if decided is None:
-        worth = _worth(sets, end)
+        worth = _worth(sets, partial(end, start=False))
         possible = decides(np.where(sets.counted > 0, EXACTLY, 0.0))
         if possible:
             more = _plan(sets.counted, worth, decides)

@@ -15,7 +15,8 @@ independent X ≥ 0, here X = w (G - least return), with Y = min(X, c) and its s
 an empirical Bernstein bound (Maurer and Pontil, COLT 2009). The first twentieth of the episodes
 chooses the threshold c for the bound that it foretells, and the others give the bound. The upper
 bound is the same of X = w (greatest return - G). An episode that was cut off may go on with any
-return in its range, in both bounds.
+return in its range, in both bounds. One that stops in a state that no record leaves is taken to be
+over there, as the model has it: such episodes are counted, and the assumptions name the states.
 
 The regret needs the optimum, too. No trajectory shows it: V* is bounded by the sets of
 `analysis.gate.data.robust` at half the doubt, and V^π by its trajectories at the other half.
@@ -64,7 +65,7 @@ class OffPolicy:
         The policy that chose the recorded actions; unless given it is estimated from the model's
         counts, which the interval then takes for true.
     rewards, returns
-        As in `Robust`.
+        As in `Robust`; rewards have to be stated here, too, for the optimum.
 
     Examples
     --------
@@ -73,7 +74,7 @@ class OffPolicy:
     >>> rows = [(n, "ill", ("wait", "treat")[n % 2], n % 2, None) for n in range(2000)]
     >>> table = pd.DataFrame(rows, columns=names)
     >>> mdp = MDP.from_transitions(table, discount="1/2")
-    >>> by = OffPolicy(records=table, behaviour="random", returns=(0, 1))
+    >>> by = OffPolicy(records=table, behaviour="random", rewards="known", returns=(0, 1))
     >>> found = by.interval(mdp, PolicyChain.of(mdp, "always:wait"), Fraction(19, 20))
     >>> found.found["effective_sample_size"], found.low > 0.7, round(found.high, 9)
     (1000.0, True, 1.0)
@@ -140,6 +141,7 @@ class OffPolicy:
                 "effective_sample_size": seen.effective_sample_size,
                 "episodes": len(seen.weight),
                 "cut_off": int(seen.cut.sum()),
+                "taken_for_ended": seen.entered,
             },
         )
 
@@ -174,6 +176,7 @@ class _Trajectories:
     returns: Floats
     steps: Integers
     cut: np.ndarray
+    entered: int  # episodes that stop in a state that is taken for an end
 
     @cached_property
     def ordinary(self) -> float:
@@ -244,7 +247,8 @@ def _trajectories(
     pair_of[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
     sign = 1.0 if mdp.sense == "max" else -1.0
     weight, total, steps = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
-    end = np.zeros(0, dtype=bool)
+    end, last = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
+    begun = mdp.start_distribution
     over = np.append(mdp.terminal, True)  # the last one where no next state was recorded
     for episode, keys in transitions.read(record, records):
         states = _known(record.states.numbers, mdp.space.number, "state", record)
@@ -266,13 +270,25 @@ def _trajectories(
         times = np.arange(len(episode)) - np.repeat(first - steps[episode[first]], length)
         reward = np.array([float(value) for value in record.values])[keys[:, 3]]
         named = episode[first]
+        new = states[keys[first[steps[named] == 0], 0]]
+        if (never := begun[new] <= 0).any():
+            raise ModelError(
+                "an episode begins where the model never does, so that the episodes are not the "
+                "model's",
+                where=mdp.space.label(int(new[never][0])),
+                fix="make the model without start=, or audit by robust sets or the posterior",
+            )
         total[named] += np.add.reduceat(sign * mdp.discount**times * reward, first)
         weight[named] *= np.multiply.reduceat(ratio[pair], first)
         steps[named] += length
-        end[named] = over[np.append(states, -1)[keys[first + length - 1, 2]]]
+        last = np.append(last, np.zeros(more, np.int64))
+        last[named] = np.append(states, -1)[keys[first + length - 1, 2]]
+        end[named] = over[last[named]]
     if not len(weight):
         raise ModelError("no transitions", where=record.where, fix="give at least one row")
-    return _Trajectories(weight=weight, returns=total, steps=steps, cut=~end)
+    within = last < mdp.n_states - len(mdp.space.extra)
+    taken = int((end & (last >= 0) & within).sum())
+    return _Trajectories(weight=weight, returns=total, steps=steps, cut=~end, entered=taken)
 
 
 def _known(names: Mapping[Any, int], find: Any, what: str, record: Any) -> Integers:

@@ -3,10 +3,10 @@
 Rows of different pairs are independent. Before the records each is Dirichlet with the same
 parameter for every state that may follow, which add up to `prior` (1 unless given; 1/S for each of
 S states is Perks's prior, Journal of the Institute of Actuaries 73, 1947); after them the counts
-are added. So a state that was never seen to follow stays possible. A reward is one of those that
-were seen with that next state, in proportion to Dirichlet weights of their own counts (Rubin's
-Bayesian bootstrap, Annals of Statistics 9, 1981), and the mean of the pair where a next state was
-never seen to follow.
+are added. The start is such a row, too, unless it was given. So a state that was never seen to
+follow stays possible. A reward is one of those that were seen with that next state, in proportion
+to Dirichlet weights of their own counts (Rubin's Bayesian bootstrap, Annals of Statistics 9, 1981),
+and the mean of the pair where a next state was never seen to follow.
 
 Every draw is a model: it is solved by policy iteration, the policy is evaluated in it, and the
 difference at the start is one draw of the regret. The credible interval leaves equal tails; its
@@ -34,7 +34,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.gate.data.interval import RegretInterval, observations_of
+from exact_mdp.analysis.gate.data.interval import RegretInterval, observations_of, of_process
 from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded, whole_number
 from exact_mdp.analysis.sensitivity.psa.intervals import quantiles, share_of, wilson
@@ -142,6 +142,8 @@ class Posterior:
         pieces, _ = seeded(seed, count, BLOCK)
         key = {
             "model": fingerprint(mdp),
+            "counts": digest(observations_of(mdp).astype(np.float64)),
+            "episodes": mdp.episodes,
             "policy": digest(chain.weights),
             "prior": prior,
             "seed": seed,
@@ -168,9 +170,7 @@ class Posterior:
             confidence=float(confidence),
             by=self.by,
             assumptions=(
-                "the process has the states and actions that were recorded, and what follows a "
-                "state and an action depends on these alone",
-                "episodes begin as the model says",
+                *of_process(mdp),
                 f"before the records, rows are Dirichlet, each worth {prior:g} observations that "
                 "are spread evenly over all states",
                 "rewards are among those that were seen",
@@ -211,6 +211,7 @@ class _Model:
     discount: float
     pair_offsets: Integers
     start: Floats
+    start_weight: Floats | None  # (S,) Dirichlet parameters, where the start is from records
     own: Floats  # (L,) the policy
     first: Integers  # (S,) the pairs of the estimated optimum
     over: Integers  # states where all is over
@@ -249,6 +250,9 @@ class _Model:
             discount=model.discount,
             pair_offsets=np.array(model.pair_offsets),
             start=np.array(model.start_distribution),
+            start_weight=None
+            if model.episodes is None
+            else model.start_distribution * model.episodes + prior / states,
             own=np.array(own),
             first=np.array(solve(model).pairs),
             over=np.flatnonzero(terminal),
@@ -261,8 +265,8 @@ class _Model:
             unseen_weight=prior / states,
         )
 
-    def drawn(self, rng: np.random.Generator, count: int) -> tuple[Floats, Floats]:
-        """Return `count` models: rows (count, L, S) and rewards (count, L)."""
+    def drawn(self, rng: np.random.Generator, count: int) -> tuple[Floats, Floats, Floats]:
+        """Return `count` models: rows (count, L, S), rewards (count, L), starts (count, S)."""
         shape = (count, *self.transition.shape)
         rows = np.zeros(shape)
         weight = rng.gamma(self.seen_weight, size=(count, len(self.seen_weight)))
@@ -278,9 +282,13 @@ class _Model:
         earned = np.zeros(shape[:2])
         pair = self.seen[0]
         np.add.at(earned, (draw, pair), weight * (self.seen_reward - self.reward[pair]))
-        return rows, self.reward + earned / np.where(sure, 1.0, total)
+        reward = self.reward + earned / np.where(sure, 1.0, total)
+        if self.start_weight is None:
+            return rows, reward, np.tile(self.start, (count, 1))
+        begun = rng.gamma(self.start_weight, size=(count, len(self.start)))
+        return rows, reward, begun / begun.sum(axis=1, keepdims=True)
 
-    def regret(self, rows: Floats, reward: Floats) -> Floats:
+    def regret(self, rows: Floats, reward: Floats, start: Floats) -> Floats:
         """Return (D,) the regret at the start in each of the models drawn."""
         first = self.pair_offsets[:-1]
         state = np.repeat(np.arange(len(first)), np.diff(self.pair_offsets))
@@ -300,7 +308,7 @@ class _Model:
         share = self.own[None, :, None]
         mixed = np.add.reduceat(rows * share, first, axis=1)
         own = self.value(mixed, np.add.reduceat(reward * self.own, first, axis=1))
-        lost = (value - own) @ self.start
+        lost = np.einsum("ds,ds->d", value - own, start)
         return np.where(lost > noise[:, 0], lost, 0.0)
 
     def value(self, rows: Floats, reward: Floats) -> Floats:

@@ -43,6 +43,7 @@ from exact_mdp.analysis.gate.data.interval import (
     Ends,
     RegretInterval,
     observations_of,
+    of_process,
     range_of,
 )
 from exact_mdp.analysis.gate.data.sets import Given, Rows, RowSets
@@ -65,9 +66,9 @@ class Robust:
 
     Attributes
     ----------
-    rewards : "known", or (low, high), optional
+    rewards : "known", or (low, high)
         Rewards that state, action and next state decide, and which are as seen; or a range in which
-        rewards lie. The range that was seen unless given, which is then an assumption.
+        rewards lie. It has to be stated: those that were seen do not prove that no other comes.
     returns : (low, high), optional
         Where the total reward from any state lies; needed at discount 1.
 
@@ -117,18 +118,12 @@ class Robust:
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
         """Return what the sets rest on besides the records."""
         low, high = sets.rewards if mdp.sense == "max" else (-sets.rewards[1], -sets.rewards[0])
-        told = [
-            "the process has the states and actions that were recorded, and what follows a state "
-            "and an action depends on these alone",
-            "episodes begin as the model says",
-        ]
+        told = list(of_process(mdp))
         if sets.known:
             told.append(
                 "rewards are those seen for state, action and next state; where a next state was "
                 f"never seen they lie from {low:g} to {high:g}, as all that were seen"
             )
-        elif self.rewards is None:
-            told.append(f"rewards lie from {low:g} to {high:g}, as all that were seen")
         else:
             told.append(f"rewards lie from {low:g} to {high:g}, as stated")
         if self.returns is not None:
@@ -222,7 +217,8 @@ class RobustBounds:
     def at_start(self, mdp: MDP, whose: str) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
         ends = self.best_values if whose == "best" else self.own_values
-        low, high = self._start(ends[0], -1), self._start(ends[1], 1)
+        low = self.sets.at_start(ends[0], most=False)
+        high = self.sets.at_start(ends[1], most=True)
         return (low, high) if mdp.sense == "max" else (-high, -low)
 
     @property
@@ -233,8 +229,8 @@ class RobustBounds:
     def regret_end(self, *, most: bool) -> float:
         """Return one of these bounds, at about half the work."""
         if most:
-            return self._start(self.most_regret, 1)
-        return max(self._start(self.least_regret, -1), 0.0)
+            return self.sets.at_start(self.most_regret, most=True)
+        return max(self.sets.at_start(self.least_regret, most=False), 0.0)
 
     @cached_property
     def most_regret(self) -> Floats:
@@ -371,9 +367,3 @@ class RobustBounds:
                 break
             value = target
         return np.asarray(known)
-
-    def _start(self, value: Floats, sign: int) -> float:
-        """Return a bound of the value at the start, rounded outward."""
-        weights = self.mdp.start_distribution
-        rounding = (np.count_nonzero(weights) + 2) * 2 * UNIT * float(weights @ np.abs(value))
-        return float(weights @ value + sign * rounding)

@@ -26,8 +26,12 @@ by the same argument with the uniform prior: (q/μ)^X ((1 - q)/(1 - μ))^(1 - X)
 most -log(1 - t) where q is t of the way from x to an end. Or rewards are *known*: a function of
 state, action and next state, of which the range bounds those that were never seen.
 
-Each of the K = states × actions that could have been counted gets δ = (1 - confidence) / K, half of
-it for its rewards unless they are known. Rows that nobody counted are as certain as the model says.
+Where an episode begins is a row, too, unless the user gave the start: E episodes were drawn from
+it.
+
+Each of the K = states × actions that could have been counted, and the start, gets δ = (1 -
+confidence) / (K + 1), a pair half of it for its rewards unless they are known. Rows that nobody
+counted are as certain as the model says.
 """
 
 from __future__ import annotations
@@ -73,6 +77,8 @@ class RowSets:
         Whether rewards are known.
     rewards : (float, float)
         Where they lie.
+    episodes : float, optional
+        How many the start was counted from; None where it is known.
     """
 
     mdp: MDP
@@ -80,6 +86,7 @@ class RowSets:
     doubt: float
     known: bool
     rewards: Ends
+    episodes: float | None = None
 
     @classmethod
     def of(cls, mdp: MDP, doubt: float, rewards: Given = None) -> RowSets:
@@ -88,6 +95,14 @@ class RowSets:
         table = mdp.table
         gains = table.gains()[np.repeat(seen > 0, np.diff(table.offsets))]
         ends = (float(gains.min()), float(gains.max()))
+        if rewards is None:
+            raise ModelError(
+                f"nothing says where rewards lie: those seen, from {ends[0]:g} to {ends[1]:g}, do "
+                "not prove that no other comes",
+                where="rewards",
+                fix="state it, by=Robust(rewards=(low, high)), --rewards LOW,HIGH; or 'known', "
+                "--rewards known, where state, action and next state decide the reward",
+            )
         known = isinstance(rewards, str)
         if known and rewards != KNOWN:
             raise ModelError(
@@ -104,11 +119,24 @@ class RowSets:
             ends = stated
         if mdp.sense == "min":
             ends = (-ends[1], -ends[0])
-        return cls(mdp=mdp.maximised, counted=seen, doubt=doubt, known=known, rewards=ends)
+        return cls(
+            mdp=mdp.maximised,
+            counted=seen,
+            doubt=doubt,
+            known=known,
+            rewards=ends,
+            episodes=mdp.episodes,
+        )
 
-    def with_more(self, more: Floats) -> RowSets:
-        """Return the sets after `more` (L,) observations that show what was seen, in proportion."""
-        return replace(self, counted=np.asarray(self.counted + more))
+    def with_more(self, more: Floats, *, start: bool = True) -> RowSets:
+        """Return the sets after `more` (L,) observations that show what was seen, in proportion.
+
+        They come in episodes as long as those seen, which show the `start`, unless that is to stay.
+        """
+        counted, episodes = np.asarray(self.counted + more), self.episodes
+        if episodes is not None and start:
+            episodes *= float(counted.sum() / self.counted.sum())
+        return replace(self, counted=counted, episodes=episodes)
 
     @cached_property
     def pairs(self) -> Integers:
@@ -119,25 +147,42 @@ class RowSets:
     def share(self) -> float:
         """The doubt that is left to each pair."""
         states = np.unique(self.mdp.pair_state[self.pairs])
-        return self.doubt / (len(states) * self.mdp.n_actions)
+        return self.doubt / (len(states) * self.mdp.n_actions + (self.episodes is not None))
 
     @cached_property
     def radius(self) -> Floats:
         """(L,) how far a row may be, by KL divergence from the shares that were seen; in nats."""
-        counts, states = self.counts, self.mdp.n_states
-        part, n = 1 / states, self.counted[self.pairs]
+        counts, n = self.counts, self.counted[self.pairs]
         row = np.repeat(np.arange(len(n)), np.diff(counts.indptr))
         p = counts.data / np.bincount(row, counts.data)[row]
-        c = p * n[row]
-        terms = c * np.log(p) - special.gammaln(c + part) + special.gammaln(part)
-        total = np.bincount(row, terms) + special.gammaln(n + 1)
-        doubt = self.share if self.known else self.share / 2
-        found = (total + log(1 / doubt)) / n
-        size = np.bincount(row, np.abs(c * np.log(p)) + np.abs(special.gammaln(c + part)))
-        found += 64 * UNIT * (size + special.gammaln(n + 1) + log(states)) / n
         radius = np.zeros(self.mdp.n_pairs)
-        radius[self.pairs] = found if states > 1 else 0.0
+        doubt = self.share if self.known else self.share / 2
+        radius[self.pairs] = _radius(p, row, n, self.mdp.n_states, doubt)
         return radius
+
+    def at_start(self, value: Floats, *, most: bool) -> float:
+        """Return a bound, rounding included, of values (S,) at the start: of all that it may be."""
+        weights = self.mdp.start_distribution
+        if self.episodes is None:
+            size = 2 * UNIT * float(weights @ np.abs(value))
+            rounding = (np.count_nonzero(weights) + 2) * size
+            return float(weights @ value + (rounding if most else -rounding))
+        seen = np.flatnonzero(weights)
+        p, none = weights[seen] / weights[seen].sum(), np.zeros((1, len(seen) + 1))
+        radius = _radius(p, 0 * seen, np.array([self.episodes]), self.mdp.n_states, self.share)
+        block = Block(
+            place=np.array([0]),
+            pair=np.array([0]),
+            outcome=none.astype(np.int64),
+            filled=none > 0,
+            next=np.append(seen, self.mdp.n_states)[None],  # the last one: any other state
+            probability=np.append(p, 0.0)[None],
+            gain=none,
+            largest=np.zeros(1),
+        )
+        values = np.append(value, value.max() if most else value.min())
+        found = inner(Likelihood(radius=radius), [block], values, discount=1.0, against=not most)
+        return float(found.high[0] if most else found.low[0])
 
     @cached_property
     def reward(self) -> tuple[Floats, Floats]:
@@ -270,6 +315,18 @@ class Rows:
         reward = self.reward.copy()
         reward[sets.pairs] += earned
         return laws, reward
+
+
+def _radius(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> Floats:
+    """Return (U,) the radii of rows, each seen n (U,) times with shares `p` at their `row` (N,)."""
+    if states == 1:
+        return np.zeros(len(n))
+    part, c = 1 / states, p * n[row]
+    terms = c * np.log(p) - special.gammaln(c + part) + special.gammaln(part)
+    total = np.bincount(row, terms) + special.gammaln(n + 1)
+    found = (total + log(1 / doubt)) / n
+    size = np.bincount(row, np.abs(c * np.log(p)) + np.abs(special.gammaln(c + part)))
+    return np.asarray(found + 64 * UNIT * (size + special.gammaln(n + 1) + log(states)) / n)
 
 
 def _highest(mean: Floats, edge: Floats) -> Floats:

@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("kind", ["robust", "posterior", "off-policy"])
 def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> None:
     more = [f"--records={folder / 'records.csv'}", "--behaviour=random"] * (kind == "off-policy")
-    more += ["--draws=200", "--seed=2"] * (kind == "posterior")
+    more += ["--draws=200", "--seed=2"] if kind == "posterior" else ["--rewards=0,1"]
     words = [
         "check",
         str(folder / "model.npz"),
@@ -87,7 +87,8 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
         (["--confidence", "0.9", "--rewards", "0,x"], "no range"),
         (["--confidence", "0.9", "--by", "off-policy"], "no trajectories"),
         (["--confidence", "0.9", "--by", "posterior", "--draws", "x"], "not a whole number"),
-        (["--confidence", "0.9", "--by", "off-policy", "--records", "none.csv"], "none.csv"),
+        (["--confidence", "0.9"], "nothing says where rewards lie"),
+        (["--confidence=.9", "--rewards=0,1", "--by=off-policy", "--records=none.csv"], "none.csv"),
         (["--confidence", "0.9", "--horizon", "3"], "no counts"),
         (["--confidence", "0.9", "--max-relative-regret", "1"], "total regret alone"),
     ],
@@ -119,7 +120,12 @@ def test_a_file_with_other_separators_or_names_is_told_apart(folder: Path, tmp_p
 
 
 def test_trajectories_that_tell_nothing_are_refused(folder: Path) -> None:
-    words = ("--confidence=0.9", "--by=off-policy", f"--records={folder / 'records.csv'}")
+    words = (
+        "--confidence=0.9",
+        "--by=off-policy",
+        "--rewards=0,1",
+        f"--records={folder / 'records.csv'}",
+    )
     done = run("check", folder / "model.npz", "always:a", *words, "--behaviour=always:b")
     assert (done.status, done.out) == (2, "")
     assert "never does what the policy does" in done.err

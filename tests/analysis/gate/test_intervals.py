@@ -139,6 +139,82 @@ def test_the_lower_end_is_0_where_a_draw_has_no_regret() -> None:
     assert found.low == 0
 
 
+# ---- where episodes begin ----------------------------------------------------------------------
+
+
+def patients(seed: int, episodes: int) -> pd.DataFrame:
+    """Return episodes of one step: half of the patients are severe, and lose 1 by action 0."""
+    rng = np.random.default_rng([episodes, seed])
+    severe, action = rng.integers(2, size=(2, episodes))
+    frame = pd.DataFrame({"episode": range(episodes), "state": severe, "action": action})
+    return frame.assign(reward=np.where(severe, action, 1), next_state=None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_start_that_is_from_the_records_is_not_known(kind: str) -> None:
+    """Rows and rewards are certain here; that half of the patients are severe is not."""
+    found, narrow = 0, 0
+    for seed in range(25):
+        frame = patients(seed, 3000)
+        mdp = MDP.from_transitions(frame, discount="1/2")
+        chain, by = PolicyChain.of(mdp, "always:0"), KINDS[kind](frame, seed)
+        interval = by.interval(mdp, chain, LEVEL)
+        found += interval.low <= 0.5 <= interval.high
+        narrow += interval.high - interval.low < 0.2
+        if kind != "off-policy" and not seed:
+            given = by.interval(mdp.with_(start={0: "1/2", 1: "1/2"}), chain, LEVEL)
+            assert given.high - given.low < (interval.high - interval.low) / 2
+            assert "episodes begin as the model says" in given.assumptions
+            assert "episodes begin as the model says" not in interval.assumptions
+    assert float(wilson(found, 25)[1]) >= float(LEVEL)
+    assert narrow == 25 or kind == "off-policy"
+
+
+def test_the_start_is_a_row_of_its_own() -> None:
+    """Its set is that of a pair with the same counts, which leads where episodes begin."""
+    frame = patients(0, 300)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    count = np.bincount(frame.state, minlength=3)
+    first = pd.DataFrame(
+        [(n, "first", 0, 0, s) for n, s in enumerate(np.repeat([0, 1], count[:2]).tolist())]
+        + [(1000, 0, 0, 0, None), (1001, 1, 0, 0, None), (1002, 0, 1, 0, None)],
+        columns=NAMES,
+    )  # fmt: skip
+    other = MDP.from_transitions(first, discount="1/2")
+    value = np.array([0.2, 0.9, -1.0])
+    for most in (False, True):
+        pair = other.pair(other.space.number("first"), "0")
+        states = [other.space.number(name) for name in ("0", "1", "end")]
+        values = np.zeros(4)
+        values[states], values[other.space.number("first")] = value, 0.5
+        # One state more, and 1 of 7 rows where the start is 1 of 5: doubts of equal parts.
+        row = RowSets.of(other, 0.07, "known").worth(values, most=most).bound[pair] * 2
+        start = RowSets.of(mdp, 0.05, "known").at_start(value, most=most)
+        assert start == pytest.approx(row, abs=0.02)
+        assert (start > value @ count / 300) == most
+
+
+# ---- states that no record leaves ---------------------------------------------------------------
+
+
+def test_states_that_were_only_entered_are_named() -> None:
+    rows = [(n, "s", ("risky", "safe")[n % 2], n % 2 / 2, ("trap", None)[n % 2]) for n in range(80)]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    chain = PolicyChain.of(mdp, "always:risky")
+    for kind, by in (
+        ("robust", Robust(rewards="known")),
+        ("posterior", Posterior(n=50)),
+        ("off-policy", OffPolicy(records=frame, rewards="known")),
+    ):
+        found = by.interval(mdp, chain, LEVEL)  # type: ignore[attr-defined]
+        named = [each for each in found.assumptions if "state trap" in each]
+        assert len(named) == 1, kind
+        assert "end" not in named[0].split("(")[1].split(")")[0]
+    assert found.found["taken_for_ended"] == 40
+    assert found.found["cut_off"] == 0
+
+
 # ---- robust: sets ------------------------------------------------------------------------------
 
 
@@ -155,7 +231,7 @@ def test_the_radius_is_the_likelihood_ratio_of_the_prior() -> None:
 
         mixture, _ = integrate.quad(density, 0, 1, points=[0.01, 0.99])
         likelihood = sum(k * log(k / (a + b)) for k in (a, b) if k)
-        wanted = (likelihood - log(mixture) + log(2 / 0.1)) / (a + b)  # of two pairs
+        wanted = (likelihood - log(mixture) + log(3 / 0.1)) / (a + b)  # of two pairs and the start
         assert sets.radius[pair] == pytest.approx(wanted, rel=1e-6)
         assert sets.radius[pair] >= wanted * (1 - 1e-7)
 
@@ -333,7 +409,7 @@ def test_at_discount_1_a_range_of_returns_is_needed() -> None:
     frame = recorded(np.random.default_rng(1), 4000)
     mdp = MDP.from_transitions(frame)
     with pytest.raises(ModelError, match="how long an episode"):
-        check(mdp, POLICY, confidence=0.95)
+        check(mdp, POLICY, confidence=0.95, by=Robust(rewards=(0, 1)))
     audit = check(mdp, POLICY, confidence=0.95, by=Robust(rewards=(0, 1), returns=(0, 20)))
     assert audit.regret_interval is not None
     low, high = audit.regret_interval
@@ -349,13 +425,14 @@ def test_a_draw_is_a_model_that_is_solved() -> None:
     """Batches of dense equations agree with the toolkit's own solver, draw by draw."""
     mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
     model = _Model.of(mdp, chain.weights, 1.0)
-    rows, reward = model.drawn(np.random.default_rng(0), 20)
-    found = model.regret(rows, reward)
+    rows, reward, start = model.drawn(np.random.default_rng(0), 20)
+    found = model.regret(rows, reward, start)
     for draw in range(20):
         # A row of floats sums to 1 but for rounding.
         drawn = MDP.from_pairs(
-            mdp.pair_state, mdp.pair_action, rows[draw], reward[draw], "9/10", start=0
-        )
+            mdp.pair_state, mdp.pair_action, rows[draw], reward[draw], "9/10",
+            start=dict(enumerate(start[draw])),
+        )  # fmt: skip
         assert found[draw] == pytest.approx(
             float(check(drawn, POLICY, exact_values=False).value.value), abs=1e-8
         )
@@ -364,15 +441,17 @@ def test_a_draw_is_a_model_that_is_solved() -> None:
 def test_drawn_rows_are_dirichlet() -> None:
     mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
     model = _Model.of(mdp, chain.weights, 2.0)
-    rows, reward = model.drawn(np.random.default_rng(0), 4000)
+    rows, reward, start = model.drawn(np.random.default_rng(0), 4000)
     assert mdp.observations is not None
     assert mdp.counts is not None
-    for pair in np.flatnonzero(mdp.observations).tolist():
-        alpha = mdp.counts[[pair]].toarray()[0] + 0.5  # 2 observations over 4 states
+    drawn = [(mdp.counts[[pair]].toarray()[0], rows[:, pair]) for pair in range(mdp.n_pairs)]
+    begun = (np.array([60, 0, 0, 0]), start)
+    for counts, found in [begun, *(each for each in drawn if each[0].any())]:
+        alpha = counts + 0.5  # 2 observations over 4 states
         n, mean = alpha.sum(), alpha / alpha.sum()
         spread = np.sqrt(mean * (1 - mean) / (n + 1))
-        assert rows[:, pair].mean(axis=0) == pytest.approx(mean, abs=5 * spread.max() / 60)
-        assert rows[:, pair].std(axis=0) == pytest.approx(spread, rel=0.1)
+        assert found.mean(axis=0) == pytest.approx(mean, abs=5 * spread.max() / 60)
+        assert found.std(axis=0) == pytest.approx(spread, rel=0.1)
     assert reward.mean(axis=0) == pytest.approx(mdp.reward, abs=0.05)
 
 
@@ -423,13 +502,13 @@ def test_weights_and_returns_are_those_of_the_episodes() -> None:
     weights = np.array([0.0, 0.0, 2.0])  # π/b is 2, or 0; the second episode takes y first
     returns = np.array([2.0, 12.0, 3.0])
     for records in (frame, [frame.iloc[n : n + 1] for n in range(6)]):
-        by = OffPolicy(records=records, behaviour="random")
+        by = OffPolicy(records=records, behaviour="random", rewards=(0, 16))
         found = by.interval(mdp, chain, LEVEL).found
         assert found["ordinary"] == pytest.approx(float((weights * returns).mean()))
         assert found["weighted"] == pytest.approx(float(weights @ returns / weights.sum()))
         assert (found["effective_sample_size"], found["cut_off"]) == (1.0, 1)
     # Estimated, the behaviour takes x in a with 3/4 and in b with 1/2.
-    found = OffPolicy(records=frame).interval(mdp, chain, LEVEL).found
+    found = OffPolicy(records=frame, rewards=(0, 16)).interval(mdp, chain, LEVEL).found
     assert found["ordinary"] == pytest.approx(float(4 / 3 * 3 / 3))
 
 
@@ -504,8 +583,10 @@ def test_a_plan_decides_and_nothing_of_it_could_be_left_out(
         fewer[pair] *= 0.8
         assert end(fewer) > 0
     known = 0 * plan
-    known[found.pairs[0]] = 1e15
-    assert found.worth[0] == pytest.approx(end(0 * plan) - end(known))
+    known[found.pairs[0]] = 1e15  # the start stays as it was seen
+    alone = RobustBounds(sets=sets.with_more(known, start=False), own=own).regret
+    moved = np.subtract(RobustBounds(sets=sets, own=own).regret, alone)
+    assert found.worth[0] == pytest.approx(moved[1] if expected else -moved[0])
     assert found.worth[0] == found.worth.max() > 0
     table = found.frame()
     assert list(table) == ["state", "action", "observations", "worth", "more"]
@@ -523,7 +604,7 @@ def test_records_that_show_the_same_again_count_as_the_sets_foresee() -> None:
 
 def test_what_is_decided_needs_nothing() -> None:
     mdp, _ = estimated(recorded(np.random.default_rng(3), 100))
-    audit = check(mdp, POLICY, max_regret=20, confidence=0.95)
+    audit = check(mdp, POLICY, max_regret=20, confidence=0.95, by=Robust(rewards=(0, 1)))
     assert audit.passed
     assert not audit.needed().more.any()
     at = audit.value.value
@@ -576,6 +657,7 @@ def test_a_policy_that_is_best_beyond_doubt_passes_without_a_limit() -> None:
         ({"confidence": 0.95, "max_relative_regret": 1}, "total regret alone"),
         ({"confidence": 0.95, "criterion": "average"}, "total regret alone"),
         ({"confidence": 0.95, "horizon": 5}, "no counts"),
+        ({"confidence": 0.95}, "nothing says where rewards lie"),
         ({"confidence": 0.95, "by": Robust(rewards=(0, "1/2"))}, "rewards from 0 to 1"),
         ({"confidence": 0.95, "by": Robust(rewards=(1, 0))}, "the range"),
         ({"confidence": 0.95, "by": Robust(rewards="all")}, "rewards are 'all'"),
@@ -596,11 +678,16 @@ def test_records_that_do_not_fit_are_refused() -> None:
 
     def refused(what: str, records: pd.DataFrame = frame, **how: Any) -> None:
         with pytest.raises(ModelError, match=what):
-            OffPolicy(records=records, **how).interval(mdp, chain, LEVEL)
+            OffPolicy(records=records, rewards=(0, 1), **how).interval(mdp, chain, LEVEL)
 
     refused("never does what the policy does", behaviour="always:1")
     refused("no state '9'", frame.assign(state=9, next_state=None, episode=range(len(frame))))
     refused("no action 'left'", frame.assign(action="left"))
+    with pytest.raises(ModelError, match="nothing says where rewards lie"):
+        OffPolicy(records=frame).interval(mdp, chain, LEVEL)
+    elsewhere = MDP.from_transitions(frame, discount="9/10", start=1)
+    with pytest.raises(ModelError, match="begins where the model never does"):
+        OffPolicy(records=frame, rewards=(0, 1)).interval(elsewhere, chain, LEVEL)
     refused("no column", frame.drop(columns="reward"))
     refused("a reward of 1 was seen", returns=(0, "1/2"))
     refused("returns from", returns=(0, 1))

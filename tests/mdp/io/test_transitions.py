@@ -108,6 +108,38 @@ def test_numbered_states_stand_in_order() -> None:
     assert mdp.start == ((2, F(1)),)
 
 
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_one_and_one_point_zero_are_one_state(
+    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pandas writes whole numbers as floats in a column where one is missing."""
+    rows = [(1, 0, 1, 2, 1), (1, 1, 0, "1.0", 12), (2, 0, 0, 1, None), (3, 12, 1, 3, 0)]
+    whole = table(rows).astype({"next_state": "Int64"})
+    floats = table(rows)
+    for name in ("episode", "state", "action", "next_state"):
+        floats[name] = floats[name].astype(float)
+    monkeypatch.setattr(transitions, "ROWS", size)
+    wanted = MDP.from_transitions(whole)
+    assert wanted.space.labels(range(4)) == ["state 0", "state 1", "state 12", "end"]
+    assert wanted.actions == ("0", "1")
+    for frame in (whole, table(rows), table(rows).astype({"next_state": float}), floats):
+        assert fingerprint(MDP.from_transitions(frame)) == fingerprint(wanted)
+        frame.to_csv(tmp_path / "log.csv", index=False)
+        found = MDP.from_transitions(tmp_path / "log.csv")
+        assert fingerprint(found) == fingerprint(wanted)
+        assert found.space == wanted.space
+        assert found.actions == wanted.actions
+    frame.astype({"reward": str}).to_parquet(tmp_path / "log.parquet")
+    assert fingerprint(MDP.from_transitions(tmp_path / "log.parquet")) == fingerprint(wanted)
+
+
+def test_other_texts_stay_as_they_are_written() -> None:
+    rows = [(1, "007", "v1.0", 0, "1.50"), (2, "7", "1.5", 0, "1.5"), (3, "7.0", "1.5", 0, None)]
+    mdp = MDP.from_transitions(table(rows))
+    assert set(mdp.space.labels(range(4))) == {"state 007", "state 7", "state 1.5", "state 1.50"}
+    assert mdp.actions == ("1.5", "v1.0")
+
+
 def test_what_nobody_tried_is_left_out_or_worth_what_is_said() -> None:
     rows = [(1, "a", "x", -1, "b"), (2, "b", "y", 3, "a")]
     assert MDP.from_transitions(table(rows)).n_pairs == 2
@@ -191,11 +223,14 @@ def test_the_command(tmp_path: Path) -> None:
     assert [told[key] for key in ("episodes", "transitions", "states", "actions")] == [8, 8, 2, 2]
     assert told["written"] == str(tmp_path / "m.npz")
     assert told["rare"] == [{"state": "state a", "action": "y", "observations": 1}]
+    assert told["ends"] == ["state b"]
     mdp = load_model(tmp_path / "m.npz")
     assert mdp.counts is not None
+    assert mdp.episodes == 8
     assert mdp.counts.toarray().tolist() == [[0, 7], [1, 0], [0, 0]]
     plain = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--rare", "0")
     assert "2 observed of 2, 0 of them rare" in plain.out
+    assert "state b (entered, never left)" in plain.out
 
 
 def test_changed_tables_have_no_observations() -> None:
@@ -203,6 +238,14 @@ def test_changed_tables_have_no_observations() -> None:
     assert mdp.with_(discount="1/3").observations is not None
     assert mdp.with_(table=mdp.table).observations is None
     assert mdp.within(2).observations is None
+    assert mdp.within(2).episodes is mdp.with_(table=mdp.table).episodes is None
+    assert mdp.episodes == mdp.with_(discount="1/3").episodes == 1
+    assert mdp.with_(start=1).episodes is None
+    assert MDP.from_transitions(table([GOOD]), start="a").episodes is None
+    with pytest.raises(ModelError, match="no shares of 3 episodes"):
+        mdp.with_(start={0: "1/2", 1: "1/2"}, episodes=3)
+    with pytest.raises(ModelError, match="0 episodes"):
+        mdp.with_(episodes=0)
     with pytest.raises(ModelError, match="not counts over the observations"):
         mdp.with_(observations=np.array([2, 0]))
     with pytest.raises(ModelError, match="for 2 pairs"):
@@ -215,6 +258,7 @@ def test_questions_have_no_observations() -> None:
     )
     for asked in (mdp.reaching("goal"), mdp.until("goal")):
         assert asked.observations is None
+        assert asked.episodes is None
     assert mdp.negated().observations is not None
 
 
