@@ -134,7 +134,7 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
         "an action depends on these alone",
         "episodes begin as the model says"
         if mdp.episodes is None
-        else "each episode begins in a state drawn as those of the process are",
+        else "the recorded episodes begin as those of the process do, each drawn by itself",
         *(
             [f"nothing is earned any more after ({listed}): entered and never left, taken for ends"]
             if ends
