@@ -742,7 +742,8 @@ def rationalize() -> None:
     "--entropic",
     "aversion",
     metavar="X",
-    help="The certainty equivalent - log(E exp(-X return)) / X; X above 0 avoids risk.",
+    help="The certainty equivalent - log(E exp(-X return)) / X: X above 0 avoids risk, below 0 "
+    "seeks it.",
 )
 @click.option(
     "--policy",
@@ -750,6 +751,11 @@ def rationalize() -> None:
     multiple=True,
     metavar="POLICY",
     help="With --cvar: a policy to place beside the best ones. May be repeated.",
+)
+@click.option(
+    "--policy-out",
+    metavar="FILE",
+    help="Write the policy: .csv or .json; with --cvar by state and reward so far.",
 )
 @horizon
 @of_model

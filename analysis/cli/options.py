@@ -76,6 +76,12 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for text in texts:
         name, sign, bound = re.match(r"(.*?)(>=|<=|$)(.*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
+        if not sign:
+            raise ModelError(
+                f"{text!r} is no limit",
+                where="--subject-to",
+                fix='write "NAME >= -1/2" or "NAME <= 1/20"',
+            )
         found.setdefault(name.strip(), []).append(sign + bound)
     return found
 

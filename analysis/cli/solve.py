@@ -28,6 +28,7 @@ from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.solver import is_average
 
 if TYPE_CHECKING:
+    from exact_mdp.solvers.objectives.checker import Limit
     from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
     from exact_mdp.solvers.objectives.deterministic import DeterministicSolution
 
@@ -199,6 +200,7 @@ def _deterministic(
             None: f"no deterministic policy that keeps them was found in {len(found.parts)} parts",
         }[found.feasible],
         "start value": found.start if held else None,
+        "in any model": _contradictory(mixed.limits),
         "best possible": None
         if found.bound is None
         else "this policy (proven)"
@@ -248,6 +250,7 @@ def _under_limits(
     }
     facts = {
         "limits": "can be kept" if found.feasible else "no policy keeps them all (proven)",
+        "in any model": _contradictory(found.limits),
         "start value": found.start if found.feasible else None,
         "draws its action in": f"{len(found.randomises)} state(s): "
         + "; ".join(map(mdp.space.label, found.randomises))
@@ -271,6 +274,15 @@ def _under_limits(
         else "all are moved by the same step, the least that suffices",
     )
     return asked.report(result, facts, [table], status=0 if found.feasible else 1)
+
+
+def _contradictory(limits: Sequence[Limit]) -> str | None:
+    """Return in words which two limits no total keeps, whatever the model; None where none do."""
+    for low in limits:
+        for high in limits:
+            if (low.name, low.sign, high.sign) == (high.name, 1, -1) and low.bound > high.bound:
+                return f"{low} and {high} contradict each other"
+    return None
 
 
 def _as_operator(

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from exact_mdp.analysis.cli.options import Given, given, policy_from
+from exact_mdp.analysis.cli.options import Given, check_outputs, given, policy_from
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.solvers.risk import best_entropic
 from exact_mdp.solvers.risk.lattice import share_of
 from exact_mdp.solvers.solution import Certified
+
+RULES = 20  # rows of a policy with a memory that a table shows
 
 
 def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any) -> Report:
@@ -130,9 +138,11 @@ def risk(
     level: str | None,
     aversion: str | None,
     policies: tuple[str, ...],
+    policy_out: str | None,
     **shared: Any,
 ) -> Report:
     """Find the best policy for a risk of the return."""
+    check_outputs((policy_out, (".csv", ".json")))
     asked = given(**shared)
     if (level is None) == (aversion is None):
         raise ModelError(
@@ -144,7 +154,7 @@ def risk(
         if policies:
             fix = "leave it out, or give --cvar SHARE"
             raise ModelError("--policy does not apply to --entropic", where="--policy", fix=fix)
-        return _entropic(asked, aversion)
+        return _entropic(asked, aversion, policy_out)
     mdp, share = asked.mdp, share_of(level)
     picture = mean_cvar(mdp, share, policies={p: policy_from(mdp, p) for p in policies})
     best = picture.optima[0]
@@ -156,6 +166,12 @@ def risk(
         {"policy": name, "mean": mean, "cvar": value}
         for name, (mean, value) in picture.policies.items()
     ]
+    rules: list[dict[str, Any]] = [
+        {"state": mdp.space.label(state), "from": low, "to": high, "action": action}
+        for state, low, high, action in best.rules()
+    ]
+    if policy_out:
+        _write_rules(policy_out, rules)
     result = {
         "measure": "cvar",
         "level": share,
@@ -166,12 +182,15 @@ def risk(
         "distribution": best.distribution(),
         "points": points,
         "policies": beside,
+        "policy": rules,
+        "written": [policy_out] if policy_out else [],
     }
     facts = {
         "mean of the worst episodes": Certified(value=best.value),
         "their share": float(share),
         "mean of all episodes": Certified(value=best.mean),
         "threshold": float(best.threshold),
+        "written": result["written"] or None,
     }
     table = Table(
         title="mean against the worst episodes",
@@ -179,11 +198,33 @@ def risk(
         columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "CVaR:.10g"},
         note="the best policies remember the reward so far; each is exact, and best for its weight",
     )
-    return asked.report(result, facts, [table])
+    listed = Table(
+        title="best policy for the worst episodes, by state and reward so far",
+        rows=[rule | {e: float(rule[e]) for e in ("from", "to")} for rule in rules],
+        columns={"state": "state", "from": "from:.10g", "to": "to:.10g", "action": "action"},
+        first=RULES,
+        note="--policy-out FILE writes it",
+    )
+    return asked.report(result, facts, [table, listed])
 
 
-def _entropic(asked: Given, aversion: str) -> Report:
+def _write_rules(path: str, rules: Sequence[Mapping[str, Any]]) -> None:
+    """Write what a policy does by state and reward so far, exactly."""
+    texts = [{name: str(value) for name, value in rule.items()} for rule in rules]
+    if path.lower().endswith(".json"):
+        write_atomically(path, json.dumps(texts, indent=2, ensure_ascii=False) + "\n")
+        return
+    out = io.StringIO()
+    writer = csv.DictWriter(out, ["state", "from", "to", "action"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(texts)
+    write_atomically(path, out.getvalue())
+
+
+def _entropic(asked: Given, aversion: str, policy_out: str | None) -> Report:
     found = best_entropic(asked.mdp, aversion)
+    if policy_out:
+        Policy.from_choices(found.mdp, found.policy).write(policy_out)
     result = {
         "measure": "entropic",
         "aversion": found.aversion,
@@ -193,11 +234,13 @@ def _entropic(asked: Given, aversion: str) -> Report:
         "mean": found.mean,
         "distribution": found.distribution(),
         "policy": whole_policy(found.mdp, [found.mdp.actions[a] for a in found.policy]),
+        "written": [policy_out] if policy_out else [],
     }
     facts = {
         "certainty equivalent": found.value,
         "mean of all episodes": Certified(value=found.mean),
         "policy": "proven to be the best one",
+        "written": result["written"] or None,
     }
     return asked.report(result, facts, [])
 

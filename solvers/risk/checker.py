@@ -70,8 +70,8 @@ class Shortages:
         lack = sum((weight * each[0] for weight, each in found), Fraction(0))
         return lack, sum((weight * each[1] for weight, each in found), Fraction(0))
 
-    def returns(self, threshold: Fraction) -> dict[int, Fraction]:
-        """Return the probability of every return, in units, of the policy for a threshold."""
+    def met(self, threshold: Fraction) -> dict[int, dict[int, Fraction]]:
+        """Return how likely each reward so far is in each state, of the policy for a threshold."""
         lattice, aim = self.lattice, int(threshold)
         ahead: defaultdict[int, defaultdict[int, Fraction]] = defaultdict(
             lambda: defaultdict(Fraction)
@@ -80,14 +80,19 @@ class Shortages:
             if weight:
                 ahead[state][0] += weight
         for state in reversed(lattice.order):
-            for so_far, mass in ahead.pop(state, {}).items():
+            for so_far, mass in ahead.get(state, {}).items():
                 weights, scale, ends = lattice.rows[self.pair(state, aim - so_far)]
                 for part, (to, k) in zip(weights, ends, strict=True):
                     ahead[to][so_far + k] += mass * Fraction(part, scale)
+        return {state: dict(sorted(masses.items())) for state, masses in sorted(ahead.items())}
+
+    def returns(self, threshold: Fraction) -> dict[int, Fraction]:
+        """Return the probability of every return, in units, of the policy for a threshold."""
         total: defaultdict[int, Fraction] = defaultdict(Fraction)
-        for masses in ahead.values():
-            for k, mass in masses.items():
-                total[k] += mass
+        for state, masses in self.met(threshold).items():
+            if self.lattice.mdp.terminal[state]:
+                for k, mass in masses.items():
+                    total[k] += mass
         return dict(sorted(total.items()))
 
 

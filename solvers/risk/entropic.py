@@ -29,6 +29,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.polynomial_rows import fraction, rational
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.solvers.risk.entropic_checker import entropic_violations
 from exact_mdp.solvers.risk.lattice import Lattice
 from exact_mdp.solvers.solution import Bounded, Claim
 from exact_mdp.solvers.solver import mdp_of
@@ -82,6 +83,22 @@ class EntropicOptimum(Result):
     def distribution(self) -> dict[Fraction, Fraction]:
         """Return the exact probability of every return under the policy, in rising order."""
         return dict(self.returns)
+
+    def violations(self) -> list[str]:
+        """Return what does not hold, in words: nothing where the policy is the best.
+
+        The checker knows no solver, and compares pairs by fractions of its own.
+        """
+        sign = 1 if self.mdp.sense == "max" else -1
+        middle, far = sign * Fraction(self.value.value), Fraction(self.value.error)
+        return entropic_violations(
+            Lattice.of(self.mdp),
+            self.aversion,
+            self.policy,
+            self.optimal,
+            (middle - far, middle + far),
+            {sign * value: p for value, p in self.returns.items()},
+        )
 
     def frame(self) -> DataFrame:
         """Return the action of each state."""
@@ -144,7 +161,8 @@ def best_entropic(
     """
     mdp, tilt = mdp_of(model), exact(aversion)
     if tilt == 0:
-        fix = "choose a number above 0; without aversion, solve() maximises the mean"
+        fix = "choose a number above 0 (risk is avoided) or below 0 (it is sought); without "
+        fix += "aversion, solve() maximises the mean"
         raise ModelError("an aversion of 0", where="entropic risk", fix=fix)
     lattice = Lattice.of(mdp, horizon)
     worth = [_Powers(poly=flint.fmpq_poly([1]), low=0)] * lattice.mdp.n_states

@@ -20,6 +20,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
+from itertools import groupby
 from math import lcm
 from typing import TYPE_CHECKING, Any
 
@@ -95,6 +97,21 @@ class CVaROptimum(Result):
             )
         pair = self.shortages.pair(state, int(wanted))
         return str(self.mdp.actions[self.mdp.pair_action[pair]])
+
+    def rules(self) -> list[tuple[int, Fraction, Fraction, str]]:
+        """Return the policy as (state, from, to, action), for rewards so far within two ends.
+
+        These are all that it meets from the start, in the states that leave a choice.
+        """
+        turned, found = self._sign * self.lattice.unit, list[tuple[int, Fraction, Fraction, str]]()
+        met = self.shortages.met(self._sign * self.threshold / self.lattice.unit)
+        for state, masses in met.items():
+            if not self.mdp.forced[state]:
+                so_far = sorted(turned * k for k in masses)
+                for action, group in groupby(so_far, partial(self.action, state)):
+                    own = [*group]
+                    found.append((state, own[0], own[-1], action))
+        return found
 
     def distribution(self) -> dict[Fraction, Fraction]:
         """Return the exact probability of every return under the policy, in rising order."""

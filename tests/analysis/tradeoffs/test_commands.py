@@ -110,6 +110,11 @@ def test_limits_that_no_policy_keeps() -> None:
     for bad in (("--subject-to", "anger > 1"), ("--subject-to", "anger"), ("--method", "auto")):
         assert run(*words, *bad).status == (1 if bad[1] == "auto" else 2)
     assert run(*words, "--tol", "1e-3").status == 2
+    for text in ("anger>1", "anger=1"):
+        assert f"'{text}' is no limit" in run(*words[:-1], text).err
+    against = run(*words, "--subject-to", "anger <= -1")
+    assert (against.status, "contradict each other" in against.out) == (1, True)
+    assert "contradict" not in run(*words).out
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from math import exp, log
+from pathlib import Path
 
+import flint
 import numpy as np
 import pytest
 from cli_runner import run
@@ -18,6 +22,8 @@ from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.solvers import certify, return_distribution
 from exact_mdp.solvers.risk import best_cvar, best_entropic
+from exact_mdp.solvers.risk.entropic_checker import exponential
+from exact_mdp.solvers.solution import Bounded
 
 F = Fraction
 Distribution = tuple[tuple[Fraction, Fraction], ...]
@@ -98,7 +104,7 @@ def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight
     assert {-value: p for value, p in turned.distribution().items()} == found.distribution()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(trees(), st.sampled_from([F(1, 10), F(1), F(-1), F(4)]))
 def test_entropic_risk(rows: Rows, aversion: Fraction) -> None:
     every = distributions(rows, max(s for s, *_ in rows))
@@ -115,7 +121,28 @@ def test_entropic_risk(rows: Rows, aversion: Fraction) -> None:
     again = return_distribution(model(rows), found.policy, exact=True)
     assert tuple(zip(again.values, again.exact or (), strict=True)) == own
     costs = [(s, a, [(p, to, -gain) for p, to, gain in each]) for s, a, each in rows]
-    assert best_entropic(model(costs, "min"), aversion).value == -found.value
+    turned = best_entropic(model(costs, "min"), aversion)
+    assert turned.value == -found.value
+    assert found.violations() == turned.violations() == []
+    other = found.policy.copy()
+    for pair in np.flatnonzero(~found.optimal):
+        state = found.mdp.pair_state[pair]
+        other[state] = found.mdp.pair_action[pair]
+        assert replace(found, policy=other).violations()
+        other[state] = found.policy[state]
+    far = Bounded(value=found.value.value + 1e-3, error=found.value.error)
+    for change in ({"value": far}, {"optimal": ~found.optimal}, {"returns": {F(99): F(1)}}):
+        assert replace(found, **change).violations()
+
+
+@given(st.fractions(-40, 40, max_denominator=50), st.sampled_from([64, 200, 1000]))
+def test_fractions_enclose_exponentials(x: Fraction, bits: int) -> None:
+    low, high = exponential(x, bits)
+    with flint.ctx.workprec(2 * bits + 200):
+        exact = flint.arb(flint.fmpq(x.numerator, x.denominator)).exp()
+        assert not flint.arb(flint.fmpq(low.numerator, low.denominator)) > exact
+        assert not flint.arb(flint.fmpq(high.numerator, high.denominator)) < exact
+    assert (high - low) * 2 ** (bits - 20) <= high
 
 
 def test_ties_are_decided_exactly() -> None:
@@ -129,6 +156,7 @@ def test_ties_are_decided_exactly() -> None:
     ]
     found = best_entropic(MDP.from_outcomes(rows[:2] + rows[3:], start=2), 1)
     assert found.optimal.all()
+    assert found.violations() == []
     with pytest.raises(ModelError, match="rounder rewards"):
         best_cvar(MDP.from_outcomes(rows, start=2), "1/2")
 
@@ -187,6 +215,7 @@ def test_the_model_of_the_paper() -> None:
     assert found.optima[0].value >= value > found.policies["random"][1]
     assert found.optima[0].violations() == []
     careful = best_entropic(mdp, "1/100")
+    assert careful.violations() == []
     assert found.optima[0].value < careful.value.value < float(best)
     assert len(found.frame()) == 7
 
@@ -203,6 +232,37 @@ def test_with_a_horizon_cycles_are_no_matter() -> None:
         best_cvar(mdp, "1/2")
     with pytest.raises(ModelError, match="choose discount 1"):
         best_cvar(mdp.with_(discount="1/2"), "1/2", horizon=3)
+
+
+def test_the_policy_for_the_worst_episodes_is_written(tmp_path: Path) -> None:
+    """What the file says, carried forward by hand, has the distribution that is printed."""
+    rows = [(0, 0, [("1/2", 1, 3), ("1/2", 1, -2)]), (1, 0, [(1, 2, 0)])]
+    rows += [(1, 1, [("1/2", 2, 3), ("1/2", 2, -3)]), (2, 0, [(1, 2, 0)])]
+    MDP.from_outcomes(rows).save(tmp_path / "m.npz")
+    words = ("risk", tmp_path / "m.npz", "--cvar", "1/3", "--policy-out")
+    found = run(*words, tmp_path / "p.csv", "--json").result
+    with (tmp_path / "p.csv").open(encoding="utf-8") as file:
+        written = [*csv.DictReader(file)]
+    assert written == found["policy"]
+    assert written == json.loads(_written(words, tmp_path / "p.json"))
+    met = {
+        so_far: [r["action"] for r in written if F(r["from"]) <= so_far <= F(r["to"])]
+        for so_far in (F(-2), F(3))
+    }
+    took = {so_far: action for so_far, (action,) in met.items()}
+    parts = [(F(1, 2), so_far, BOLD if took[so_far] == "1" else SAFE) for so_far in took]
+    assert {str(z): str(p) for z, p in mixed(parts)} == found["distribution"]
+    text = run(*words[:-1]).out
+    assert "by state and reward so far" in text
+
+
+BOLD: Distribution = ((F(-3), F(1, 2)), (F(3), F(1, 2)))
+SAFE: Distribution = ((F(0), F(1)),)
+
+
+def _written(words: tuple[object, ...], path: Path) -> str:
+    assert run(*words, path).status == 0
+    return path.read_text(encoding="utf-8")
 
 
 def test_the_command() -> None:
