@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import PALETTE, axes_or_new, plain_text
+from exact_mdp.analysis.plots.style import PALETTE, axes_or_new, plain_text, titled
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.data.needed import Needed
@@ -22,12 +22,12 @@ def plot_needed(found: Needed, *, most: int = MOST, ax: Axes | None = None) -> A
     The pairs that are worth most, `most` of them, come first; one that the plan does not ask for
     has no number.
     """
-    ax = axes_or_new(ax)
     mdp, pairs = found.mdp, found.pairs[:most]
     labels = [
         f"{mdp.space.label(int(mdp.pair_state[pair]))}: {mdp.actions[mdp.pair_action[pair]]}"
         for pair in pairs.tolist()
     ]
+    ax = axes_or_new(ax, labels)
     place, worth = np.arange(len(pairs)), found.worth[:most]
     ax.barh(place, worth, color=PALETTE[3], edgecolor="black", linewidth=0.6)
     for at, width, more in zip(place, worth, found.more[:most].tolist(), strict=True):
@@ -41,6 +41,8 @@ def plot_needed(found: Needed, *, most: int = MOST, ax: Axes | None = None) -> A
     ax.set_xlim(left=0)
     ax.set_xlabel("what knowing the row would narrow the bound by (reward)")
     left = len(found.pairs) - len(pairs)
-    open_ = "" if found.decided is None else " (decided)"
-    ax.set_title(f"observations that decide{open_}" + (f"; {left} more pairs" if left else ""))
+    told = "decided" if found.decided is not None else "open"
+    if found.chance is not None:
+        told = f"numbers: observations that decide if they show the same shares{found.likely}"
+    titled(ax, told + (f"; {left} more pairs" if left else ""))
     return ax

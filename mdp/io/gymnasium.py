@@ -380,11 +380,12 @@ def _make(name: str) -> Any:
     except errors as error:
         module, _, _ = name.rpartition(":")
         if module and isinstance(error.__cause__, ModuleNotFoundError):
-            raise ModelError(
-                f"there is no module {module}",
-                where=f"gymnasium:{name}",
-                fix="put the folder of the module that registers the environment on PYTHONPATH",
-            ) from error
+            missing = error.__cause__.name or module
+            what = f"there is no module {module}"
+            fix = "put the folder of the module that registers the environment on PYTHONPATH"
+            if not f"{module}.".startswith(f"{missing}."):  # it is there, and imports another
+                what, fix = f"{module} needs the module {missing}", f"install {missing}"
+            raise ModelError(what, where=f"gymnasium:{name}", fix=fix) from error
         toy = [
             key
             for key, spec in gymnasium.registry.items()

@@ -14,13 +14,17 @@ them be left out. Were the end's distance a sum of worth · √(n / n') over the
 in place of n, the fewest in all would be in proportion to (worth √n)^(2/3). So pairs are brought to
 numbers in that proportion (to a tenth of the largest where they are worth less), the least that
 decide, by bisection. Then, from the pairs that are worth least, each is given up or lowered as far
-as the verdict stays decided. Other plans may need fewer in all.
+as the verdict stays decided. Other plans may need fewer in all. So a plan ends just where the
+verdict does, if the shares stay as they are; but more observations show other shares, by chance.
+
+*chance* is how likely they decide it: of `DRAWS` data sets, in which the plan's observations are
+drawn from the estimated model, the share that, with what there is, gives the expected verdict.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from math import ceil
@@ -28,8 +32,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exact_mdp.analysis.gate.data.interval import observations_of
+from exact_mdp.analysis.gate.data.posterior import Probability
 from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
 from exact_mdp.analysis.gate.data.sets import RowSets
+from exact_mdp.analysis.sensitivity.psa.intervals import share_of, wilson
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
@@ -44,6 +51,7 @@ EXACTLY = 1e15  # observations after which a row counts as known
 MOST = 10**12  # observations of a pair that a plan may ask for
 SPARED = 0.1  # share of a number that is worth another attempt to save
 LEAST_SHAPE = 0.1
+DRAWS = 100  # data sets that the chance of a plan is estimated from
 TRIED = 60  # pairs whose numbers are lowered one by one; of more models the rest stays
 
 
@@ -71,7 +79,9 @@ class Needed(Pictured):
     more : (K,) int64
         Observations of each that together decide the verdict; 0 where none does.
     planned : (float, float)
-        The interval after them.
+        The interval after them, if they show the same shares.
+    chance : Probability, optional
+        How likely they decide the verdict as expected, if the process is the estimated model.
     """
 
     mdp: MDP
@@ -86,6 +96,7 @@ class Needed(Pictured):
     worth: Floats
     more: Integers
     planned: tuple[float, float]
+    chance: Probability | None = None
 
     picture = "exact_mdp.analysis.plots.records:plot_needed"
 
@@ -97,8 +108,17 @@ class Needed(Pictured):
             return f"Needed({now}: open, and the estimate is at the limit itself)"
         return (
             f"Needed({now}: open; {int(self.more.sum()):,} more observations of "
-            f"{np.count_nonzero(self.more)} pairs let it {'pass' if self.expected else 'fail'})"
+            f"{np.count_nonzero(self.more)} pairs let it {'pass' if self.expected else 'fail'} if "
+            f"they show the same shares{self.likely})"
         )
+
+    @property
+    def likely(self) -> str:
+        """The chance in words; nothing where there is no plan."""
+        if self.chance is None:
+            return ""
+        low, high = self.chance.interval
+        return f"; chance {self.chance.value:.0%}, from {low:.0%} to {high:.0%}"
 
     def frame(self) -> DataFrame:
         """Return a row for each pair, the one that is worth most first."""
@@ -128,8 +148,14 @@ def needed(
     def end(counts: Floats, *, start: bool = True) -> float:
         return bounds(counts, start=start).regret_end(most=expected)
 
+    def kept(found: float) -> bool:
+        return found <= limit if expected else found > limit
+
     def decides(counts: Floats) -> bool:
-        return end(counts) <= limit if expected else end(counts) > limit
+        return kept(end(counts))
+
+    def decided_by(sets: RowSets) -> bool:
+        return kept(RobustBounds(sets=sets, own=own, returns=returns).regret_end(most=expected))
 
     low, high = bounds(np.zeros(mdp.n_pairs)).regret
     decided = True if high <= limit else False if low > limit else None
@@ -154,6 +180,41 @@ def needed(
         worth=worth[listed],
         more=more[listed].astype(np.int64),
         planned=bounds(more).regret if more.any() else (low, high),
+        chance=_chance(sets, more, decided_by) if more.any() else None,
+    )
+
+
+def _chance(sets: RowSets, more: Floats, decides: Callable[[RowSets], bool]) -> Probability:
+    """Return how likely the plan decides, of data sets drawn from what was seen."""
+    rng, mdp, grown = np.random.default_rng(0), sets.mdp, sets.with_more(more)
+    table, added, start, total = mdp.table, more.astype(np.int64), mdp.start, mdp.episodes
+    rows = [(int(pair), slice(*table.offsets[pair : pair + 2])) for pair in np.flatnonzero(added)]
+    found = 0
+    for _ in tqdm.trange(DRAWS, desc="data sets", disable=None, delay=2):
+        weight = table.weight.copy()
+        for pair, row in rows:
+            weight[row] += rng.multinomial(added[pair], weight[row] / weight[row].sum())
+        if grown.episodes is not None and sets.episodes is not None:
+            begins = rng.multinomial(
+                round(grown.episodes - sets.episodes), [float(share) for _, share in mdp.start]
+            )
+            seen = [int(share * int(sets.episodes)) for _, share in mdp.start]
+            total = int(begins.sum()) + sum(seen)
+            start = tuple(
+                (state, Fraction(old + new, total))
+                for (state, _), old, new in zip(mdp.start, seen, begins.tolist(), strict=True)
+            )
+        drawn = replace(
+            mdp,
+            start=start,
+            episodes=total,
+            table=replace(table, weight=weight, denominator=table.denominator + added),
+            observations=observations_of(mdp) + added,
+        )
+        found += decides(replace(grown, mdp=drawn, episodes=total))
+    share, (low, high) = share_of(found, DRAWS), wilson(found, DRAWS)
+    return Probability(
+        value=share.value, standard_error=share.standard_error, low=float(low), high=float(high)
     )
 
 

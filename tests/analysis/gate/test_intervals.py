@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from scipy import integrate, optimize
 
 from exact_mdp.analysis import check
+from exact_mdp.analysis.gate.check import Audit
 from exact_mdp.analysis.gate.data.interval import Evidence
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy, mean_at_least
 from exact_mdp.analysis.gate.data.posterior import Posterior, _Model
@@ -591,7 +592,42 @@ def test_a_plan_decides_and_nothing_of_it_could_be_left_out(
     table = found.frame()
     assert list(table) == ["state", "action", "observations", "worth", "more"]
     assert found.plot().get_xlabel()
-    assert "more observations" in repr(found)
+    assert "if they show the same shares; chance" in repr(found)
+
+
+@pytest.mark.slow
+def test_the_chance_of_a_plan_is_that_of_records_drawn_anew() -> None:
+    """The records grow by rows drawn from themselves, and are read and audited as any others."""
+    records, hits = two_treatments(40), 0
+
+    def audited(table: pd.DataFrame) -> Audit:
+        mdp = MDP.from_transitions(table, discount="9/10")
+        by = Robust(rewards=(0, 1))
+        return check(mdp, "always:treat", max_regret="1/10", confidence=0.95, by=by)
+
+    found = audited(records).needed()
+    assert found.chance is not None
+    plan = dict(zip(found.frame()["action"], found.more.tolist(), strict=True))
+    for seed in range(100):
+        rng, new = np.random.default_rng(seed), [records]
+        for number, (action, count) in enumerate(plan.items(), 1):
+            drawn = records[records.action == action].sample(count, replace=True, random_state=rng)
+            new.append(drawn.assign(episode=np.arange(count) + 10**4 * number))
+        hits += audited(pd.concat(new)).passed
+    low, high = (float(each) for each in wilson(hits, 100))
+    assert low <= found.chance.high
+    assert found.chance.low <= high
+    assert 0.2 < found.chance.value < 0.8  # a plan ends at the limit
+
+
+def test_a_plan_draws_starts_too() -> None:
+    rows = [(n, f"ill{n % 3}", "ab"[n % 2], int(n % 4 > 0), None) for n in range(60)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
+    by = Robust(rewards=(0, 1))
+    found = check(mdp, "always:a", max_regret="7/10", confidence=0.95, by=by).needed()
+    assert found.more.sum() > 0
+    assert found.chance is not None
+    assert 0 < found.chance.value <= 1
 
 
 def test_records_that_show_the_same_again_count_as_the_sets_foresee() -> None:
