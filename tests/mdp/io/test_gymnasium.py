@@ -471,3 +471,12 @@ def test_a_wrapper_may_number_actions_as_the_matrices_do(kept: bool) -> None:
         return
     with pytest.raises(ModelError, match="Flat changes the environment"):
         MDP.from_gymnasium(Flat(Doses()))
+
+
+def test_a_module_that_lacks_another_is_not_called_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "half_there.py").write_text("import no_such_dependency\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ModelError, match="half_there needs the module no_such_dependency"):
+        MDP.from_gymnasium("half_there:Env-v0")
