@@ -45,6 +45,8 @@ class Layout:
         A label for each.
     down, across : str
         What goes down and across.
+    signs : tuple of str
+        One for each action, see `symbols`; its name where an arrow did not point at the next cell.
     listed : bool
         Whether the map is a mere list of states in rows, whose places mean nothing.
     """
@@ -55,6 +57,7 @@ class Layout:
     columns: tuple[str, ...]
     down: str
     across: str
+    signs: tuple[str, ...]
     listed: bool = False
 
     @property
@@ -107,9 +110,10 @@ def arrange(
         space.column(name)
     if shape is not None:
         _check_shape(model.space, shape, named)
-        return _numbered(model.space, *shape, listed=False)
+        return _numbered(model, model.space, *shape, listed=False)
     if len(space.columns) < 2 or space.regular == 0:
-        return _numbered(space, -(-space.size // WIDE), min(space.size, WIDE), listed=True)
+        high, wide = -(-space.size // WIDE), min(space.size, WIDE)
+        return _numbered(model, space, high, wide, listed=True)
     space, states, heading = _headed(model, space, states)
     rest = [name for name in space.names if name not in named]
     split = across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1
@@ -125,6 +129,8 @@ def arrange(
         _along(space, names, states) for names in (below, list(across))
     )
     under, over = ", ".join(below) or "-", ", ".join(across) or "-"
+    # In blocks of maps an arrow points inside one.
+    last = [space.values(names[-1], states) if names else 0 * states for names in (below, across)]
     if split:
         low = space.column(rest[0]).bits // 2
         row, column = column >> low, column & (2**low - 1)
@@ -140,6 +146,7 @@ def arrange(
         columns=columns,
         down=under,
         across=over,
+        signs=_signs(model, row, column) if split else _signs(model, *last),
     )
 
 
@@ -268,18 +275,43 @@ def _along(
     return place, labels
 
 
-def _numbered(space: StateSpace, high: int, wide: int, *, listed: bool) -> Layout:
+def _numbered(model: MDP, space: StateSpace, high: int, wide: int, *, listed: bool) -> Layout:
     states = np.arange(space.size)
     inside = np.full(space.size, True) if listed else states < space.regular
+    row, column = np.where(inside, states // wide, -1), np.where(inside, states % wide, -1)
     return Layout(
-        row=np.where(inside, states // wide, -1),
-        column=np.where(inside, states % wide, -1),
+        row=row,
+        column=column,
+        signs=tuple(symbols(model.actions)) if listed else _signs(model, row, column),
         rows=tuple(str(wide * row if listed else row) for row in range(high)),
         columns=tuple(("+" if listed else "") + str(column) for column in range(wide)),
         down="state" if listed else "row",
         across="state" if listed else "column",
         listed=listed,
     )
+
+
+def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
+    """Return a sign for each action: an arrow only where its moves go that way more than aside.
+
+    A move counts by its probability, whatever its length: one far back to a start is no direction.
+    """
+    table, signs = model.table, symbols(model.actions)
+    pair = np.repeat(np.arange(model.n_pairs), np.diff(table.offsets))
+    before, after = model.pair_state[pair], table.next
+    inside = (row[before] >= 0) & (row[after] >= 0)
+    weight, action = table.probabilities() * inside, model.pair_action[pair]
+    net = {
+        axis: np.bincount(action, np.sign(at[after] - at[before]) * weight, model.n_actions)
+        for axis, at in (("←→", column), ("↑↓", row))
+    }
+    for number, sign in enumerate(signs):
+        if sign in ARROWS and any(net[axis][number] for axis in net):
+            along, aside = sorted(net, key=lambda axis: sign not in axis)
+            ahead = net[along][number] * (1 if sign == along[1] else -1)
+            if ahead <= abs(net[aside][number]):
+                signs[number] = model.actions[number]
+    return tuple(signs)
 
 
 def taken(model: MDP, chosen: Floats) -> list[list[int]]:

@@ -2,8 +2,9 @@
 
 The one rule, for states and actions, in constructors, policies, tables, files and commands:
 
-    an object     is the state or action that was made of it (`MDP.from_function`); else the one
-                  whose name is the object's text, as after a model is saved
+    an object     is the state or action that was made of it (`MDP.from_function`), as 1 and 0 are
+                  what was made of True and False; else the one whose name is the object's text,
+                  as after a model is saved
     text          is a name, or else the printed form: state 7, or row 0, column 3
     a number      is a name where names are whole numbers; where none is, it counts from 0 in the
                   model's order. So are the digits of a text that is no name, and those of a state
@@ -18,7 +19,7 @@ named 3, 1, 2, 0 a dictionary by 0 … 3 may be either. The printed form says wh
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -30,6 +31,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, suggest
 
 NUMBER = re.compile(r"-?(0|[1-9]\d{0,17})(\.\d{1,18}|/[1-9]\d{0,17})?")
+TRUTH = {"False": Fraction(0), "True": Fraction(1)}
 SHOWN = 1000  # of names, where the nearest to a wrong one is looked for
 
 
@@ -69,6 +71,29 @@ def object_key(thing: Any) -> ObjectKey:
     return (isinstance(thing, bool | np.bool_), thing)
 
 
+def labels_of(index: Any, parts: Sequence[str]) -> list[Any]:
+    """Return the labels of an index of pandas, its levels in the order of the parts that they name.
+
+    Levels without names are in that order; so are all where the parts have no names.
+    """
+    named = {*index.names} - {None}
+    if index.nlevels < 2 or not named or not parts:
+        return list(index)
+    if {*index.names} != {*parts} or index.nlevels != len(parts):
+        raise ModelError(
+            f"the levels of the index are {', '.join(map(str, index.names))}",
+            where="index",
+            fix=f"name them {', '.join(parts)}, in any order, or leave out all names",
+        )
+    return list(index.reorder_levels(list(parts)))
+
+
+def parts_of(objects: Sequence[object]) -> tuple[str, ...]:
+    """Return what the fields of tuples are called that are all named, and of one kind."""
+    kinds = {getattr(thing, "_fields", ()) for thing in objects if isinstance(thing, tuple)}
+    return kinds.pop() if len(kinds) == 1 else ()
+
+
 def several(what: str, name: str) -> ModelError:
     """Return the error to raise for a name that several have."""
     return ModelError(
@@ -83,6 +108,11 @@ def value_of(thing: object) -> Fraction | None:
         return None
     plain: Any = thing.item() if isinstance(thing, np.number) else thing
     return Fraction(plain) if isinstance(plain, int | Fraction) or _finite(plain) else None
+
+
+def amount_of(thing: object) -> Fraction | None:
+    """Return the value of a number, also that of True, which is 1; None of anything else."""
+    return Fraction(int(thing)) if isinstance(thing, bool | np.bool_) else value_of(thing)
 
 
 def _finite(number: object) -> bool:
@@ -146,13 +176,15 @@ class Names:
     @cached_property
     def numbered(self) -> bool:
         """Whether whole numbers are names or objects, so that they count nothing."""
-        values = {*self._of_value, *(value_of(thing) for _, thing in self.objects)} - {None}
+        values = {*self._of_value, *(amount_of(thing) for _, thing in self.objects)} - {None}
         return any(value.denominator == 1 for value in values if value is not None)
 
     @cached_property
     def _of_value(self) -> dict[Fraction, int]:
-        """The names that are numbers."""
-        pairs = [(Fraction(word), n) for word, n in self.words.items() if NUMBER.fullmatch(word)]
+        """The names that are numbers, and True and False, which equal numbers."""
+        values = {word: Fraction(word) for word in self.words if NUMBER.fullmatch(word)}
+        values |= {word: value for word, value in TRUTH.items() if word in self.words}
+        pairs = [(values[word], number) for word, number in self.words.items() if word in values]
         return dict(reversed(pairs))
 
     def _named(self, number: object) -> int | None:
@@ -167,10 +199,23 @@ class Names:
         whole = value is not None and value.denominator == 1 and 0 <= value < self.size
         return int(value) if whole and value is not None else None
 
+    def knows(self, thing: object) -> bool:
+        """Return whether something that is no number is an object, or has the text of a name."""
+        try:
+            made = self._made(thing)
+        except TypeError:
+            return False
+        return made is not None or text_of(thing) in self.words
+
+    def _made(self, thing: Any) -> int | None:
+        """Return what was made of an object, or of what equals it; raises TypeError for no key."""
+        made = self.objects.get(object_key(thing))
+        return self.objects.get((True, thing)) if made is None else made
+
     def _certain(self, thing: object) -> int | None:
         """Return what an object or a text is; None for a number, which has to be read."""
         try:
-            made = self.objects.get(object_key(thing))
+            made = self._made(thing)
         except TypeError:  # no key
             raise self._unknown(thing) from None
         if value_of(thing) is not None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
-from exact_mdp.mdp.names import Names, ObjectKey, Reading, object_key, several, text_of
+from exact_mdp.mdp.names import Names, ObjectKey, Reading, object_key, parts_of, several, text_of
 
 Integers = NDArray[np.int64]
 TIME = "time"
@@ -157,6 +157,22 @@ class StateSpace:
     def names(self) -> tuple[str, ...]:
         """Column names."""
         return tuple(column.name for column in self.columns)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the parts of a state given as a tuple: columns, or fields of named tuples."""
+        return (
+            self.names
+            if len(self.columns) > 1
+            else parts_of(self.columns[0].objects)
+            if self.columns
+            else ()
+        )
+
+    @property
+    def numbered(self) -> bool:
+        """Whether names of states are whole numbers, so that numbers count nothing."""
+        return self._names.numbered
 
     @property
     def untimed(self) -> StateSpace | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+import sys
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fractions import Fraction
 from math import inf
@@ -21,7 +22,7 @@ from exact_mdp.mdp.errors import (
     suggest,
 )
 from exact_mdp.mdp.forms.numbers import refuse_masked
-from exact_mdp.mdp.names import ByNumber
+from exact_mdp.mdp.names import ByNumber, labels_of
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -221,13 +222,14 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
     """
     with located("start"):
         refuse_masked(start)
-        if start is None or isinstance(start, ByNumber):
+        pandas = sys.modules.get("pandas")  # who has a table has imported it
+        if pandas is not None and isinstance(start, pandas.Series):
+            states = space.numbers(labels_of(start.index, space.parts))
+            weights = _once(states, start.tolist())
+        elif start is None or isinstance(start, ByNumber):
             weights = {s: exact(p) for s, p in (start or {0: 1}).items()}
         elif isinstance(start, Mapping):
-            states = space.numbers(start)
-            if len(set(states)) < len(states):
-                raise ModelError("a state appears twice", fix="keep one of them")
-            weights = dict(zip(states, map(exact, start.values()), strict=True))
+            weights = _once(space.numbers(start), start.values())
         elif (isinstance(start, np.ndarray) and start.ndim == 1) or (
             isinstance(start, list | tuple) and not _is_state(start, space)
         ):
@@ -240,6 +242,12 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
         else:
             weights = {space.number(start): Fraction(1)}
     return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
+
+
+def _once(states: Sequence[int], chances: Iterable[object]) -> dict[int, Fraction]:
+    if len(set(states)) < len(states):
+        raise ModelError("a state appears twice", fix="keep one of them")
+    return dict(zip(states, map(exact, chances), strict=True))
 
 
 def _is_state(given: object, space: StateSpace) -> bool:

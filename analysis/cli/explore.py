@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -40,6 +41,7 @@ def explore(
         said=policy,
         n=whole_of(grid, "--grid", 2, explorer.MOST_GRID),
     )
+    found = replace(found, model=loaded.loaded.name)
     words = click.get_current_context().find_root().obj or ()
     write_atomically(html, found.page(rerun=shlex.join(["exact-mdp", *words])))
     frame = found.frame()

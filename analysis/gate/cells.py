@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from exact_mdp.analysis.gate.check import Audit
-from exact_mdp.analysis.layout import Layout, joined, symbols, taken
+from exact_mdp.analysis.layout import Layout, joined, taken
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class Cell:
 def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
     mdp, choices = audit.mdp, taken(audit.mdp, audit.chain.chosen)
-    sign = dict(zip(mdp.actions, symbols(mdp.actions), strict=True))
+    sign = dict(zip(mdp.actions, layout.signs, strict=True))
     found: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0

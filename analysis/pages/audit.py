@@ -7,7 +7,7 @@ from typing import Any
 
 from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.gate.check import Audit
-from exact_mdp.analysis.layout import arrange, symbols
+from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.pages.page import render
 
 MOST_CELLS = 4000  # of the map; more are no picture
@@ -26,7 +26,7 @@ def audit_page(
     """Return the page; facts and tables are texts, `model` and `policy` what the user named."""
     layout, actions = arrange(audit.mdp), audit.mdp.actions
     drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
-    legend = [pair for pair in zip(symbols(actions), actions, strict=True) if len({*pair}) > 1]
+    legend = [pair for pair in zip(layout.signs, actions, strict=True) if len({*pair}) > 1]
     return render(
         "audit.html.j2",
         model=model,

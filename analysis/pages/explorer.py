@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.layout import arrange, symbols
+from exact_mdp.analysis.layout import Layout, arrange
 from exact_mdp.analysis.pages.page import render
 from exact_mdp.analysis.sensitivity.base_case import held_at
 from exact_mdp.analysis.sensitivity.curve import ValueFunction, value_function
@@ -210,8 +210,8 @@ def _grid(span: Range, today: Fraction, n: int) -> tuple[Fraction, ...]:
 
 def _data(explorer: Explorer) -> dict[str, Any]:
     first = explorer.curves[0]
-    mdp, sets = first.mdp, _Sets(first.mdp)
-    layout = arrange(mdp)
+    mdp, layout = first.mdp, arrange(first.mdp)
+    sets = _Sets(mdp, layout)
     drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
     curves = [_curve(curve, sets) for curve in explorer.curves]
     taken = None if first.chain is None else sets.numbers(first.chain.chosen > 0)
@@ -275,9 +275,9 @@ def _curve(curve: ValueFunction, sets: _Sets) -> dict[str, Any]:
 class _Sets:
     """Numbers for sets of actions, and what they are called: "wait or prompt"."""
 
-    def __init__(self, mdp: MDP) -> None:
+    def __init__(self, mdp: MDP, layout: Layout) -> None:
         self.mdp, self.known = mdp, dict[tuple[str, ...], int]()
-        self.sign = dict(zip(mdp.actions, symbols(mdp.actions), strict=True))
+        self.sign = dict(zip(mdp.actions, layout.signs, strict=True))
 
     def numbers(self, pairs: Any) -> list[int]:
         """Return the number of each state's set, of pairs (L,) bool."""

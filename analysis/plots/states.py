@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.layout import ARROWS, WIDE, Layout, arrange, joined, symbols, taken
+from exact_mdp.analysis.layout import ARROWS, WIDE, Layout, arrange, joined, taken
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
@@ -90,7 +90,7 @@ def plot_policy(
     ['∎', '∎', '∎', '∎', '∎', '←']
     """
     layout = _placed(model, place)
-    ax, styles = _map(layout, ax), action_styles(model.actions)
+    ax, styles = _map(layout, ax), action_styles(model.actions, layout.signs)
     choices = taken(model, policy_of(model, policy).weights(model))
     used = set[int]()
     for state in layout.shown.tolist():
@@ -161,13 +161,14 @@ def plot_states(
         )
     layout, texts = _placed(model, place), [""] * model.n_states
     if policy is not None:
-        signs = symbols(model.actions)
         choices = taken(model, policy_of(model, policy).weights(model))
-        texts = [joined([signs[number] for number in numbers], "mixed") for numbers in choices]
+        texts = [
+            joined([layout.signs[number] for number in numbers], "mixed") for numbers in choices
+        ]
     if layout.listed:
         ax = _bars(axes_or_new(ax), model, given, texts, label)
         if policy is not None:
-            _key(ax, model)
+            _key(ax, model, layout)
         return ax
     ax, scale = _map(layout, ax), _scale(given[layout.shown])
     shades, font = colormaps[GROUND], _font(layout)
@@ -190,7 +191,7 @@ def plot_states(
     bar.ax.set_ylim(low, high if high > low else low + 1.0)
     ends = [ENDS] if model.terminal[layout.shown].any() else []
     if policy is not None or ends:
-        _key(ax, model, *ends)
+        _key(ax, model, layout, *ends)
     return ax
 
 
@@ -252,7 +253,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
         words.append(ENDS)
     if layout.listed:
         words.append("in the corner the state")
-    _key(ax, audit.mdp, *words)
+    _key(ax, audit.mdp, layout, *words)
     return ax
 
 
@@ -313,9 +314,9 @@ def _font(layout: Layout) -> float | None:
     return next((size for most, size in sizes if len(layout.shown) <= most), 0)
 
 
-def _key(ax: Axes, model: MDP, *words: str) -> None:
+def _key(ax: Axes, model: MDP, layout: Layout, *words: str) -> None:
     """Say in the title what the signs of actions stand for."""
-    signs = zip(symbols(model.actions), model.actions, strict=True)
+    signs = zip(layout.signs, model.actions, strict=True)
     named = [f"{sign} {name}" for sign, name in signs if sign != name and sign not in ARROWS]
     if words or 0 < len(named) <= len(ARROWS) * 2:
         titled(ax, "; ".join([*words, ", ".join(named)]).removesuffix("; "))

@@ -66,12 +66,14 @@ class ActionStyle:
     ink: str
 
 
-def action_styles(actions: Sequence[str]) -> list[ActionStyle]:
+def action_styles(actions: Sequence[str], signs: Sequence[str] = ()) -> list[ActionStyle]:
     """Return one style for each action.
 
     Parameters
     ----------
     actions : sequence of A str
+    signs : sequence of A str, optional
+        What stands for each in a cell; see `layout.symbols`, which it is unless given.
 
     Returns
     -------
@@ -83,7 +85,7 @@ def action_styles(actions: Sequence[str]) -> list[ActionStyle]:
     ['a0', 'a1']
     """
     styles = []
-    for number, (name, short) in enumerate(zip(actions, symbols(actions), strict=True)):
+    for number, (name, short) in enumerate(zip(actions, signs or symbols(actions), strict=True)):
         fill = PALETTE[number % len(PALETTE)]
         dark = sum(int(fill[i : i + 2], 16) for i in (1, 3, 5)) < 330
         hatch, ink = HATCHES[number % len(HATCHES)], "white" if dark else "black"

@@ -16,6 +16,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of, unposed
+from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import beside, exact, shown
 
@@ -275,7 +276,5 @@ def spans_of(
     found = ranges_of(model, names or list(stated) or usual(model), stated, relative)
     spans = {parameter_of(model, n): span for n, span in found.items() if span.low < span.high}
     if not spans:
-        raise ModelError(
-            "no parameter has a range", where=f"model {model.name}", fix="state a range"
-        )
+        raise ModelError("no parameter has a range", where=place_of(model), fix="state a range")
     return spans

@@ -1,9 +1,9 @@
 """Numbers for states and actions that are given as objects, and the names that these go by.
 
 Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves, also as
-NumPy's integers, floats and fractions. A name
-is the text of a thing, and its `repr` where two things have the same text. A state without actions
-is an end: it stays put for ever and earns nothing.
+NumPy's integers, floats and fractions, and so do False and True, which Python counts as 0 and 1. A
+name is the text of a thing, and its `repr` where two things have the same text. Text is kept as
+what it is, "0" too. A state without actions is an end: it stays put for ever and earns nothing.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from typing import Any
+
+import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.names import text_of, value_of
@@ -40,18 +42,23 @@ class Numbering:
     def ordered(self) -> list[Any]:
         """Return the things by number; whole numbers from 0 on are their own."""
         things: list[Any] = list(self.number)
-        if all(map(_is_whole, things)):
-            whole: list[Any] = [int(thing) for thing in things]
-            if set(whole) == set(range(len(whole))):
-                whole.sort()
-                self.number = {number: number for number in whole}
-            return whole
+        if not all(isinstance(thing, bool | np.bool_) or _is_whole(thing) for thing in things):
+            return things
+        things = [int(thing) if _is_whole(thing) else thing for thing in things]
+        if {*things} == {*range(len(things))}:
+            things.sort()
+            self.number = {thing: number for number, thing in enumerate(things)}
         return things
 
 
 def _is_whole(thing: Any) -> bool:
     value = value_of(thing)
     return value is not None and value.denominator == 1
+
+
+def _counted(things: Sequence[Any]) -> bool:
+    """Return whether things are the whole numbers 0 … n-1, which need no names."""
+    return all(map(_is_whole, things)) and [*things] == [*range(len(things))]
 
 
 def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
@@ -89,17 +96,15 @@ def numbered(
         for state, action, outcomes in listed
     ]
     found += [(number[end], 0, [(1, number[end], 0)]) for end in ends]
-    words = names_of(things, "state")
-    plain = words == tuple(map(str, range(len(things))))
+    plain = _counted(things)
     column = Column(
         name="state",
         size=len(things),
-        words=() if plain else words,
+        words=() if plain else names_of(things, "state"),
         objects=() if plain else tuple(things),
     )
-    done = names_of(doing, "action")
     return found, {
         "space": StateSpace(columns=(column,)),
-        "actions": done,
-        "action_objects": () if done == tuple(map(str, range(len(done)))) else tuple(doing),
+        "actions": names_of(doing, "action"),
+        "action_objects": () if _counted(doing) else tuple(doing),
     }

@@ -354,6 +354,11 @@ def _rooms(
     return {name: (Fraction(0), high) for name, high in highest.items()}
 
 
+def place_of(model: Parametric) -> str:
+    """Return where an error in a model is, by its name where it has one."""
+    return "model" if model.name == "model" else f"model {model.name}"
+
+
 def parameter_of(model: Parametric, name: str) -> Parameter:
     """Return a parameter by name; raises ModelError, with the nearest name, for unknown ones."""
     for parameter in model.parameters:
@@ -368,7 +373,7 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
             '; name others yourself: moving(model, {"NAME": [(pair, next state)]}, '
             '{"NAME": reward}), and give that as the model'
         )
-    raise ModelError(f"unknown parameter {name!r}", where=f"model {model.name}", fix=fix)
+    raise ModelError(f"unknown parameter {name!r}", where=place_of(model), fix=fix)
 
 
 def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | None]:

@@ -18,7 +18,7 @@ from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import Reading, text_of
+from exact_mdp.mdp.names import Reading, amount_of
 from exact_mdp.mdp.policies.arrays import (
     Parts,
     check_action,
@@ -177,15 +177,26 @@ def from_numbers(
     """Return what is said of states by number, by default those without their time."""
     space = space or model.space.untimed or model.space
     given = {key: _unwrapped(choice) for key, choice in given.items()}
-    choices = list(given.values())
-    named = [isinstance(row, tuple) and text_of(row) in model.actions for row in choices]
-    as_rows = Form(lambda: _of_rows(model, space, given, kind), error)
+    rows = given
+    as_rows = Form(lambda: _of_rows(model, space, rows, kind), error)
     forms: list[Form] = []
-    if choices and all(isinstance(row, list | tuple | np.ndarray) for row in choices):
-        if not any(named):
+    if given and all(isinstance(row, list | tuple | np.ndarray) for row in given.values()):
+        named = {key: _as_action(model, row) for key, row in given.items()}
+        objects = bool(model.action_objects)
+        doubtful = [
+            row
+            for key, row in rows.items()
+            if not (objects and isinstance(row, tuple) and named[key])
+        ]
+        fits = all(len(row) == model.n_actions for row in rows.values())
+        if len(doubtful) == len(rows) and (None in named.values() or (fits and kind != "auto")):
             return [as_rows]
-        if not model.action_objects and all(len(row) == model.n_actions for row in choices):
-            forms = [as_rows._replace(error=_two_meanings(choices[named.index(True)]))]
+        if doubtful and fits:
+            for each in ("policy", "q"):
+                as_one = partial(_of_rows, model, space, rows, each)
+                forms.append(Form(as_one, _two_meanings(doubtful[0])))
+        given = {key: named[key] or row for key, row in rows.items()}
+    choices = list(given.values())
     if kind == "q" and any(isinstance(choice, Mapping) for choice in choices):
         raise ModelError(
             "a dictionary of actions holds probabilities, not action values",
@@ -214,6 +225,18 @@ def from_numbers(
     return by_name + forms
 
 
+def _as_action(model: MDP, row: Any) -> tuple[Any, ...] | None:
+    """Return a row as the tuple that is an action, or equals one; None where it is none."""
+    parts = tuple(row.tolist() if isinstance(row, np.ndarray) else row)
+    amounts = [amount_of(part) for part in parts]
+    forms = [parts]
+    for kind in (int, float):
+        if all(x is None or kind is float or x.denominator == 1 for x in amounts):
+            pairs = zip(parts, amounts, strict=True)
+            forms.append(tuple(part if x is None else kind(x) for part, x in pairs))
+    return next((each for each in forms if model.action_names.knows(each)), None)
+
+
 def _key(space: StateSpace, state: int, choice: Any) -> Any:
     """Return an action as a key; raises ModelError where it cannot be one."""
     try:
@@ -230,7 +253,7 @@ def _key(space: StateSpace, state: int, choice: Any) -> Any:
 def _two_meanings(row: Any) -> ModelError:
     return ModelError(
         f"{row} may be the action of that name, or a row of numbers for all actions, which differ",
-        fix="give rows as lists, or the action by its name, as text",
+        fix="give the action by its name, as text, or or rows as one array, with their kind",
     )
 
 

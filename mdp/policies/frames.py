@@ -1,19 +1,21 @@
 """Tables of pandas as policies: rows by the names of states, columns by the names of actions.
 
-Labels are names, or else all the numbers 0 … n-1, in any order. What comes back is without them: an
-array in the model's order, or actions by the number of the state.
+Labels say what the keys of a dictionary would, see `mdp.names`; where no names are whole numbers
+they may be all of the numbers 0 … n-1, in any order. Levels that are named stand in any order. What
+comes back is without labels: an array in the model's order, or actions by the number of the state.
 """
 
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import ByNumber, Reading
+from exact_mdp.mdp.names import ByNumber, Reading, labels_of, parts_of
 
 Readings = list[tuple[Any, ModelError | None]]
 """What a table may say, each with the error to raise where it fits besides, and differs."""
@@ -32,7 +34,9 @@ def unlabelled(model: MDP, policy: Any) -> Readings | None:
         return None
     if policy.ndim == 2 and policy.shape[1] == 1 < model.n_actions:
         policy = policy.iloc[:, 0]
-    readings, size, by_status = _states(model, list(policy.index))
+    with located("policy"):
+        labels = labels_of(policy.index, (model.space.untimed or model.space).parts)
+    readings, size, by_status = _states(model, labels)
     found: Readings = []
     for rows, error in readings:
         if len(set(rows)) < len(rows):
@@ -43,7 +47,9 @@ def unlabelled(model: MDP, policy: Any) -> Readings | None:
             given = {row: action for row, action in said if not pandas.isna(action)}
             found.append((given if by_status else ByNumber(given), error))
             continue
-        for columns, other in _actions(model, list(policy.columns)):
+        with located("policy"):
+            names = labels_of(policy.columns, parts_of(model.action_objects))
+        for columns, other in _actions(model, names):
             values = policy.to_numpy()[:, np.argsort(columns)]
             table = np.full((size, len(columns)), np.nan, dtype=object)
             table[rows] = values
@@ -63,12 +69,13 @@ def _states(model: MDP, labels: list[Any]) -> tuple[list[Reading], int, bool]:
     try:
         return space.readings(labels), space.size, False
     except ModelError as error:
-        if _are_numbers(labels):
+        if _are_numbers(labels) and not space.numbered:
             return [Reading([int(label) for label in labels])], len(labels), False
+        counted = "the array alone, table.to_numpy()" if space.numbered else "the numbers from 0 on"
         raise ModelError(
             f"the index holds no states: {error.what}",
             where="policy, index",
-            fix="give names of states, or the numbers from 0 on",
+            fix=f"give names of states, or {counted}",
         ) from error
 
 
@@ -76,13 +83,10 @@ def _actions(model: MDP, labels: list[Any]) -> list[Reading]:
     """Return the numbers of the actions that labels stand for."""
     used = np.unique(model.pair_action[~model.forced[model.pair_state]]).tolist()
     whole = [list(range(model.n_actions)), *([used] if "status" in model.space.names else [])]
-    try:
+    with suppress(ModelError):
         readings = model.action_names.readings(labels)
         if sorted(readings[0].numbers) in whole:
             return [reading for reading in readings if sorted(reading.numbers) in whole]
-    except ModelError:
-        if _are_numbers(labels):
-            return [Reading([int(label) for label in labels])]
     raise ModelError(
         f"the columns are {', '.join(list(map(str, labels))[:6])}",
         where="policy, columns",

@@ -415,8 +415,8 @@ class Policy(NDArrayOperatorsMixin):
         if tables is not None:
             read = partial(cls.of, model, kind=kind)
             return cls._agreed(model, [(partial(read, table), error) for table, error in tables])
-        if isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.kind in "UO":
-            given = given.tolist()  # of names, perhaps
+        if isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.kind in "UOb":
+            given = given.tolist()  # of names or objects, perhaps
         if not isinstance(given, Policy) and callable(getattr(given, "predict", None)):
             given = _predicted(model, given.predict)
         elif not isinstance(given, Policy) and hasattr(given, "policy"):
@@ -438,7 +438,7 @@ class Policy(NDArrayOperatorsMixin):
             found = cls._of_states(model, files.from_mapping, given, kind)
         elif callable(given):
             found = cls._of_states(model, files.from_function, given, kind)
-        elif isinstance(given, list | tuple) and given and all(isinstance(x, str) for x in given):
+        elif isinstance(given, list | tuple) and given and _are_actions(model, given, kind):
             found = cls._of_states(model, files.from_list, given, kind)
         else:
             return cls(**_of_array(model, numbers_of(given), kind))
@@ -725,6 +725,13 @@ PolicyLike: TypeAlias = (
 tables of pandas by their labels; `mdp.names` says which state or action is meant elsewhere."""
 
 
+def _are_actions(model: MDP, given: Sequence[Any], kind: str) -> bool:
+    """Return whether a list holds names of actions, or objects that are no numbers or rows."""
+    kinds = (bool, np.bool_, tuple) if kind == "auto" else (bool, np.bool_)
+    known = model.action_names.knows
+    return all(isinstance(x, str) or (isinstance(x, kinds) and known(x)) for x in given)
+
+
 def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
     """Return (S,) the action numbers that an agent predicts, as those of Stable-Baselines3 do."""
     space = model.space.untimed or model.space
@@ -775,6 +782,14 @@ def _refuse_names(model: MDP, numbers: Numbers) -> None:
             error = model.action_names.either(number, meant, number)
             fix = "give names, such as {state: action}, or Policy.from_choices(model, numbers)"
             raise ModelError(error.what, where="policy", fix=fix)
+    outside = [number for number in answers if not 0 <= number < model.n_actions]
+    if outside:
+        raise ModelError(
+            f"{outside[0]} is the name of an action, but the numbers of an array count from 0 to "
+            f"{model.n_actions - 1} in the model's order",
+            where="policy",
+            fix="give names, as text or in {state: action}, or numbers in that order",
+        )
 
 
 def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:

@@ -241,7 +241,16 @@ def test_what_is_no_model_is_refused(name: str) -> None:
 
 # ---- the start ---------------------------------------------------------------------------------
 
-STARTS = [2, "2", {2: 1}, {"2": "1/1", 0: 0}, [0, 0, 1], np.array([0.0, 0, 1]), (0, 0, 1)]
+STARTS = [
+    2,
+    "2",
+    {2: 1},
+    {"2": "1/1", 0: 0},
+    [0, 0, 1],
+    np.array([0.0, 0, 1]),
+    (0, 0, 1),
+    pd.Series([0, 1.0], [1, 2]),
+]
 
 
 @pytest.mark.parametrize("start", STARTS, ids=str)
@@ -263,7 +272,13 @@ def test_a_start_in_any_form(start: Any) -> None:
     assert named.start == ((2, 1),)
 
 
-@pytest.mark.parametrize("start", ["x", [1, 0], 3, -1, 0.5, True, {"x": 1}, [0.5, 0.4, 0]])
+NO_STARTS = [
+    *("x", [1, 0], 3, -1, 0.5, True, {"x": 1}, [0.5, 0.4, 0]),
+    *(pd.Series([0.5, 0.5], [1, 1]), pd.Series([1], ["x"])),
+]
+
+
+@pytest.mark.parametrize("start", NO_STARTS, ids=str)
 def test_what_is_no_start(start: Any) -> None:
     with pytest.raises(ModelError) as caught:
         MDP.from_arrays([np.eye(3)], [0, 0, 0], start=start)

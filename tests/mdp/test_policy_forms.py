@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, namedtuple
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -300,3 +301,103 @@ def test_agents_are_asked_by_number_alone() -> None:
     with pytest.raises(ModelError, match="these states have names") as caught:
         Policy.of(HALL, Agent([0] * 4))
     assert "lambda state" in caught.value.fix
+
+
+def walk(acts: list[Any], best: list[Any], states: list[Any]) -> MDP:
+    """The states in a row; the best action of each earns 1."""
+    after, right = dict(pairwise(states)), dict(zip(states, best, strict=False))
+
+    def outcomes(state: Any, action: Any) -> list[tuple[int, Any, int]]:
+        return [(1, after[state], int(action == right[state]))]
+
+    return MDP.from_function(states[0], lambda s: acts if s in after else [], outcomes)
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_text_of_digits_stays_text(tmp_path: Path, loaded: bool) -> None:
+    mdp = walk(["0", "1"], ["1", "0", "1"], ["0", "1", "2", "3"])
+    if loaded:
+        mdp.save(tmp_path / "m.npz")
+        mdp = MDP.load(tmp_path / "m.npz")
+    asked: list[Any] = []
+    assert check(mdp, lambda s: asked.append(s) or ("0" if s == "1" else "1")).passed
+    assert asked == ["0", "1", "2"]
+    assert not check(mdp, lambda s: "1" if s == "1" else "0").passed
+
+
+def test_truth_is_what_it_equals() -> None:
+    mdp = walk([True, False], [True, False], [0, 1, 2])
+    assert mdp.actions == ("False", "True")
+    for policy in ({0: 1, 1: 0}, lambda s: int(s == 0), [True, False, False], [1, 0, 0],
+                   np.array([True, False, False]), {0: np.True_, 1: "False"}):  # fmt: skip
+        assert check(mdp, policy).passed
+    assert not check(mdp, {0: 0, 1: 1}).passed
+    listed = MDP.from_outcomes(
+        [(s, a, [(1, 1, int(a == s))]) for s in (0, 1) for a in (0, 1)],
+        "1/2", actions=["True", "False"],
+    )  # fmt: skip
+    with pytest.raises(ModelError, match="may be action False, by its name, or action True"):
+        Policy.of(listed, {0: 0, 1: 1})
+
+
+def test_what_equals_an_object_is_that_and_what_may_be_a_row_is_refused() -> None:
+    mdp = walk([(0, 1), (1, 0)], [(1, 0), (0, 1)], [0, 1, 2])
+    right = {0: (1.0, 0.0), 1: (0.0, 1.0)}
+    for policy in (right, right | {1: (0, 1)}, [(1, 0), (0, 1), (0, 1)]):
+        assert check(mdp, policy).passed
+    for make in (list, np.array):
+        with pytest.raises(ModelError, match=r"or a row of numbers for all actions, which differ"):
+            Policy.of(mdp, {0: make((1, 0)), 1: make((0.0, 1.0))})
+        costs = mdp.with_(sense="min")
+        with pytest.raises(ModelError, match=r"or a row of numbers for all actions, which differ"):
+            Policy.of(costs, {0: make((1, 0)), 1: make((0, 1))})
+        rows = {0: make((0, 1)), 1: make((1, 0))}
+        assert check(mdp, Policy.of(mdp, rows, kind="policy")).passed
+        half = Policy.of(mdp, {0: make((0.5, 0.5)), 1: make((1, 0))}, kind="policy")
+        assert half.weights(mdp).tolist() == [0.5, 0.5, 1, 0, 1]
+    three = walk([(0, 1), (1, 0), (1, 1)], [(1, 0), (0, 1)], [0, 1, 2])
+    assert check(three, lambda s: np.array([1, 0]) if s == 0 else np.array([0, 1])).passed
+
+
+@given(st.lists(st.integers(0, 3), min_size=16, max_size=16), st.permutations(range(16)))
+def test_named_levels_stand_in_any_order(numbers: list[int], order: list[int]) -> None:
+    places, values = [divmod(s, 4) for s in order], 2.5 * np.eye(4)[[numbers[s] for s in order]]
+    index = pd.MultiIndex.from_tuples(places, names=["row", "column"])
+    other = index.reorder_levels(["column", "row"])
+    wanted = Policy.of(LAKE, numbers).weights(LAKE)
+    for each in (index, other, index.set_names([None, None])):
+        assert (Policy.of(LAKE, pd.DataFrame(values, each)).weights(LAKE) == wanted).all()
+        series = pd.Series([numbers[s] for s in order], each)
+        assert (Policy.of(LAKE, series).weights(LAKE) == wanted).all()
+    start = LAKE.with_(start=pd.Series(np.arange(16) / 120, index))
+    assert LAKE.with_(start=pd.Series(np.arange(16) / 120, other)).start == start.start
+    for names in (["x", "y"], ["row", None], [None, "row"]):
+        with pytest.raises(ModelError, match="levels of the index are"):
+            Policy.of(LAKE, pd.DataFrame(values, index.set_names(names)))
+
+
+def test_levels_are_the_fields_of_named_tuples() -> None:
+    cell = namedtuple("cell", "x y")
+    states = [cell(0, 1), cell(1, 0), cell(1, 1)]
+    mdp = walk(["l", "r"], ["l", "r", "l"], states)
+    index = pd.MultiIndex.from_tuples([(0, 1), (1, 0), (1, 1)], names=["y", "x"])
+    assert check(mdp, pd.Series(["r", "l", "l"], index)).passed
+    assert check(mdp, pd.Series(["l", "r", "l"], index.set_names(["x", "y"]))).passed
+
+
+def test_tables_and_arrays_follow_the_rule_for_numbers_that_are_names() -> None:
+    mdp = MDP.from_arrays(
+        [np.eye(4)] * 2, [[1, 0], [0, 1]] * 2, "1/2", states=["3", "5", "7", "1"],
+        actions=["2", "1"],
+    )  # fmt: skip
+    table = pd.DataFrame(np.eye(2)[[0, 1, 0, 1]] * 2.5)
+    for frame in (table, table.iloc[[2, 0, 1, 3]], pd.Series([0, 1, 0, 1])):
+        with pytest.raises(ModelError, match=r"holds no states: [02] is not a state"):
+            Policy.of(mdp, frame)
+    with pytest.raises(ModelError, match="the columns are 0, 1"):
+        Policy.of(mdp, table.set_axis([3, 5, 7, 1]))
+    assert check(mdp, table.to_numpy()).passed
+    assert check(mdp, table.set_axis([3, 5, 7, 1]).set_axis([2, 1], axis=1)).passed
+    for array in (np.array([2, 1, 2, 1]), [2, 1, 2, 1]):
+        with pytest.raises(ModelError, match="2 is the name of an action, but the numbers of"):
+            Policy.of(mdp, array)

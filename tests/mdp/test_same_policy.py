@@ -42,6 +42,9 @@ THINGS: dict[str, list[Any]] = {
     "singles": [(2,), (0,), (1,), (3,)],
     "truth": [True, False],
     "both": [1, "1", 0, "0"],
+    "text from 0": ["0", "1"],
+    "pairs": [(0, 1), (1, 0)],
+    "pairs and more": [(1, 0), (0, 1), (1, 1)],
 }
 
 
@@ -62,7 +65,8 @@ class Case:
         self.takes = [draw(st.integers(0, a - 1)) for _ in range(n)]
         self.explored = draw(st.booleans())
         self.model = self._explored() if self.explored else self._listed()
-        if draw(st.booleans()):
+        self.loaded = draw(st.booleans())
+        if self.loaded:
             path = folder / draw(st.sampled_from(["m.npz", "m.umb"]))
             self.model.save(path)
             self.model = MDP.load(path)
@@ -103,9 +107,13 @@ class Case:
         found = []
         for things, names in ((self.states, labels), (self.actions, list(self.model.actions))):
             whole = {*map(str, range(len(things)))} == set(names) and _whole(things)
+            if self.explored and all(_number(x) and float(x).is_integer() for x in things):
+                said = [str(int(x)) for x in things]
+            else:
+                said = _names(things)
             found.append([
                 int(thing) if whole and self.explored else names.index(name)
-                for thing, name in zip(things, _names(things), strict=True)
+                for thing, name in zip(things, said, strict=True)
             ])  # fmt: skip
         return found[0], found[1]
 
@@ -163,7 +171,24 @@ class Case:
         yield "objects", dict(at)
         yield "objects, mixed", {s: {a: 1} for s, a in at}
         yield "objects, by default", defaultdict(lambda: at[0][1], at[1:] + at[:1])
+        equal = [(_equal(s), _equal(a)) for s, a in at]
+        if not self.loaded:
+            yield "what equals objects", dict(equal)
+            yield "what equals objects, told", self._told([(s, _equal(a)) for s, a in at])
+            for make in (list, np.array):
+                if all(isinstance(a, tuple) for _, a in at):
+                    yield "rows", {s: make(a) for s, a in at}
+                    yield "rows of what equals", {s: make(a) for s, a in equal}
         yield "function", self._told(at)
+        if all(isinstance(x, bool | tuple | str) for x in self.actions):
+            act = [self.actions[self.seat[1].index(a)] for a in self.by_place()]
+            yield "list of objects", act
+            yield "series of objects", pd.Series(act, self.model.space.labels(range(len(act))))
+            if isinstance(act[0], bool):
+                yield "array of truth", np.array(act)
+        if all(isinstance(s, tuple) and len(s) == 2 for s in self.states):
+            index = pd.MultiIndex.from_tuples([s for s, _ in at])
+            yield "levels", pd.Series([a for _, a in at], index)
         yield "table", self._table(self.states, self.actions)
         yield (
             "series",
@@ -175,6 +200,9 @@ class Case:
             return next(a for s, a in at if s == state and self._alike(s, state))
 
         return ask
+
+    def _default(self, at: list[tuple[Any, Any]], state: Any, other: Any) -> Any:
+        return next((a for s, a in at if s == state and self._alike(s, state)), other)
 
     def _table(self, rows: list[Any], columns: list[Any]) -> pd.DataFrame:
         """Return a Q-table by labels, both in another order."""
@@ -247,18 +275,29 @@ class Case:
         if not {"state a", "state b"} & {*states, *actions}:
             yield "printed", {f"state {s}": f"action {a}" for s, a in at}
         yield "Q-table", np.eye(len(actions))[self.by_place()] * self.sign
-        if self.explored and self.unmistaken and self.model.space.columns[0].objects:
-            yield (
-                "function",
-                self._told([(self.states[k], self.actions[self.takes[k]]) for k in self.order]),
-            )
+        kept = self.model.space.columns[0].objects and self.model.action_objects
+        if self.explored and self.unmistaken and (kept or not self.loaded):
+            at = [(self.states[k], self.actions[self.takes[k]]) for k in self.order]
+            yield "function", self._told(at)
+            others = [(s, a) for s, a in at if a != at[0][1]]
+            yield "function that has a default", lambda s: self._default(others, s, at[0][1])
+            if not self.loaded:
+                yield "dictionary of objects", dict(at)
+
+
+def _number(thing: Any) -> bool:
+    return isinstance(thing, int | float | np.number | Fraction) and not isinstance(thing, bool)
 
 
 def _whole(things: list[Any]) -> bool:
-    numbers = all(
-        isinstance(x, int | float | np.number) and not isinstance(x, bool) for x in things
-    )
-    return numbers and {float(x) for x in things} == {*map(float, range(len(things)))}
+    return all(map(_number, things)) and {*map(float, things)} == {*map(float, range(len(things)))}
+
+
+def _equal(thing: Any) -> Any:
+    """Return what equals a thing and is of another kind: 1 for True, (1.0, 0.0) for (1, 0)."""
+    if isinstance(thing, tuple):
+        return tuple(float(x) if isinstance(x, int | np.integer) else x for x in thing)
+    return int(thing) if isinstance(thing, bool) else thing
 
 
 def _names(things: list[Any]) -> list[str]:

@@ -48,6 +48,7 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
+from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
@@ -189,7 +190,7 @@ class Uncertainty(Brief):
             parameter_of(model, name)
         if not self.parts:
             raise ModelError(
-                "no parameter is uncertain", where=f"model {model.name}", fix="state what is drawn"
+                "no parameter is uncertain", where=place_of(model), fix="state what is drawn"
             )
         return self
 

@@ -145,6 +145,21 @@ def test_an_arrow_points_at_the_cell_that_it_leads_to(size, signs, order) -> Non
             assert step == STEPS[mdp.actions[mdp.pair_action[pair]]]
 
 
+@pytest.mark.parametrize(("step", "sign"), [((1, 1), "up"), ((1, 0), "up"), ((-1, 0), "↑")])
+def test_an_arrow_that_points_elsewhere_is_a_name(step: tuple[int, int], sign: str) -> None:
+    """A first part that "up" raises and that stands downwards, with a second that moves along."""
+
+    def after(s: tuple[int, int], a: str) -> tuple[int, int]:
+        return s[0] + step[0] * (a == "up"), s[1] + (step[1] if a == "up" else 1)
+
+    def actions(s: tuple[int, int]) -> list[str]:
+        return ["up", "stay"] if abs(s[0]) < 3 and s[1] < 3 else []
+
+    mdp = MDP.from_function((0, 0), actions, lambda s, a: [(1, after(s, a), 1)], "1/2")
+    assert arrange(mdp).signs == (sign, "a1")
+    assert {*texts(plot_policy(mdp, "always:up")).values()} == {sign, "∎"}
+
+
 def test_the_parts_of_a_tuple_are_columns(tmp_path: Path) -> None:
     walls = {(1, 1), (2, 1)}
     mdp = world((4, 3), lambda r, c, key: Cell(along=c, above=-r, key=key), walls)

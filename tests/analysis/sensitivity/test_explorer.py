@@ -283,3 +283,14 @@ def test_an_unknown_parameter_is_answered_by_all_names() -> None:
     assert all(parameter.name in caught.value.fix for parameter in tea.parameters)
     with pytest.raises(ModelError, match="names of parameters are texts"):
         explore(tea, ["base.anxiety"])  # type: ignore[arg-type]
+
+
+def test_the_page_is_called_what_the_user_named(tmp_path: Path) -> None:
+    path = tmp_path / "names.npz"
+    LISTED.save(path)
+    page = tmp_path / "page.html"
+    assert run("explore", path, "--parameter", "discount", "--html", page).status == 0
+    assert "<title>names: discount</title>" in page.read_text("utf-8")
+    with pytest.raises(ModelError) as caught:
+        explore(LISTED.with_(name=""), "zzz")
+    assert caught.value.where == "model"
