@@ -15,6 +15,7 @@ from exact_mdp.analysis.cli.options import Given, check_outputs, given, limits_f
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.analysis.optimum import Contradiction, Optimum, optimum
 from exact_mdp.analysis.record import run_record, write_record
+from exact_mdp.mdp.chain import endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.load import Loaded, load_scenario
@@ -83,6 +84,12 @@ def solve(
             "there are no bounded certificates of an average reward",
             where="--certificate",
             fix="add --certify",
+        )
+    if certificate and not certify and not average and endless(mdp):
+        raise ModelError(
+            "bounds are proved where every policy ends, and here one need not",
+            where="--certificate",
+            fix="add --certify, which proves the exact values",
         )
     found = optimum(
         mdp,

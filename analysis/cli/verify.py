@@ -37,7 +37,7 @@ def verify(*, certificate: str, **shared: Any) -> Report:
     if not violations:
         start = _start(proof, asked.mdp)
         result |= {"start_value": start.value, "error_bound": start.error}
-        facts["start value"] = start
+        facts["start value"] = start if isinstance(proof, BoundedCertificate) else proof.start
         if isinstance(proof, Certificate):
             result |= {"exact_start_value": proof.start_value, "unique": proof.unique}
         if isinstance(proof, AverageCertificate):

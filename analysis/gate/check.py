@@ -69,7 +69,7 @@ robust = later("exact_mdp.analysis.gate.data.robust")
 
 SHOWN = 5
 AT_A_GLANCE = 3  # of them in `print(audit)`
-UNEXPLAINED = "floating point cannot tell what the columns that the policy reads cost"
+UNEXPLAINED = "not known: whether a policy that reads the same columns could do better"
 
 
 @dataclass(frozen=True, kw_only=True)

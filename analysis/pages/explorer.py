@@ -27,6 +27,7 @@ from exact_mdp.analysis.sensitivity.base_case import held_at
 from exact_mdp.analysis.sensitivity.curve import ValueFunction, value_function
 from exact_mdp.analysis.sensitivity.curve_checker import RationalFunction
 from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
+from exact_mdp.analysis.sensitivity.thresholds import divided_family
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.lazy import later
@@ -162,7 +163,7 @@ def explore(
         )
     if not 2 <= n <= MOST_GRID:
         raise ModelError(f"{n} values", where="explorer", fix=f"choose from 2 to {MOST_GRID}")
-    family = parametric(model)
+    family = divided_family(parametric(model))
     spans = ranges_of(family, names, ranges, relative)
     for name, span in spans.items():
         if span.low == span.high:

@@ -26,7 +26,7 @@ from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps
 from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
-from exact_mdp.analysis.sensitivity.thresholds import sections_of
+from exact_mdp.analysis.sensitivity.thresholds import divided_family, sections_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
@@ -101,7 +101,7 @@ def blackwell(model: Scenario | MDP | Parametric) -> Blackwell:
     >>> found.high, found.policy.tolist()
     (Fraction(10, 11), [0, 0])
     """
-    family = parametric(model)
+    family = divided_family(parametric(model))
     mdp = family.at({})
     if mdp.sense == "min":
         family, _ = maximised(family, "optimal")

@@ -29,12 +29,17 @@ from exact_mdp.analysis.sensitivity.curve_checker import (
 from exact_mdp.analysis.sensitivity.optimal_stretches import Sweep, moved
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of
 from exact_mdp.analysis.sensitivity.regret_limits import Interval, kept
-from exact_mdp.analysis.sensitivity.thresholds import sections_of
+from exact_mdp.analysis.sensitivity.thresholds import (
+    NEARLY_ONE,
+    below_one,
+    divided_family,
+    sections_of,
+)
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.polynomial_rows import rational
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -47,7 +52,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 pandas = later("pandas")
-DISCOUNT, NEARLY_ONE = "discount", 1 - Fraction(1, 2**40)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -242,7 +246,7 @@ def value_function(
     >>> len(found.pieces), found.at("1/2"), found.at("19/20")  # Puterman (1994), section 3.1
     (2, Fraction(9, 1), Fraction(-60, 7))
     """
-    family = parametric(model)
+    family = divided_family(parametric(model))
     if family.at({}).sense == "min":
         rewards, held = maximised(family, "optimal" if policy is None else policy)
         given = None if policy is None else held
@@ -251,6 +255,7 @@ def value_function(
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
     if name == DISCOUNT and ranges is None and relative is None and span.high < 1:
         span = Range(low=span.low, high=NEARLY_ONE)
+    span = below_one(family, name, span)
     mdp, sections = family.at({}), sections_of(family, name, span)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
     return ValueFunction(

@@ -25,10 +25,12 @@ from exact_mdp.analysis.sensitivity.gap_polynomials import Rows
 from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Sweep
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.chain import endless, reachable
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import divided_everywhere
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, Posed, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
 from exact_mdp.mdp.result import Pictured
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
 pandas = later("pandas")
 
+NEARLY_ONE = 1 - Fraction(1, 2**40)
 COLUMNS = ("parameter", "unit", "today", "threshold", "state", "before", "after", "reached")
 
 
@@ -218,7 +221,8 @@ def thresholds(
     Raises
     ------
     ModelError
-        For an unknown name, an empty range, a model with cycles that is too large, or rows that are
+        For an unknown name, an empty range, a model at discount 1 in which some policy never ends,
+        one with cycles that is too large, or rows that are
         no polynomials of the degree that a family states.
 
     Examples
@@ -228,8 +232,8 @@ def thresholds(
     >>> [threshold.value for threshold in found.found]  # 10/11: Puterman (1994), section 3.1
     [0.90909090909...]
     """
-    family = parametric(model)
-    span = range_of(family, name, ranges, relative)
+    family = divided_family(parametric(model))
+    span = below_one(family, name, range_of(family, name, ranges, relative))
     if family.at({}).sense == "min":
         family, _ = maximised(family, "optimal")
     sections = sections_of(family, name, span)
@@ -258,6 +262,24 @@ def thresholds(
     return Thresholds(parameter=parameter, range=span, found=tuple(found), checked=checked_at)
 
 
+def divided_family(family: Parametric) -> Parametric:
+    """Return a family with rows divided by their sums where today some policy never ends."""
+    return Posed(family=family, ask=divided_everywhere) if endless(family.at({})) else family
+
+
+def below_one(family: Parametric, name: str, span: Range) -> Range:
+    """Return a range of the discount that ends below 1 where some policy never ends at 1."""
+    if name != DISCOUNT or span.high < 1 or not endless(family.at({name: 1})):
+        return span
+    if span.low >= NEARLY_ONE:
+        raise ModelError(
+            "at discount 1 some policy never ends",
+            where=f"parameter {name}",
+            fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
+        )
+    return Range(low=span.low, high=NEARLY_ONE)
+
+
 def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep]:
     """Return a sweep, which yields stretches, over each section on which rows are polynomials."""
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
@@ -265,6 +287,13 @@ def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep]:
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         middle = (low + high) / 2
         base = family.at({name: middle})
+        if endless(base):
+            raise ModelError(
+                "thresholds and curves need every policy to end, and one does not",
+                where=f"parameter {name}, at discount 1",
+                fix="give a discount below 1 (discount=0.95), or a number of steps (--horizon "
+                f"{base.time_limit or 'N'}); gradient and tornado take the model as it is",
+            )
         change = row_change(family, name, Piece(low=low, high=high), origin=middle, base=base)
         found.append(Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high))
     return found

@@ -123,7 +123,11 @@ def _choice(found: Structure, whole: Derived, allowed: Mask) -> Integers:
     without = np.flatnonzero(first == len(allowed))
     if len(without):
         bad = np.isin(whole.label, without) & (found.sign == 0)
-        raise refusal(found.mdp, bad, "going round for ever, rewards cancel, and that is best")
+        raise refusal(
+            found.mdp,
+            bad,
+            "the total reward has no limit: going round for ever, rewards cancel, and that is best",
+        )
     return whole.source[first]
 
 

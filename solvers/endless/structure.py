@@ -169,7 +169,9 @@ def structure(mdp: MDP) -> Structure:
     settled = over | (worth == 0) if goal is None else over
     if goal is not None:
         if (bad := (worth > 0) & (graph.rounds(over, every) == 0)).any():
-            raise refusal(mdp, bad, "costs fall without end before the goal is reached")
+            raise refusal(
+                mdp, bad, "no policy has the best value: costs fall without end before the goal"
+            )
         worth = np.full_like(worth, -1)
     given_up = graph.rounds((worth > 0) | settled, every)
     safe, drift = given_up == 0, None
@@ -234,7 +236,11 @@ def _check_drift(mdp: MDP, graph: Graph, sign: Integers, mean: Numbers) -> None:
     for pair in np.flatnonzero(suspect).tolist():
         if sum(p * mean[state] for p, state, _ in mdp.table.row(pair)) == 0:
             bad = np.isin(np.arange(mdp.n_states), mdp.pair_state[pair])
-            raise refusal(mdp, bad, "gains and losses without end cancel on average")
+            raise refusal(
+                mdp,
+                bad,
+                "the total reward may have no limit: gains and losses without end cancel",
+            )
 
 
 def _tilted(
@@ -300,12 +306,12 @@ def _sloping(
 
 
 def refusal(mdp: MDP, states: Mask, what: str) -> ModelError:
-    """Return the error to raise where the total reward has no limit."""
+    """Return the error to raise where no total is known to be the best."""
     listed = np.flatnonzero(states).tolist()
     named = ", ".join(f"({mdp.space.label(state)})" for state in listed[:SHOWN])
     more = f" and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""
     return ModelError(
-        f"at discount 1 the total reward has no limit: {what}",
+        f"at discount 1 {what}",
         where=f"state {named}{more}",
         fix="choose a discount below 1 (discount=0.95), stop after N steps (--horizon "
         f"{mdp.time_limit or 'N'}), or ask for the average reward",

@@ -232,6 +232,9 @@ class _Check:
     def _vanishing(self, part: BellmanRows, resting: Mask) -> Mask:
         """Return (S,) True for states of rank 0, never left, where E V(X_n) vanishes."""
         found = resting.copy()
+        while (left := found & ~np.logical_and.reduceat(found[part.next], part.offsets[:-1])).any():
+            found &= ~left
+        resting = found.copy()
         if not self.value_sign[resting].any():
             return found
         states = np.flatnonzero(resting)

@@ -93,7 +93,9 @@ def _surely(chain: PolicyChain, rest: Mask) -> Mask:
 
 
 def _where(chain: PolicyChain) -> str:
-    state = int(np.flatnonzero(chain.reached & chain.stuck)[0])
+    mdp = chain.mdp
+    astray = chain.stuck if mdp.goal is None else chain.stuck | mdp.terminal & ~mdp.goal
+    state = int(np.flatnonzero(chain.reached & astray)[0])
     return f"policy, state ({chain.mdp.space.label(state)})"
 
 

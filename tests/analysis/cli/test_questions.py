@@ -162,3 +162,23 @@ def test_learners_learn_costs_as_rewards() -> None:
     for env in paid:
         env.reset(seed=3)
     assert paid[0].step(np.int64(0))[1] == -paid[1].step(np.int64(0))[1]
+
+
+def test_where_some_policy_never_ends(tmp_path: Path) -> None:
+    """What is not answered says so; what is proved exactly is called certified."""
+    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])]
+    model, proof, page = (str(tmp_path / name) for name in ("m.npz", "m.json", "m.html"))
+    MDP.from_outcomes(rows, labels={"home": [False, True]}).save(model)
+    refused = run("solve", model, "--certificate", proof)
+    assert (refused.status, "add --certify" in refused.err) == (2, True)
+    assert run("solve", model, "--certify", "--certificate", proof).status == 0
+    assert "5 (certified)" in run("verify", proof, model).out
+    for words in (
+        ["sensitivity", model, "threshold"],
+        ["sensitivity", model, "curve", "--parameter", "reward.5"],
+        ["sensitivity", model, "gradient", "--until", "home"],  # without minimising: +∞
+        ["explore", model, "--parameter", "reward.5", "--html", page],
+    ):
+        done = run(*words)
+        assert (done.status, "fix:" in done.err) == (2, True), words
+    assert run("sensitivity", model, "curve", "--parameter", "discount").status == 0
