@@ -142,7 +142,8 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
         at = [low + (high - low) * Fraction(k, n - 1) for k in range(n)]
         x = [float(value) for value in at]
         if number:
-            ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1)
+            label = "another policy becomes optimal" if number == 1 else None
+            ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1, label=label)
         ax.plot(x, [float(piece.value.at(value)) for value in at], color=BLACK)
         if piece.fixed is not None:
             ax.plot(x, [float(piece.fixed.at(value)) for value in at], "--", color="0.4")

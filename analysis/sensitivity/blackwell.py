@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.sensitivity.base_case import maximised
+from exact_mdp.analysis.sensitivity.curve_checker import Section, Values, blackwell_violations
 from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps
 from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
@@ -58,6 +59,12 @@ class Blackwell(Result):
     optimal : (L,) bool
         All pairs that are optimal for every discount close to 1.
     mdp : MDP
+    family : Parametric
+        What is maximised, at every discount.
+    section : Section
+        Of the discount, 0 to 1.
+    values : (N of each of S states, D)
+        The policy's values.
     """
 
     low: Fraction
@@ -65,11 +72,25 @@ class Blackwell(Result):
     policy: Integers
     optimal: NDArray[np.bool_]
     mdp: MDP
+    family: Parametric
+    section: Section
+    values: Values
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
 
     def __repr__(self) -> str:
         return f"Blackwell(optimal for discounts from {float(self.high):.12g} to 1; certified)"
+
+    def violations(self) -> list[str]:
+        """Return what does not hold, in words: nothing where it is sound (`.curve_checker`)."""
+        mdp = self.mdp
+        pairs = [mdp.pairs_of(state) for state in range(mdp.n_states)]
+        first = [next((mdp.pair_action[p] for p in own if self.optimal[p]), -1) for own in pairs]
+        wrong = [] if np.array_equal(first, self.policy) else ["the policy takes other pairs"]
+        bracket = (self.low, self.high)
+        return wrong + blackwell_violations(
+            self.family, self.section, self.values, self.optimal, bracket
+        )
 
     def frame(self) -> DataFrame:
         """Return the action of each state."""
@@ -128,6 +149,9 @@ def blackwell(model: Scenario | MDP | Parametric) -> Blackwell:
         policy=mdp.pair_action[chosen],
         optimal=optimal,
         mdp=mdp,
+        family=family,
+        section=Section(low=section.low + origin, high=section.high + origin, origin=origin),
+        values=gaps.values,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -27,7 +28,7 @@ F = Fraction
 ROWS = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
 
 
-@settings(max_examples=60)
+@settings(max_examples=25, deadline=None)
 @given(rows=models(discounts=(F(1, 2),)))
 def test_it_is_optimal_from_there_on_and_not_before(rows: Rows) -> None:
     """Certificates above the threshold, far above and just below it."""
@@ -42,7 +43,17 @@ def test_it_is_optimal_from_there_on_and_not_before(rows: Rows) -> None:
     if found.low > 0:
         below = certify(mdp.with_(discount=found.low - F(1, 10**9))).optimal_pairs
         assert not below[pairs].all()
+    assert found.violations() == []
+    for change in (
+        {"optimal": ~found.optimal},
+        {"low": F(0), "high": F(0)},
+        {"low": found.high + room / 2, "high": found.high + room / 2},
+    ):
+        told = {key: change.get(key) for key in ("low", "high") if key in change}
+        if told != {"low": found.low, "high": found.high}:
+            assert replace(found, **change).violations()
     costs = mdp.negated()
+    assert blackwell(costs).violations() == []
     assert blackwell(costs).policy.tolist() == found.policy.tolist()
 
 
