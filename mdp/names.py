@@ -200,7 +200,7 @@ class Names:
         return int(value) if whole and value is not None else None
 
     def knows(self, thing: object) -> bool:
-        """Return whether something that is no number is an object, or has the text of a name."""
+        """Return whether something other than a number is an object, or has the text of a name."""
         try:
             made = self._made(thing)
         except TypeError:

@@ -758,6 +758,12 @@ def _evidence(by: object, confidence: object | None) -> Evidence | None:
             )
         return None
     if not isinstance(by, str):
+        if not callable(getattr(by, "interval", None)):
+            raise ModelError(
+                f"{by!r} is not a kind of interval",
+                where="by",
+                fix='give "robust", "posterior" or "off-policy", or one of their classes',
+            )
         found: Evidence = by  # type: ignore[assignment]
         return found
     kinds = {
