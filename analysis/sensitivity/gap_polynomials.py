@@ -183,7 +183,7 @@ class Rows:
         below = flint.fmpz_poly(matrix.charpoly().coeffs()[::-1])  # det(I - z A), z = γ / q
         rate = self.rate / unit
         numerators = [
-            flint.fmpq_poly(below.mul_low(flint.fmpz_poly(list(powers)), count))(rate)
+            flint.fmpq_poly((below * flint.fmpz_poly(list(powers))).coeffs()[:count])(rate)
             for powers in zip(*columns, strict=True)
         ]
         return numerators, flint.fmpq_poly(below)(rate) * times

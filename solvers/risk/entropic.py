@@ -115,7 +115,7 @@ class _Powers:
     low: int
 
     def aligned(self, low: int) -> Any:
-        return self.poly.left_shift(self.low - low)
+        return self.poly * type(self.poly)([0] * (self.low - low) + [1])
 
     def equals(self, other: _Powers) -> bool:
         low = min(self.low, other.low)
