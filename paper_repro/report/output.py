@@ -100,15 +100,17 @@ def counts(judged: Sequence[Judged], kind: Kind) -> dict[str, int]:
 def counted(judged: Sequence[Judged]) -> str:
     """Return the counts in words: inputs first, then findings."""
     inputs, findings = counts(judged, "input"), counts(judged, "finding")
-    told = ("hold only under other readings of the text", "differ", "stay open")
+    told = ("hold{} only under other readings of the text", "differ{}", "stay{} open")
     same, *others = inputs.values()
-    more = "".join(f", {n} {what}" for n, what in zip(others, told, strict=True) if n)
+    more = "".join(
+        f", {n} {each.format('s' * (n == 1))}" for n, each in zip(others, told, strict=True) if n
+    )
     yes, some, no, unknown = findings.values()
     return (
         f"{sum(inputs.values())} inputs (numbers, settings, definitions, and what the text says of "
         f"these) were held against the model: {same} agree{more}. Of {sum(findings.values())} "
-        f"findings {yes} are reproduced, {some} depend on the reading of the text, {no} are not "
-        f"reproduced, and {unknown} cannot be decided here."
+        f"findings {yes} are reproduced, {some} depend{'s' * (some == 1)} on the reading of the "
+        f"text, {no} are not reproduced, and {unknown} cannot be decided here."
     )
 
 
