@@ -237,6 +237,12 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
                 where=where,
                 fix="make P and the spaces agree",
             )
+        if first := int(getattr(getattr(env, space, None), "start", 0)):
+            raise ModelError(
+                f"{space} counts from {first}, and P from 0, so that a number may be two",
+                where=where,
+                fix=f"let {space} start at 0, as P does",
+            )
         sizes.append(int(size))
     for (state, action), outcomes in rows.items():
         for _, following, _, over in outcomes:

@@ -480,3 +480,15 @@ def test_a_module_that_lacks_another_is_not_called_missing(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModelError, match="half_there needs the module no_such_dependency"):
         MDP.from_gymnasium("half_there:Env-v0")
+
+
+def test_a_space_that_does_not_count_from_0_is_refused() -> None:
+    class Counting:
+        observation_space = gymnasium.spaces.Discrete(1)
+        action_space = gymnasium.spaces.Discrete(2, start=1)
+
+        def __init__(self) -> None:
+            self.P = {0: {0: [(1.0, 0, 1, True)], 1: [(1.0, 0, 2, True)]}}
+
+    with pytest.raises(ModelError, match="action_space counts from 1, and P from 0"):
+        MDP.from_gymnasium(Counting())
