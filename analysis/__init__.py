@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.graph import dot
     from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
     from exact_mdp.analysis.pages.explorer import explore
-    from exact_mdp.analysis.sensitivity.curve import value_function
+    from exact_mdp.analysis.sensitivity.curves.curve import value_function
     from exact_mdp.analysis.tradeoffs.front import tradeoff
     from exact_mdp.analysis.tradeoffs.rationalize import rationalize
 
@@ -57,7 +57,7 @@ __getattr__, __dir__ = names_later(
             "best_policy",
             "value_of_memory",
         ],
-        "exact_mdp.analysis.sensitivity.curve": ["value_function"],
+        "exact_mdp.analysis.sensitivity.curves.curve": ["value_function"],
         "exact_mdp.analysis.tradeoffs.front": ["tradeoff"],
         "exact_mdp.analysis.tradeoffs.rationalize": ["rationalize"],
         "exact_mdp.analysis.gate.comparison": ["PolicyComparison", "compare"],

@@ -1,11 +1,11 @@
 """The explorer: a page on which one parameter moves, and value, regret and policy move with it.
 
-The page holds the pieces of `analysis.sensitivity.curve`: on each one the optimal actions, and the
-optimal value and that of a policy held fixed as ratios of polynomials with whole coefficients. Its
-script evaluates them in whole numbers of any size, so that what it shows at a rational value is
-exact. At both ends of the range, today's value and both sides of each switching point the optimum
-has been proved, the proof checked, and its value compared with the ratio's. A second parameter
-moves in steps: for each of its values the first one's pieces are worked out anew.
+The page holds the pieces of `analysis.sensitivity.curves.curve`: on each one the optimal actions,
+and the optimal value and that of a policy held fixed as ratios of polynomials with whole
+coefficients. Its script evaluates them in whole numbers of any size, so that what it shows at a
+rational value is exact. At both ends of the range, today's value and both sides of each switching
+point the optimum has been proved, the proof checked, and its value compared with the ratio's. A
+second parameter moves in steps: for each of its values the first one's pieces are worked out anew.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.layout import Layout, arrange
 from exact_mdp.analysis.pages.page import render
 from exact_mdp.analysis.sensitivity.base_case import held_at
-from exact_mdp.analysis.sensitivity.curve import ValueFunction, value_function
-from exact_mdp.analysis.sensitivity.curve_checker import RationalFunction
+from exact_mdp.analysis.sensitivity.curves.checker import RationalFunction
+from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction, value_function
 from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
 from exact_mdp.analysis.sensitivity.thresholds import divided_family
 from exact_mdp.mdp.care.scenario import Scenario

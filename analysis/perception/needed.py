@@ -7,7 +7,7 @@ and so is the value of a policy that takes what it perceives for true, as places
     V(x) = Σ_k c_k x^k,   c_k rational.
 
 It is computed as it stands, so that the accuracies at which it crosses a target are isolated
-exactly (`analysis.sensitivity.real_roots`): all of them, and whether there is only one.
+exactly (`analysis.sensitivity.curves.real_roots`): all of them, and whether there is only one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.perception.policies import status_names
-from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
+from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple
 from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later

@@ -35,9 +35,9 @@ from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.sensitivity.curve import ValueFunction
+    from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
+    from exact_mdp.analysis.sensitivity.curves.exact_map import ExactMap
     from exact_mdp.analysis.sensitivity.draws.global_ import Morris, Sobol
-    from exact_mdp.analysis.sensitivity.exact_map import ExactMap
     from exact_mdp.analysis.sensitivity.gradient import Gradient
     from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Tornado
     from exact_mdp.analysis.sensitivity.ranges import Range

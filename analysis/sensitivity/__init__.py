@@ -7,7 +7,7 @@
 1 (certified)
 """
 
-from exact_mdp.analysis.sensitivity.curve import value_function
+from exact_mdp.analysis.sensitivity.curves.curve import value_function
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.gradient import gradient

@@ -1,8 +1,8 @@
 """Every value of a parameter at which an optimal action changes, and where none does.
 
 Within a piece of the parameter's range a policy stays optimal up to a root of one of its gap
-polynomials (`analysis.sensitivity.gap_polynomials`); `analysis.sensitivity.optimal_stretches` goes
-from root to root and solves the model exactly on both sides of each.
+polynomials (`sensitivity.curves.gap_polynomials`); `sensitivity.curves.optimal_stretches` goes from
+root to root and solves the model exactly on both sides of each.
 
 The stability radius is the distance from today's value to the nearest threshold on either side, the
 policy being re-optimised (threshold analysis in the sense of the ISPOR-SMDM good practices: Briggs
@@ -21,8 +21,8 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.base_case import maximised
-from exact_mdp.analysis.sensitivity.gap_polynomials import Rows
-from exact_mdp.analysis.sensitivity.optimal_stretches import Mask, Sweep
+from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Rows
+from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Mask, Sweep
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, reachable

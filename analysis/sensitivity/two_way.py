@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.base_case import BaseCase
-from exact_mdp.analysis.sensitivity.exact_map import ExactMap, exact_map
+from exact_mdp.analysis.sensitivity.curves.exact_map import ExactMap, exact_map
 from exact_mdp.analysis.sensitivity.one_way import grid
 from exact_mdp.analysis.sensitivity.ranges import ranges_of
 from exact_mdp.mdp.care.scenario import Scenario

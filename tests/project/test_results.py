@@ -49,7 +49,7 @@ from exact_mdp.analysis.sensitivity import (
     tornado,
     two_way,
 )
-from exact_mdp.analysis.sensitivity.blackwell import blackwell
+from exact_mdp.analysis.sensitivity.curves.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty

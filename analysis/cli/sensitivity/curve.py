@@ -10,10 +10,10 @@ import numpy as np
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, stated_ranges
 from exact_mdp.analysis.cli.solve import whole_policy
-from exact_mdp.analysis.sensitivity.blackwell import blackwell
-from exact_mdp.analysis.sensitivity.curve import value_function
-from exact_mdp.analysis.sensitivity.curve_checker import Bracket, CurvePiece, RationalFunction
-from exact_mdp.analysis.sensitivity.regret_limits import Interval
+from exact_mdp.analysis.sensitivity.curves.blackwell import blackwell
+from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece, RationalFunction
+from exact_mdp.analysis.sensitivity.curves.curve import value_function
+from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 

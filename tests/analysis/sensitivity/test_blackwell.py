@@ -17,8 +17,8 @@ from strategies import Rows, models
 
 from exact_mdp import evaluate, solve
 from exact_mdp.analysis.sensitivity import value_function
-from exact_mdp.analysis.sensitivity.blackwell import blackwell
-from exact_mdp.analysis.sensitivity.real_roots import roots
+from exact_mdp.analysis.sensitivity.curves.blackwell import blackwell
+from exact_mdp.analysis.sensitivity.curves.real_roots import roots
 from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.parametric.polynomial_rows import rational
 from exact_mdp.solvers import certify

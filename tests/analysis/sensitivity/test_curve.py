@@ -13,14 +13,10 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.sensitivity import (
-    curve_checker,
-    gap_polynomials,
-    thresholds,
-    value_function,
-)
-from exact_mdp.analysis.sensitivity.curve import ValueFunction
-from exact_mdp.analysis.sensitivity.curve_checker import nonnegative, positive
+from exact_mdp.analysis.sensitivity import thresholds, value_function
+from exact_mdp.analysis.sensitivity.curves import checker, gap_polynomials
+from exact_mdp.analysis.sensitivity.curves.checker import nonnegative, positive
+from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
@@ -257,7 +253,7 @@ def test_limits_that_say_nothing_are_refused() -> None:
 
 
 def test_the_checker_imports_no_solver() -> None:
-    source = Path(curve_checker.__file__).read_text("utf-8")
+    source = Path(checker.__file__).read_text("utf-8")
     assert "import exact_mdp" not in source
     homes = {line.split()[1] for line in source.splitlines() if line.startswith("from exact_mdp")}
     assert all(home.startswith("exact_mdp.mdp.") for home in homes)

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.sensitivity import exact_map, two_way
-from exact_mdp.analysis.sensitivity.exact_map import ExactMap
+from exact_mdp.analysis.sensitivity import two_way
+from exact_mdp.analysis.sensitivity.curves import exact_map
+from exact_mdp.analysis.sensitivity.curves.exact_map import ExactMap
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
 from exact_mdp.solvers import certify

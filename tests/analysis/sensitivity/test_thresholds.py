@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from oracle import END, Oracle, oracle_of
 
 from exact_mdp.analysis.sensitivity import joint_radius, thresholds
-from exact_mdp.analysis.sensitivity.real_roots import roots, sign, simple, variations
+from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple, variations
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family
 from exact_mdp.solvers import certify

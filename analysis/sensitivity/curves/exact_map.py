@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.base_case import held_at
-from exact_mdp.analysis.sensitivity.gap_polynomials import interpolated
+from exact_mdp.analysis.sensitivity.curves.gap_polynomials import interpolated
+from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, simple
 from exact_mdp.analysis.sensitivity.ranges import Range
-from exact_mdp.analysis.sensitivity.real_roots import Root, roots, simple
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later

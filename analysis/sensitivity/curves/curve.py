@@ -20,15 +20,15 @@ import numpy as np
 
 from exact_mdp.analysis.gate.check import limit_of
 from exact_mdp.analysis.sensitivity.base_case import maximised
-from exact_mdp.analysis.sensitivity.curve_checker import (
+from exact_mdp.analysis.sensitivity.curves.checker import (
     CurvePiece,
     RationalFunction,
     Section,
     piece_violations,
 )
-from exact_mdp.analysis.sensitivity.optimal_stretches import Sweep, moved
+from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Sweep, moved
+from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval, kept
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of
-from exact_mdp.analysis.sensitivity.regret_limits import Interval, kept
 from exact_mdp.analysis.sensitivity.thresholds import (
     NEARLY_ONE,
     below_one,
@@ -175,7 +175,7 @@ class ValueFunction(Pictured):
         """Return what does not hold of the function, in words: nothing where it is sound.
 
         A checker that knows no solver proves that the values are optimal for every value of the
-        parameter: on each piece, and in the brackets between them (`.curve_checker`).
+        parameter: on each piece, and in the brackets between them (`.checker`).
         """
         wrong = list[str]()
         ends = [self.range.low, *(piece.high[1] for piece in self.pieces)]

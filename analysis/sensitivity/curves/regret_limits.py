@@ -1,6 +1,6 @@
 """For which values of a parameter the regret of a fixed policy keeps a limit, exactly.
 
-With V* = N / D and V_π = M / E on a piece (`.curve_checker`), D > 0 and E > 0,
+With V* = N / D and V_π = M / E on a piece (`.checker`), D > 0 and E > 0,
 
     V* - V_π ≤ x + ρ |V*|   where   x D E ± ρ N E - (N E - M D) ≥ 0   for one sign,
 
@@ -17,8 +17,8 @@ from itertools import pairwise
 from math import prod
 from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.sensitivity.curve_checker import Bracket, CurvePiece
-from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
+from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece
+from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric.polynomial_rows import rational
 

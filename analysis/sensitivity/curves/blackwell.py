@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.sensitivity.base_case import maximised
-from exact_mdp.analysis.sensitivity.curve_checker import Section, Values, blackwell_violations
-from exact_mdp.analysis.sensitivity.gap_polynomials import Gaps
+from exact_mdp.analysis.sensitivity.curves.checker import Section, Values, blackwell_violations
+from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Gaps
+from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple
 from exact_mdp.analysis.sensitivity.ranges import Range
-from exact_mdp.analysis.sensitivity.real_roots import Root, roots, sign, simple
 from exact_mdp.analysis.sensitivity.thresholds import divided_family, sections_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.lazy import later
@@ -82,7 +82,7 @@ class Blackwell(Result):
         return f"Blackwell(optimal for discounts from {float(self.high):.12g} to 1; certified)"
 
     def violations(self) -> list[str]:
-        """Return what does not hold, in words: nothing where it is sound (`.curve_checker`)."""
+        """Return what does not hold, in words: nothing where it is sound (`.checker`)."""
         mdp = self.mdp
         pairs = [mdp.pairs_of(state) for state in range(mdp.n_states)]
         first = [next((mdp.pair_action[p] for p in own if self.optimal[p]), -1) for own in pairs]
