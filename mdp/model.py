@@ -35,6 +35,7 @@ from exact_mdp.mdp.parametric.symbolic import (
     outcomes_degree,
     pairs_degree,
 )
+from exact_mdp.mdp.result import ROWS_SHOWN, as_html
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
 from exact_mdp.mdp.validate import (
     Parts,
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 gymnasium = lazy.later("exact_mdp.mdp.io.gymnasium")
+pandas = lazy.later("pandas")
 transitions = lazy.later("exact_mdp.mdp.io.transitions")
 LOADER = "exact_mdp.mdp.io.load"  # by name: it knows every kind of model, this one among them
 
@@ -170,6 +172,50 @@ class MDP(Parts):
             f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate}"
             f"{', costs to minimise' if self.sense == 'min' else ''})"
         )
+
+    def frame(self, states: Iterable[object] | None = None) -> DataFrame:
+        """Return the outcomes as a table, with exact numbers.
+
+        Parameters
+        ----------
+        states : iterable of states, optional
+            Those whose outcomes are wanted, by number or by name; all by default.
+
+        Returns
+        -------
+        DataFrame
+            One row for each outcome: state, action, next state, probability, reward.
+
+        Raises
+        ------
+        ModelError
+            For a state that there is not.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_pairs([0, 1], [0, 0], [["1/3", "2/3"], [0, 1]], [5, 0])
+        >>> print(mdp.frame([0]).to_csv(index=False))
+        state,action,next state,probability,reward
+        state 0,0,state 0,1/3,5
+        state 0,0,state 1,2/3,5
+        """
+        chosen = range(self.n_states) if states is None else self.space.numbers(states)
+        return self._outcomes(pair for state in chosen for pair in self.pairs_of(state))
+
+    def _outcomes(self, pairs: Iterable[int]) -> DataFrame:
+        label = self.space.label
+        rows = [
+            (label(self.pair_state[pair]), self.actions[self.pair_action[pair]], label(after), p, r)
+            for pair in pairs
+            for p, after, r in self.table.row(pair)
+        ]
+        earned = "cost" if self.sense == "min" else "reward"
+        names = ["state", "action", "next state", "probability", earned]
+        return pandas.DataFrame(rows, columns=names)
+
+    def _repr_html_(self) -> str:
+        few = self._outcomes(range(min(self.n_pairs, ROWS_SHOWN)))
+        return as_html(repr(self), few, rows=len(self.table.next))
 
     @property
     def _rate(self) -> str:

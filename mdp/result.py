@@ -66,17 +66,11 @@ class Result(Brief, ABC):
         """Return the result as a table, one row for each thing found."""
 
     def _repr_html_(self) -> str:
-        frame = self.frame()
-        more = len(frame) - ROWS_SHOWN
-        rest = f"<p>… and {more} rows more: <code>.frame()</code></p>" if more > 0 else ""
-        head = frame.head(ROWS_SHOWN).copy()
-        for name, kind in head.dtypes.items():
-            if kind.kind == "O":
-                head[name] = head[name].map(_rational)
-        table = head.to_html(border=0)
         said, claim = repr(self), getattr(self, "claim", "")
-        said += f" ({claim})" if str(claim) not in said else ""
-        return f"<p>{escape(said)}</p>{table}{rest}"
+        frame = self.frame()
+        return as_html(
+            said + (f" ({claim})" if str(claim) not in said else ""), frame, rows=len(frame)
+        )
 
 
 class Pictured(Result):
@@ -108,6 +102,17 @@ class Pictured(Result):
         module, _, function = self.picture.partition(":")
         drawn: Axes = getattr(load(module), function)(self, ax=ax, **settings)
         return drawn
+
+
+def as_html(said: str, frame: DataFrame, *, rows: int) -> str:
+    """Return a line and the first rows of a table of so many, as a notebook shows them."""
+    head = frame.head(ROWS_SHOWN).copy()
+    for name, kind in head.dtypes.items():
+        if kind.kind == "O":
+            head[name] = head[name].map(_rational)
+    more = rows - len(head)
+    rest = f"<p>… and {more:,} rows more: <code>.frame()</code></p>" if more else ""
+    return f"<p>{escape(said)}</p>{head.to_html(border=0)}{rest}"
 
 
 def _rational(value: Any) -> Any:

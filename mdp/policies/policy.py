@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from exact_mdp.mdp.errors import ModelError, check_names, located
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.arrays import read_array
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.policies import files
@@ -37,6 +38,7 @@ from exact_mdp.mdp.policies.arrays import (
     space_read,
 )
 from exact_mdp.mdp.policies.frames import unlabelled
+from exact_mdp.mdp.result import ROWS_SHOWN, as_html
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -51,6 +53,10 @@ from exact_mdp.mdp.table import (
     magnitude,
 )
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
 ReadAs = Literal["q", "policy"]
 
 
@@ -260,6 +266,40 @@ class Policy(NDArrayOperatorsMixin):
     def read_as(self) -> ReadAs:
         """What was read: "q" for a Q-table, of which this is the greedy policy, or "policy"."""
         return "q" if self.source == Q_TABLE else "policy"
+
+    def frame(self) -> DataFrame:
+        """Return the policy as a table.
+
+        Returns
+        -------
+        DataFrame
+            One row for each combination of the columns that the policy reads, by label: its action,
+            or the probability of each action where the policy mixes them. None and NaN where it
+            says nothing.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+        >>> print(Policy.of(mdp, [1, 0]).frame())
+          state action
+        0     0      1
+        1     1      0
+        """
+        return self._rows(len(self))
+
+    def _rows(self, first: int) -> DataFrame:
+        rows = pandas.DataFrame([dict(self.space.as_dict(row)) for row in range(first)]).fillna("")
+        if self.deterministic:
+            chosen = self.rule[:first].tolist()
+            return rows.assign(action=[self.actions[a] if a >= 0 else None for a in chosen])
+        mixed: Any = self.table[:first]
+        if self.shares is not None:
+            mixed = [[Fraction(int(share), int(sum(row))) for share in row] for row in self.shares]
+        table = pandas.DataFrame(mixed[:first], columns=list(self.actions))
+        return pandas.concat([rows, table], axis=1)
+
+    def _repr_html_(self) -> str:
+        return as_html(repr(self), self._rows(min(len(self), ROWS_SHOWN)), rows=len(self))
 
     def weights(self, model: MDP) -> Floats:
         """Return the probability of each pair given its state.

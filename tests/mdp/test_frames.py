@@ -1,0 +1,28 @@
+"""Models and policies as tables, as a notebook shows them."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from exact_mdp import Policy, Scenario
+
+
+def test_a_model_and_a_policy_are_tables_in_a_notebook() -> None:
+    mdp = Scenario.load("tea").with_(tasks=[1], max_trial=2).compile()
+    rows = [
+        (mdp.space.label(state), mdp.actions[action], mdp.space.label(after), chance, gain)
+        for pair, (state, action) in enumerate(zip(mdp.pair_state, mdp.pair_action, strict=True))
+        for chance, after, gain in mdp.table.row(pair)
+    ]
+    assert [tuple(row) for row in mdp.frame().to_numpy()] == rows
+    assert len(mdp.frame([mdp.space.label(0)])) == sum(row[0] == rows[0][0] for row in rows)
+    page = mdp._repr_html_()
+    assert page.count("<tr") == 21
+    assert f"{len(rows) - 20:,} rows more" in page
+
+    mixed = Policy.of(mdp, "random").frame()
+    assert len(mixed) == mdp.n_states
+    assert set(mixed.iloc[0, -mdp.n_actions :]) == {Fraction(1, mdp.n_actions)}
+    always = Policy.of(mdp, np.zeros(mdp.n_states, dtype=int))
+    assert set(always.frame()["action"]) == {mdp.actions[0]}
+    assert "<table" in always._repr_html_()
