@@ -22,7 +22,10 @@ def test_a_model_and_a_policy_are_tables_in_a_notebook() -> None:
 
     mixed = Policy.of(mdp, "random").frame()
     assert len(mixed) == mdp.n_states
-    assert set(mixed.iloc[0, -mdp.n_actions :]) == {Fraction(1, mdp.n_actions)}
+    offered = len(mdp.pairs_of(0))
+    shares = sorted(mixed.iloc[0, -mdp.n_actions :])
+    assert shares[-offered:] == [Fraction(1, offered)] * offered
+    assert sum(shares) == 1
     always = Policy.of(mdp, np.zeros(mdp.n_states, dtype=int))
     assert set(always.frame()["action"]) == {mdp.actions[0]}
     assert "<table" in always._repr_html_()
