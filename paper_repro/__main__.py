@@ -30,6 +30,11 @@ from exact_mdp.mdp.lazy import load
     metavar="ADDRESS",
     help="Search the readings and train under them on a Dask cluster: tcp://HOST:PORT, or local.",
 )
+@click.option(
+    "--summary",
+    is_flag=True,
+    help="Write only summary.html, one page of A4 with what was found; no figures are drawn.",
+)
 @click.option("--claim", "name", metavar="ID", help="Work out only this claim, and print it.")
 @click.option(
     "--set",
@@ -45,6 +50,7 @@ def main(
     quick: bool,
     out: Path,
     scheduler: str | None,
+    summary: bool,
     name: str | None,
     sets: tuple[str, ...],
     candidates: bool,
@@ -66,6 +72,12 @@ def main(
             where="--set",
             fix=f"leave {'--candidates' if candidates else '--claim'} out",
         )
+    if summary and (sets or name is not None or candidates):
+        raise ModelError(
+            "--summary is about all claims under the default reading",
+            where="--summary",
+            fix="leave --claim, --set and --candidates out",
+        )
     if name is not None and not name.strip():
         raise ModelError(
             "the name of the claim is empty",
@@ -74,7 +86,11 @@ def main(
         )
     try:
         work = load("exact_mdp.paper_repro.run")  # the help does not wait for it
-        failed = work.reproduce(out, quick, scheduler, name, candidates, sets)
+        if summary:
+            work.summarise(out, quick=quick, scheduler=scheduler)
+            failed = False
+        else:
+            failed = work.reproduce(out, quick, scheduler, name, candidates, sets)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):
             stop.add_note(f"what is finished is kept in {out}, and the same command goes on")

@@ -43,8 +43,8 @@ from exact_mdp.paper_repro.readings.findings import reading_study
 from exact_mdp.paper_repro.readings.search import search, searched
 from exact_mdp.paper_repro.report import agents, output, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
-from exact_mdp.paper_repro.report.output import entry_of
-from exact_mdp.paper_repro.report.report import render
+from exact_mdp.paper_repro.report.output import counted, entry_of
+from exact_mdp.paper_repro.report.report import render, summary
 from exact_mdp.paper_repro.report.tables import all_tables
 
 joblib = later("joblib")
@@ -156,8 +156,23 @@ def run(
     _write(out / "claims.json", entries)
     write_atomically(out / "report.md", markdown)
     write_atomically(out / "report.html", page)
+    write_atomically(out / "summary.html", summary(judged, reading, study.search, record))
     _write(out / "run.json", record)
     return judged, off
+
+
+def summarise(out: Path, *, quick: bool, scheduler: str | None = None) -> None:
+    """Write the page for those who read no more: every claim is worked out, nothing is drawn."""
+    sizes, store = QUICK if quick else FULL, Store.under(out)
+    reading, folder = default(sizes, store), store.folder("readings")
+    found = search(scheduler=scheduler, out=folder and folder / "search", progress=True)
+    weighed = evidence(found)
+    others = _others(reading, sizes, weighed)
+    judged = judge(all_claims(), reading, others=others, evidence=weighed, progress=_say)
+    page = out / "summary.html"
+    write_atomically(page, summary(judged, reading, found, _record(reading, sizes, quick)))
+    click.echo(counted(judged))
+    click.echo(f"One page: {page}")
 
 
 def run_claims(

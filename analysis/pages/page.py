@@ -44,14 +44,18 @@ def render(template: str, **data: Any) -> str:
     >>> "<title></title>" in page, "no medical advice" in page
     (True, True)
     """
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
+    page: str = environment().get_template(template).render(data)
+    return page
+
+
+def environment(*folders: Path, escape: bool = True) -> Any:
+    """Return what makes pages from the templates of this folder and others; `escape` for HTML."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader([*folders, TEMPLATES]),
         undefined=jinja2.StrictUndefined,
-        autoescape=True,
+        autoescape=escape,
         finalize=lambda value: shown_text(value, lines=True) if type(value) is str else value,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    page: str = environment.get_template(template).render(data)
-    return page

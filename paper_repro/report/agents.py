@@ -74,7 +74,8 @@ def agents_part() -> Part:
     told = [f"{each.claim} ({each.place}): {each.kind}." for each in statements()]
     return Part(
         title="The two agents",
-        sentences=(intro, *told),
+        sentences=(intro,),
+        more={"What the paper says of them": tuple(told)},
         figures=tuple(PICTURES),
         tables=(_example(),),
         texts=_texts(),

@@ -76,15 +76,14 @@ class Pictures(list[Picture]):
     def add(self, name: str, *, learns: bool = False) -> Callable[[Draw], Draw]:
         """Return a decorator that adds a figure which the function draws."""
         words = WORDS[name]
-        title = words.get("title") or name.removeprefix("agents_").replace("_", " ").capitalize()
         first = words["caption"].partition(". ")[0].removesuffix(".")
 
         def keep(draw: Draw) -> Draw:
             picture = Picture(
                 name=name,
-                title=title,
+                title=words["title"],
                 caption=words["caption"],
-                alt=words.get("alt", f"{title}. {first}."),
+                alt=words.get("alt", f"{words['title']}. {first}."),
                 place=words.get("place", ""),
                 draw=draw,
                 learns=learns,

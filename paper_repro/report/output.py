@@ -29,10 +29,19 @@ def number(value: float | None, *, unit: str = "") -> str:
     if unit == "%":
         text = f"{100 * value:.4g} %"
     elif value == int(value) and abs(value) < 1e9:
-        text = f"{value:,.0f}"
+        text = f"{value:z,.0f}"
     else:
         text = f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.2g}"
     return text.replace("-", "−")
+
+
+def stated(value: float, *, unit: str = "") -> str:
+    """Return a number of the paper with the digits that it has there.
+
+    >>> stated(144.3), stated(-1.0), stated(0.3, unit="%")
+    ('144.3', '−1', '30 %')
+    """
+    return number(value, unit=unit) if unit else f"{value:,.10g}".replace("-", "−")
 
 
 def cells(each: Judged) -> dict[str, str]:
@@ -40,7 +49,7 @@ def cells(each: Judged) -> dict[str, str]:
     claim, found = each.claim, each.finding
     apart, errors = found.difference, found.standard_errors
     sign = "+" if apart is not None and apart > 0 else ""
-    paper = "" if claim.paper is None else number(float(claim.paper), unit=claim.unit)
+    paper = "" if claim.paper is None else stated(float(claim.paper), unit=claim.unit)
     plotted = claim.rule == "plotted" or claim.id == "return.optimal"
     return {
         "id": claim.id,
@@ -50,7 +59,7 @@ def cells(each: Judged) -> dict[str, str]:
         "exact": found.shown or number(found.exact, unit=claim.unit),
         "kind": str(found.claim or ""),
         "difference": sign + number(apart, unit=claim.unit if apart else ""),
-        "errors": "" if errors is None else f"{errors:+.1f}".replace("-", "−"),
+        "errors": "" if errors is None else f"{errors:+z.1f}".replace("-", "−"),
         "verdict": str(each.verdict),
         "share": ""
         if each.others is None or each.verdict is not Verdict.DEPENDS
@@ -217,3 +226,4 @@ def print_places(out: Path) -> None:
     screen = _console(132)
     screen.print(f"Figures: {out / 'figures'} (SVG and PNG); numbers: {out / 'numbers.json'}")
     screen.print(f"Report: {out / 'report.html'} and {out / 'report.md'}")
+    screen.print(f"One page: {out / 'summary.html'}")

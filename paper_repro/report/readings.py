@@ -45,14 +45,26 @@ INK: dict[str, Any] = {"mec": "black", "ecolor": "black"}
 SHADES = ("0.15", "0.6", "white")
 RANKED = 30  # readings in the figure
 LISTED = 10  # readings in the table
+FOLDED = {  # kinds of sentences that are folded, and the heading that they stand under
+    "method": "How the readings are weighed",
+    "not identified": "What the numbers leave open",
+    "variant": "With other evidence",
+    "cannot hold together": "What cannot hold together",
+}
 PICTURES = Pictures()
 
 
 def readings_part(study: ReadingStudy) -> Part:
     """Return what the search over all readings found."""
+    folded: dict[str, list[str]] = {title: [] for title in FOLDED.values()}
+    shown: list[str] = []
+    for each in (*method(study.main), *study.sentences):
+        kind = "variant" if each.text.startswith("Variant") else each.kind
+        (folded[FOLDED[kind]] if kind in FOLDED else shown).append(each.text)
     return Part(
         title="Which reading of the text is it?",
-        sentences=tuple(each.text for each in (*method(study.main), *study.sentences)),
+        sentences=tuple(shown),
+        more={title: tuple(texts) for title, texts in folded.items() if texts},
         figures=tuple(PICTURES),
         tables=(_best_readings(study), _policies(study)),
     )

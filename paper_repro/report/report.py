@@ -14,12 +14,13 @@ from __future__ import annotations
 import base64
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from exact_mdp.mdp.lazy import later
+from exact_mdp.analysis.pages.explorer import explore
+from exact_mdp.analysis.pages.page import environment
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims import Judged, Verdict
 from exact_mdp.paper_repro.claims.claim import RULES
@@ -29,6 +30,7 @@ from exact_mdp.paper_repro.readings.search import ReadingSearch
 from exact_mdp.paper_repro.report.figures import Picture
 from exact_mdp.paper_repro.report.output import cells, counted, counts
 from exact_mdp.paper_repro.report.tables import Table
+from exact_mdp.paper_repro.report.wording import options_of
 from exact_mdp.paper_repro.reported import (
     ANGRY,
     COMPLETIONS,
@@ -41,10 +43,15 @@ from exact_mdp.paper_repro.reported import (
 )
 from exact_mdp.solvers.solution import Claim
 
-jinja2 = later("jinja2")
 WORDS = tomllib.loads((Path(__file__).parent / "first_page.toml").read_text("utf-8"))
 TEMPLATES = Path(__file__).parent / "templates"
-ENTRIES = ("table", "assistance.", "skip.")  # claims that are single entries of a table
+SIGNS = {
+    Verdict.REPRODUCED: "✓",
+    Verdict.DEPENDS: "◐",
+    Verdict.NOT_REPRODUCED: "✗",
+    Verdict.NOT_DETERMINED: "?",
+}
+MOVED = "reward.assist.directive"  # the number that the page's slider moves
 CLAIM_WORDS = {
     Claim.CERTIFIED: "exact rational number, with a proof that a separate checker accepts",
     Claim.BOUNDED: "floating point, with a bound on its error that is proven",
@@ -63,13 +70,17 @@ class Text:
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """A part of the report from a module of its own: sentences, tables, figures and texts."""
+    """A part of the report from a module of its own: sentences, tables, figures and texts.
+
+    Of the sentences, those in `more` are folded under a heading.
+    """
 
     title: str
     sentences: tuple[str, ...]
     figures: tuple[Picture, ...]
     tables: tuple[Table, ...] = ()
     texts: tuple[Text, ...] = ()
+    more: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def render(
@@ -85,17 +96,9 @@ def render(
     search: ReadingSearch,
 ) -> tuple[str, str]:
     """Return the report as Markdown and as HTML; the figures are read from `out`/figures."""
-    data = {
-        "paper": reported.PAPER,
-        "about": WORDS["about"],
-        "bottom": bottom_line(reading),
-        "conclude": WORDS["conclude"],
-        "beyond": WORDS["beyond"],
-        "limits": WORDS["limits"],
+    data = _first_page(judged, reading, search) | {
         "outside": WORDS["outside"],
-        "plain": plain(judged, reading, search),
-        "counts": counts(judged, "finding"),
-        "counted": counted(judged),
+        "verdicts": [str(verdict) for verdict in Verdict],
         "groups": _groups(judged),
         "tables": tables,
         "figures": figures,
@@ -103,9 +106,7 @@ def render(
         "missing": _missing(figures, parts),
         "rules": RULES,
         "claims": {str(kind): words for kind, words in CLAIM_WORDS.items()},
-        "readings": dict(reading.scenario.readings),
-        "tasks": list(reading.scenario.tasks),
-        "discount": str(reading.scenario.discount),
+        "readings": options_of(reading.scenario),
         "completions": _named(reading),
         "final": FINAL,
         "experiments": reported.EXPERIMENTS,
@@ -113,19 +114,59 @@ def render(
         "shown": _shown(record),
         "pinned": pinned,
     }
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters["anchor"] = anchor
-    environment.filters["cell"] = lambda text: str(text).replace("|", "\\|")
-    markdown = environment.get_template("report.md.j2").render(data)
-    page = environment.overlay(autoescape=True)
+    markdown = environment(TEMPLATES, escape=False)
+    page = environment(TEMPLATES)
+    markdown.filters["cell"] = lambda text: str(text).replace("|", "\\|")
+    for each in (markdown, page):
+        each.filters["anchor"] = anchor
     page.filters["picture"] = lambda name: _picture(out / "figures" / f"{name}.svg")
-    return markdown, page.get_template("report.html.j2").render(data)
+    return (
+        markdown.get_template("report.md.j2").render(data),
+        page.get_template("report.html.j2").render(data, slider=slider(reading)),
+    )
+
+
+def summary(
+    judged: Sequence[Judged], reading: Reading, search: ReadingSearch, record: Mapping[str, Any]
+) -> str:
+    """Return one page of A4 for those who read no more."""
+    page = environment(TEMPLATES)
+    page.filters["anchor"] = anchor
+    numbers = [cells(e) for e in judged if e.claim.paper is not None and e.claim.kind == "finding"]
+    data = _first_page(judged, reading, search) | {"numbers": numbers, "shown": _shown(record)}
+    return str(page.get_template("summary.html.j2").render(data))
+
+
+def _first_page(
+    judged: Sequence[Judged], reading: Reading, search: ReadingSearch
+) -> dict[str, Any]:
+    return {
+        "paper": reported.PAPER,
+        "about": WORDS["about"],
+        "bottom": bottom_line(reading),
+        "conclude": WORDS["conclude"],
+        "beyond": WORDS["beyond"],
+        "limits": WORDS["limits"],
+        "plain": plain(judged, reading, search),
+        "counts": counts(judged, "finding"),
+        "counted": counted(judged),
+        "signs": SIGNS,
+    }
+
+
+def slider(reading: Reading) -> str:
+    """Return the explorer's page: one weight moves, and the reported policy's regret with it."""
+    found = explore(
+        reading.scenario,
+        MOVED,
+        relative="whole",
+        policy=reading.policies[f"reported.{FINAL}"],
+        said="the reported final policy",
+    )
+    return found.page(
+        rerun=f"exact-mdp explore {reading.scenario.name} --parameter {MOVED} --whole "
+        "--html page.html"
+    )
 
 
 def _shown(record: Mapping[str, Any]) -> dict[str, object]:
@@ -152,23 +193,16 @@ def anchor(text: str) -> str:
 
 
 def _groups(judged: Sequence[Judged]) -> list[dict[str, Any]]:
-    """Return the claims by section; entries of tables apart, because there are many."""
+    """Return the claims by section: what the model was built from, and what was concluded."""
     groups = []
     for section, title in SECTIONS.items():
         inside = [each for each in judged if section_of(each.claim.places[0]) == section]
-        if not inside:
-            continue
-        rows = [cells(each) for each in inside]
-        entries = [r for r in rows if r["id"].startswith(ENTRIES) and r["rule"] == "entry"]
-        groups.append(
-            {
-                "section": section,
-                "title": title,
-                "rows": [r for r in rows if r not in entries],
-                "entries": entries,
-                "entries_reproduced": sum(r["verdict"] == "reproduced" for r in entries),
-            }
-        )
+        kinds: dict[str, list[dict[str, str]]] = {"input": [], "finding": []}
+        for each in inside:
+            kinds[each.claim.kind].append(cells(each))
+        told = {v: n for v, n in counts(inside, "input").items() if n}
+        if inside:
+            groups.append({"section": section, "title": title, "counts": told, **kinds})
     return groups
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 import json
 import re
 import tomllib
+import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from fractions import Fraction
+from html import escape
 from html.parser import HTMLParser
 from math import comb, sqrt
 from pathlib import Path
@@ -16,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from browser import CHROMIUM, Browser
 from click.testing import CliRunner, Result
 from reading_cases import small_search
 
@@ -25,10 +29,22 @@ from exact_mdp.paper_repro.__main__ import main
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, judge
 from exact_mdp.paper_repro.reading import QUICK, Reading, changed, default
 from exact_mdp.paper_repro.readings.reported_policy import ranked, sums
+from exact_mdp.paper_repro.readings.search import PAPER_READINGS
+from exact_mdp.paper_repro.report import agents, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import counted, counts, number
-from exact_mdp.paper_repro.report.report import WORDS, Part, bottom_line, perfect, plain, render
+from exact_mdp.paper_repro.report.report import (
+    WORDS,
+    Part,
+    anchor,
+    bottom_line,
+    perfect,
+    plain,
+    render,
+    summary,
+)
 from exact_mdp.paper_repro.report.tables import all_tables
+from exact_mdp.paper_repro.report.wording import changes, options_of, said, title
 from exact_mdp.paper_repro.reported import ANGRY, FIGURES, FINAL, PAPER, PLACES, STATED
 from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
 
@@ -100,10 +116,10 @@ def written(
 def test_the_page_needs_nothing_else(written: tuple[Path, str, str]) -> None:
     page = Page(written[2])
     assert page.open == []
-    assert set(re.findall(r"http\S+?(?=\")", written[2])) == {PAPER["link"]}
+    assert "default-src 'none'" in written[2]
     assert "@import" not in written[2]
     assert "url(" not in written[2]
-    assert not page.tags & {"script", "link", "iframe", "object", "embed"}
+    assert not page.tags & {"link", "object", "embed"}
     assert page.sources
     assert all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
 
@@ -117,6 +133,112 @@ def test_the_page_leads_somewhere_and_describes_its_pictures(
     inside = [link for link in page.links if link != PAPER["link"]]
     assert all(link.startswith("#") for link in inside)
     assert {link[1:] for link in inside} <= set(page.ids)
+
+
+def test_claims_fold_and_say_their_verdict(
+    written: tuple[Path, str, str], judged: list[Judged]
+) -> None:
+    page = written[2]
+    told = re.findall(r'<details class="claim" id="([^"]+)" data-verdict="([^"]+)"', page)
+    told += re.findall(r'<tr id="([^"]+)" data-verdict="([^"]+)"', page)
+    assert dict(told) == {anchor(e.claim.id): str(e.verdict) for e in judged}
+    assert len(told) == len(judged)
+    assert re.findall(r'data-show="([^"]*)"', page) == ["", *map(str, Verdict)]
+    assert "<details open" not in page
+    body = page.partition('id="inputs"')[2].partition("</section>")[0]
+    assert body.count("<details") == body.count("<table") > 5  # inputs are folded
+
+
+def test_every_table_scrolls_within_itself(written: tuple[Path, str, str]) -> None:
+    tables = written[2].split("<table>")[:-1]
+    assert len(tables) > 10
+    for before in tables:
+        assert before.rstrip().endswith(">")
+        assert 'class="scroll" tabindex="0" role="region"' in before.rstrip().splitlines()[-1]
+
+
+def test_headings_are_words(written: tuple[Path, str, str]) -> None:
+    shown = [*PICTURES, *readings.PICTURES, *tradeoffs.PICTURES, *agents.PICTURES]
+    slugs = {p.name.removeprefix("agents_").replace("_", " ").capitalize() for p in shown}
+    assert not slugs & {picture.title for picture in shown}
+    heads = re.findall(r"<(?:h\d|summary)>([^<]+)", written[2])
+    assert len(heads) > 15
+    for text in (*heads, *(picture.title for picture in shown)):
+        assert "_" not in text
+        assert text[0].isupper() or text.startswith("python")
+
+
+def test_every_reading_has_words() -> None:
+    for name, options in PAPER_READINGS.options.items():
+        assert title(name)[0].isupper()
+        assert len({said(name, option) for option in options}) == len(options)
+    number = PAPER_READINGS.number(skip_onset="base", tasks=(6,))
+    told = "a skip may bring on statuses, one task of 6 subtasks"
+    assert changes(PAPER_READINGS, number) == told
+    for name, words in options_of(default(QUICK).scenario).items():
+        assert "_" not in name + words
+
+
+def test_no_number_is_a_negative_nothing(written: tuple[Path, str, str]) -> None:
+    assert number(-0.0) == "0"
+    for text in written[1:]:
+        own = re.sub(r'srcdoc="[^"]*"|base64,[^"]*', "", text)
+        assert re.findall(r"(?<=[\s>(])[-−]0(?:\.0+)?(?![\w./…])", own) == []
+
+
+def test_one_page_for_those_who_read_no_more(view: Reading, judged: list[Judged]) -> None:
+    page = summary(judged, view, small_search(), RECORD)
+    parsed = Page(page)
+    assert parsed.open == []
+    assert "size: A4" in page
+    assert "details" not in parsed.tags
+    for each in plain(judged, view, small_search()):
+        assert escape(each.text, quote=False).replace("'", "&#39;") in page
+    words = re.sub(r"<[^>]+>", " ", page.partition("<main>")[2].partition("</main>")[0]).split()
+    assert 300 < len(words) < 800
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_pages_in_a_browser(
+    written: tuple[Path, str, str], view: Reading, judged: list[Judged], tmp_path: Path
+) -> None:
+    report, one = tmp_path / "report.html", tmp_path / "summary.html"
+    report.write_text(written[2], encoding="utf-8")
+    one.write_text(summary(judged, view, small_search(), RECORD), encoding="utf-8")
+    with warnings.catch_warnings(), Browser(tmp_path / "browser") as browser:
+        warnings.simplefilter("ignore", ResourceWarning)
+        for wide, dark in ((320, False), (400, True), (1280, False), (1280, True)):
+            browser.open(report, wide=wide, dark=dark)
+            assert browser.js("document.documentElement.scrollWidth") <= wide
+            assert browser.js("document.documentElement.scrollHeight") < 12 * 800 or wide < 1280
+            ground = browser.js("getComputedStyle(document.body).backgroundColor")
+            assert (int(re.findall(r"\d+", ground)[0]) < 60) == dark
+            use(browser, judged)
+            browser.open(one, wide=wide, dark=dark)
+            assert browser.js("document.documentElement.scrollWidth") <= wide
+        pdf = browser.send("Page.printToPDF", preferCSSPageSize=True)["data"]
+        assert len(re.findall(rb"/Type /Page\b", base64.b64decode(pdf))) == 1
+        assert browser.errors == []
+
+
+def use(browser: Browser, judged: list[Judged]) -> None:
+    """Filter the claims, open a figure at full size, follow a link to a folded claim."""
+    seen = "[...document.querySelectorAll('[data-verdict]')].filter((e) => !e.hidden).length"
+    for verdict in (*Verdict, ""):
+        browser.js(f"document.querySelector('[data-show=\"{verdict}\"]').click()")
+        assert browser.js(seen) == sum(verdict in ("", e.verdict) for e in judged)
+    browser.js("document.querySelector('figure button').click()")
+    assert browser.js("document.querySelector('dialog').open")
+    natural = "document.querySelector('dialog img').naturalWidth"
+    assert browser.js("document.querySelector('dialog img').clientWidth") >= browser.js(natural)
+    browser.js("document.querySelector('dialog button').click()")
+    assert not browser.js("document.querySelector('dialog').open")
+    browser.js("location.hash = '#policy-0100'; reveal()")
+    assert browser.js("document.getElementById('policy-0100').open")
+    assert browser.js(
+        "document.querySelector('iframe').contentDocument.querySelector('#best').textContent"
+    )
 
 
 def test_every_claim_is_in_both_reports_with_how_to_rerun_it(

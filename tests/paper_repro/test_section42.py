@@ -16,7 +16,7 @@ from exact_mdp.solvers import evaluate
 
 
 def test_each_statement_is_told_with_who_can_check_it() -> None:
-    _, *told = agents.agents_part().sentences
+    (told,) = agents.agents_part().more.values()
     for each, text in zip(statements(), told, strict=True):
         assert text == f"{each.claim} ({each.place}): {each.kind}."
 

@@ -1,0 +1,48 @@
+"""The readings of the text in words: a title for each, and what each of its options says."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from exact_mdp.analysis.readings import ReadingSpace, option_label
+from exact_mdp.mdp import Scenario
+
+WORDS = tomllib.loads((Path(__file__).parent / "readings.toml").read_text("utf-8"))
+
+
+def title(name: str) -> str:
+    """Return what a reading is about.
+
+    >>> title("skip_onset")
+    'New statuses on a skip'
+    """
+    return str(WORDS[name]["title"])
+
+
+def said(name: str, option: object) -> str:
+    """Return what an option of a reading says.
+
+    >>> said("tasks", (3, 1))
+    'a task of 3 subtasks, one of 1'
+    """
+    return str(WORDS[name][option_label(option)])
+
+
+def changes(space: ReadingSpace, number: int) -> str:
+    """Return what one combination of options changes from the default."""
+    found = [
+        said(name, option)
+        for name, option in space.settings(number).items()
+        if option != space.options[name][0]
+    ]
+    return ", ".join(found) or "nothing: the default reading"
+
+
+def options_of(scenario: Scenario) -> dict[str, str]:
+    """Return what each reading of a scenario says, by its title."""
+    chosen = dict(scenario.readings) | {
+        "tasks": scenario.tasks,
+        "evaluation_discount": scenario.discount,
+    }
+    return {title(name): said(name, option) for name, option in chosen.items()}
