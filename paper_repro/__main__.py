@@ -43,7 +43,7 @@ from exact_mdp.mdp.lazy import load
     metavar="KEY=VALUE",
     help="Print which verdicts change under another reading (readings.skip_timestep=own), "
     "parameter (base.anger=1/10) or setting of the learner (training.rate=0.1); repeatable. With "
-    "--quick without the claims about learning.",
+    "--quick without the claims that take training runs.",
 )
 @click.option("--candidates", is_flag=True, help="Print the results in the form of expected.toml.")
 def main(

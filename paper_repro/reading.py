@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -26,8 +26,9 @@ from exact_mdp.mdp.io.load import load_scenario
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.table import Integers
 from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.completions import LearnedCompletions, counted
 from exact_mdp.paper_repro.readings.search import PAPER_READINGS, Averages, averages
-from exact_mdp.paper_repro.readings.training import Learned, learn, setting
+from exact_mdp.paper_repro.readings.training import SETTINGS, Learned, learn, setting
 from exact_mdp.solvers import certify, evaluate, simulate, solve
 from exact_mdp.solvers.parallel.sources import source_digest
 from exact_mdp.solvers.proof.certificate import Certificate
@@ -44,13 +45,12 @@ class Sizes:
 
     runs: int  # training runs of each exploration schedule
     episodes: int  # simulated ones that check each exact mean
-    alternative_runs: int  # training runs under each alternative reading; 0 tries no learning there
     supported: int = 8  # best supported readings under which open claims are worked out again
     dpi: int = 200  # of the figures as PNG
 
 
-QUICK = Sizes(runs=100, episodes=10_000, alternative_runs=0, supported=2, dpi=110)
-FULL = Sizes(runs=400, episodes=100_000, alternative_runs=40)
+QUICK = Sizes(runs=100, episodes=10_000, supported=2, dpi=110)
+FULL = Sizes(runs=400, episodes=100_000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +124,7 @@ class Reading:
     episodes: int = QUICK.episodes
     store: Store = field(default_factory=Store)
     training: Mapping[str, Any] = field(default_factory=dict)  # settings of the learner that differ
+    ends: LearnedCompletions | None = None  # those of a reading like it, instead of its own
 
     @cached_property
     def mdp(self) -> MDP:
@@ -137,8 +138,21 @@ class Reading:
 
     @cached_property
     def averages(self) -> Averages:
-        """The three reported policies under every completion."""
+        """The three reported policies under every completion, all alike."""
         return averages(self.scenario)
+
+    @cached_property
+    def completions(self) -> LearnedCompletions:
+        """How often training ends with each completion."""
+        if self.ends is not None:
+            return self.ends
+        final = np.stack([self.learned(schedule).final for schedule in SETTINGS])
+        return LearnedCompletions(counts=counted(final))
+
+    @cached_property
+    def weighed(self) -> Averages:
+        """The averages, with the completions weighed by how often training ends with them."""
+        return replace(self.averages, log_weights=self.completions.log_weights)
 
     @property
     def completion(self) -> dict[str, str]:
@@ -227,15 +241,9 @@ class Reading:
             )
         return found
 
-    def other(self, label: str, scenario: Scenario, sizes: Sizes) -> Reading:
-        """Return another reading, with as many training runs as alternatives have."""
-        return Reading(
-            scenario=scenario,
-            label=label,
-            runs=sizes.alternative_runs,
-            episodes=self.episodes,
-            store=self.store,
-        )
+    def other(self, label: str, scenario: Scenario) -> Reading:
+        """Return another reading, which nobody trains: it has the `ends` of this one."""
+        return replace(self, scenario=scenario, label=label)
 
 
 def default(sizes: Sizes, store: Store | None = None) -> Reading:
@@ -273,10 +281,10 @@ def changed(base: Reading, sets: Sequence[str]) -> Reading:
     )
 
 
-def alternatives(base: Reading, sizes: Sizes) -> Iterator[Reading]:
+def alternatives(base: Reading) -> Iterator[Reading]:
     """Yield every reading that differs from the default in one point.
 
-    >>> found = list(alternatives(default(QUICK), QUICK))
+    >>> found = list(alternatives(default(QUICK)))
     >>> len(found), found[0].label
     (16, 'influence_orientation = column-to-row')
     """
@@ -284,4 +292,4 @@ def alternatives(base: Reading, sizes: Sizes) -> Iterator[Reading]:
         for option in options[1:]:
             told = option_label(option)
             changed = PAPER_READINGS.apply(base.scenario, PAPER_READINGS.number(**{name: option}))
-            yield base.other(f"{name} = {told}", changed, sizes)
+            yield base.other(f"{name} = {told}", changed)

@@ -38,9 +38,9 @@ from exact_mdp.paper_repro.reading import (
     changed,
     default,
 )
-from exact_mdp.paper_repro.readings.evidence import Evidence, evidence
-from exact_mdp.paper_repro.readings.findings import reading_study
-from exact_mdp.paper_repro.readings.search import search, searched
+from exact_mdp.paper_repro.readings.evidence import Evidence
+from exact_mdp.paper_repro.readings.findings import reading_study, weighed
+from exact_mdp.paper_repro.readings.search import searched
 from exact_mdp.paper_repro.report import agents, output, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import counted, entry_of
@@ -143,20 +143,20 @@ def run(
         tables=all_tables(reading),
         figures=PICTURES,
         parts=[
-            readings.readings_part(study),
+            readings.readings_part(study, reading),
             tradeoffs.tradeoffs_part(reading),
             agents.agents_part(),
         ],
         record=record,
         pinned=off,
-        search=study.search,
+        main=study.main,
     )
     entries = [entry_of(each) for each in judged]
     _write(out / "numbers.json", [each for each in entries if each["exact"] is not None])
     _write(out / "claims.json", entries)
     write_atomically(out / "report.md", markdown)
     write_atomically(out / "report.html", page)
-    write_atomically(out / "summary.html", summary(judged, reading, study.search, record))
+    write_atomically(out / "summary.html", summary(judged, reading, study.main, record))
     _write(out / "run.json", record)
     return judged, off
 
@@ -165,10 +165,9 @@ def summarise(out: Path, *, quick: bool, scheduler: str | None = None) -> None:
     """Write the page for those who read no more: every claim is worked out, nothing is drawn."""
     sizes, store = QUICK if quick else FULL, Store.under(out)
     reading, folder = default(sizes, store), store.folder("readings")
-    found = search(scheduler=scheduler, out=folder and folder / "search", progress=True)
-    weighed = evidence(found)
-    others = _others(reading, sizes, weighed)
-    judged = judge(all_claims(), reading, others=others, evidence=weighed, progress=_say)
+    found, *_ = weighed(seed=SEED, out=folder, quick=quick, scheduler=scheduler, progress=True)
+    others = _others(reading, sizes, found)
+    judged = judge(all_claims(), reading, others=others, evidence=found, progress=_say)
     page = out / "summary.html"
     write_atomically(page, summary(judged, reading, found, _record(reading, sizes, quick)))
     click.echo(counted(judged))
@@ -190,12 +189,12 @@ def run_claims(
     """
     reading = default(sizes, store)
     folder = store.folder("readings")
-    out = folder and folder / "search"
-    if quick or not any(claim.open for claim in claims) or not searched(out):
-        return judge(claims, reading, others=alternatives(reading, sizes), progress=_say)
-    weighed = evidence(search(scheduler=scheduler, out=out, progress=True))
-    others = _others(reading, sizes, weighed)
-    return judge(claims, reading, others=others, evidence=weighed, progress=_say)
+    known = searched(folder and folder / "search")
+    if quick or not any(claim.open for claim in claims) or not known:
+        return judge(claims, reading, others=_alike(reading, claims), progress=_say)
+    found, *_ = weighed(seed=SEED, out=folder, scheduler=scheduler, progress=True)
+    others = _others(reading, sizes, found)
+    return judge(claims, reading, others=others, evidence=found, progress=_say)
 
 
 def compare(sets: Sequence[str], sizes: Sizes, store: Store, *, quick: bool) -> None:
@@ -207,7 +206,7 @@ def compare(sets: Sequence[str], sizes: Sizes, store: Store, *, quick: bool) -> 
     after = judge(claims, other, progress=_say)
     output.print_changes(other.label, before, after)
     if quick:
-        click.echo("without the claims about learning, which --quick leaves out")
+        click.echo("without the claims that take training, which --quick leaves out")
 
 
 def _say(what: str) -> None:
@@ -216,7 +215,13 @@ def _say(what: str) -> None:
 
 
 def _others(reading: Reading, sizes: Sizes, found: Evidence) -> Iterator[Reading]:
-    return chain(alternatives(reading, sizes), best_supported(found, reading, sizes))
+    return chain(alternatives(reading), best_supported(found, reading, sizes))
+
+
+def _alike(reading: Reading, claims: Sequence[PaperClaim]) -> Iterator[Reading]:
+    """Yield the readings with one change; training is taken to end with the completions as here."""
+    learns = any(claim.learns for claim in claims)
+    yield from alternatives(replace(reading, ends=reading.completions) if learns else reading)
 
 
 @contextmanager

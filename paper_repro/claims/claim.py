@@ -15,18 +15,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from fractions import Fraction
-from math import erfc, sqrt
+from math import sqrt
 from types import MappingProxyType
 from typing import Any, Literal
 
 from exact_mdp.analysis.learning.outcomes import share_interval
 from exact_mdp.paper_repro.reading import Reading
+from exact_mdp.paper_repro.readings.completions import LEFT_OUT, STANDARD_ERRORS
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, Estimated
 
 Kind = Literal["input", "finding"]
 Number = Certified | Bounded | Estimated
-STANDARD_ERRORS = 3.0
-JOINT_LIMIT = erfc(STANDARD_ERRORS / sqrt(2))  # chance of a normal number further off than that
+JOINT_LIMIT = LEFT_OUT  # chance of a normal number further off than three standard errors
 READ_OFF_A_PLOT = 5.0
 RARE = 0.05
 
@@ -34,7 +34,8 @@ RULES: Mapping[str, str] = MappingProxyType(
     {
         "entry": "the same rational number",
         "average": f"within {STANDARD_ERRORS:g} exact standard errors, under the completion of "
-        "the text that fits the averages best, taken together",
+        "the text that fits the averages best, taken together, of those that training can be "
+        "expected to end with",
         "plotted": f"within {READ_OFF_A_PLOT:g} of a number read off a plot; a hard limit, where "
         "the comparison of readings uses a normal error of that standard deviation",
         "event": f"a run like the paper's is seen in at least {RARE:.0%} of the training runs "

@@ -13,7 +13,7 @@ finds in the same form; whoever changes the file compares the two and says why. 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -138,7 +138,7 @@ def verdicts(reading: Reading, claims: Sequence[PaperClaim]) -> dict[str, str]:
         return {claim.id: str(claim.find(reading).verdict) for claim in claims}
 
     names = sha256("+".join(claim.id for claim in claims).encode()).hexdigest()[:12]
-    return dict(reading.store.json(f"verdicts-{reading.place}-{names}", work))
+    return dict(reading.store.json(f"verdicts-{reading.place}-{names}-{reading.runs}", work))
 
 
 def _tally(tried: dict[str, Verdict], scope: str) -> OtherReadings | None:
@@ -157,7 +157,8 @@ def agreeing(evidence: Evidence) -> dict[str, OtherReadings]:
     An example is the default or else the best supported reading that agrees.
     """
     search, found = evidence.search, {}
-    listed = returns.agreement(search.averages, search.random_mean, search.optimum)
+    weighed = replace(search.averages, log_weights=evidence.log_weights)
+    listed = returns.agreement(weighed, search.random_mean, search.optimum)
     for name, holds in listed.items():
         ranked = [0] if holds[0] else evidence.ranking[holds[evidence.ranking]]
         example = search.space.label(int(ranked[0])) if len(ranked) else ""
@@ -171,7 +172,7 @@ def best_supported(evidence: Evidence, base: Reading, sizes: Sizes) -> Iterator[
     """Yield the readings that the evidence supports best."""
     search = evidence.search
     for number in evidence.ranking[: sizes.supported].tolist():
-        yield base.other(search.space.label(number), search.reading(number), sizes)
+        yield base.other(search.space.label(number), search.reading(number))
 
 
 # ---- pinned values -----------------------------------------------------------------------------

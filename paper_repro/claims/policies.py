@@ -96,22 +96,18 @@ def _regret(reading: Reading) -> Finding:
     lost, by_status = audit.regret.at_start, cost_by_status(audit, reading.mdp.space)
     costs = ", ".join(f"{status} {cost:.2f}" for status, cost in by_status.items())
     found, best = reading.averages, reading.evaluations["optimal"]
-    fits = best.mean - float(found.mean[int(found.fitting), 0])
     least = best.mean - found.range(FINAL)[1]
     reached = least <= 2 * (float(found.error) + best.error_bound)
     return statement(
         audit.passed or reached,
         f"with 1000 and 0100 as written it loses {float(lost.value):.2f} of the optimum "
-        f"({audit.relative_regret:.1%}{costs and f'; by status: {costs}'}); filled in as fits the "
-        f"three averages best, {fits:.2f} "
-        f"({reported.told(reported.COMPLETIONS[int(found.fitting)])}); under "
+        f"({audit.relative_regret:.1%}{costs and f'; by status: {costs}'}); under "
         f"this reading, {max(least, 0.0):.2f} at least in all {len(reported.COMPLETIONS)} ways to "
         "fill in the open statuses",
         lost,
         f"regret {float(lost.value):.3f}",
         cost_by_status=by_status,
         relative_regret=audit.relative_regret,
-        regret_of_best_fit=fits,
         least_regret=max(least, 0.0),
     )
 

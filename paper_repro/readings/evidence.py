@@ -9,8 +9,9 @@ Numbers read off a plot ("around 70", "approximately 140") are taken as N(m, d²
 tolerance d. Rounding to the nearest ten alone has a standard deviation of 10/√12 = 2.9; the eye's
 average over a noisy curve comes on top: d = 5 unless asked otherwise, and `variants` show what
 depends on it. The learned strategy's curve is set against the mean of the three learned policies.
-The statuses that the text leaves open are a nuisance: `completion` is the one that fits best,
-`marginal` the average over all of them.
+The statuses that the text leaves open are a nuisance: `marginal` is the average over all
+completions, weighed by how often training ends with each (`readings.completions`), all alike
+without such weights; `completion` is the one that has the largest part in it.
 
 Statements can contradict each other. Each is a distance from what a reading and a completion imply,
 in standard deviations of the number that is reported. Statements can hold together where some
@@ -64,6 +65,7 @@ class Evidence:
     random_tolerance: float | None
     converged_tolerance: float | None
     averages: Floats  # (R, C) of the three reported averages
+    log_weights: Floats | None = None  # (R, C) of the completions; None where all are alike
 
     def __post_init__(self) -> None:
         for name in ("random_tolerance", "converged_tolerance"):
@@ -90,13 +92,20 @@ class Evidence:
 
     @cached_property
     def completion(self) -> Integers:
-        """(R,) the completion that fits best."""
-        return np.asarray(self.total.argmax(axis=1))
+        """(R,) the completion that fits best and is learned often, taken together."""
+        return np.asarray(self._weighed.argmax(axis=1))
 
     @cached_property
     def marginal(self) -> Floats:
-        """(R,) log likelihood averaged over the completions."""
-        return np.asarray(special.logsumexp(self.total, axis=1) - log(self.total.shape[1]))
+        """(R,) log likelihood averaged over the completions with their weights."""
+        return np.asarray(special.logsumexp(self._weighed, axis=1))
+
+    @property
+    def _weighed(self) -> Floats:
+        """(R, C) log likelihood and log weight."""
+        if self.log_weights is None:
+            return self.total - log(self.total.shape[1])
+        return self.total + self.log_weights
 
     @cached_property
     def weights(self) -> Floats:
@@ -107,6 +116,10 @@ class Evidence:
     def ranking(self) -> Integers:
         """(R,) readings, the best supported first."""
         return np.argsort(-self.marginal, kind="stable")
+
+    def rank(self, reading: int = 0) -> int:
+        """Return the place of a reading in the ranking, from 1 on."""
+        return int(np.flatnonzero(self.ranking == reading)[0]) + 1
 
     @property
     def effective_number(self) -> float:
@@ -125,6 +138,8 @@ class Evidence:
     def completion_support(self) -> list[OptionSupport]:
         """Support of the actions in statuses that the text leaves open, readings averaged out.
 
+        By the reported numbers alone, whatever training ends with: a factor, not a weight.
+
         With it, under the name `respectively`, that of the two orders of the actions in 1000 and
         0100: "as written" (directive, non-directive), or "swapped".
         """
@@ -140,6 +155,7 @@ def evidence(
     experiments: int = reported.EXPERIMENTS,
     random_tolerance: float | None = TOLERANCE,
     converged_tolerance: float | None = TOLERANCE,
+    log_weights: Floats | None = None,
 ) -> Evidence:
     """Return how likely each reading and completion makes what the paper reports."""
     if experiments < 1:
@@ -154,6 +170,7 @@ def evidence(
         random_tolerance=random_tolerance,
         converged_tolerance=converged_tolerance,
         averages=averages,
+        log_weights=log_weights,
     )
 
 
@@ -190,15 +207,19 @@ VARIANTS: dict[str, tuple[int, float | None, float | None]] = {
     "the three averages alone": (EXPERIMENTS[0], None, None),
 }
 """Experiments, and tolerances for the random strategy and after convergence, to be compared."""
+ALIKE = "all completions alike"
 
 
-def variants(search: ReadingSearch) -> dict[str, Evidence]:
-    """Return the evidence under each of `VARIANTS`, the first being `evidence` as it is."""
-    known = {experiments: evidence(search, experiments=experiments) for experiments in EXPERIMENTS}
-    return {
+def variants(main: Evidence) -> dict[str, Evidence]:
+    """Return the evidence under each of `VARIANTS`, and with all completions `ALIKE`."""
+    few, many = EXPERIMENTS
+    weights = main.log_weights
+    known = {few: main, many: evidence(main.search, experiments=many, log_weights=weights)}
+    found = {
         name: replace(known[experiments], random_tolerance=random, converged_tolerance=converged)
         for name, (experiments, random, converged) in VARIANTS.items()
     }
+    return found | {ALIKE: replace(main, log_weights=None)}
 
 
 # ---- what can hold together --------------------------------------------------------------------

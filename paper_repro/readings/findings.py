@@ -1,8 +1,10 @@
 """All that is found about the readings, in one call and in plain sentences.
 
-`reading_study(seed=0)` searches all readings, weighs them by the evidence, asks which statements
-can hold together, trains under the best supported ones, and audits the reported policy. The exact
-part takes under a minute on two cores; the training adds a few minutes (fewer with `quick`). With a
+`reading_study(seed=0)` searches all readings, trains under some of them, weighs all by the
+evidence, asks which statements can hold together, and audits the reported policy. Training comes in
+two steps: under readings drawn at random, which say how likely each completion of the text is where
+nothing else is known, then under those that are supported best with these weights. The exact part
+takes under a minute on two cores; the training adds a few minutes (fewer with `quick`). With a
 folder, what is finished is kept there, and the next call goes on from it.
 
 Each sentence is worked out from the numbers in it; the thresholds are those of
@@ -13,7 +15,7 @@ Each sentence is worked out from the numbers in it; the thresholds are those of
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,8 +30,10 @@ from exact_mdp.analysis.readings import (
     option_label,
 )
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.table import Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import (
+    ALIKE,
     EXPERIMENTS,
     ROUNDING,
     STATEMENTS,
@@ -38,6 +42,7 @@ from exact_mdp.paper_repro.readings.evidence import (
     Evidence,
     Joint,
     contradictions,
+    evidence,
     joint,
     variants,
 )
@@ -48,14 +53,16 @@ from exact_mdp.paper_repro.readings.training import (
     SETTINGS,
     TRAINED,
     LearningEvidence,
+    at_random,
     combined,
+    completion_weights,
     learning,
     to_train,
 )
 
 special = later("scipy.special")
-QUICK = {"trained": 5, "seeds": 20, "judged": 2}
-FULL = {"trained": TRAINED, "seeds": SEEDS, "judged": 5}
+QUICK = {"sampled": 6, "trained": 5, "seeds": 20, "judged": 2}
+FULL = {"sampled": 16, "trained": TRAINED, "seeds": SEEDS, "judged": 5}
 WITHOUT_RANDOM = "without the random strategy"  # the variant that leaves that curve out
 
 
@@ -66,7 +73,8 @@ class ReadingStudy:
     search: ReadingSearch
     evidence: Mapping[str, Evidence]  # by the name of the variant; the first is the main one
     joints: Mapping[int, Sequence[Joint]]  # every set of statements, for 1,000 and 10,000 runs
-    learned: LearningEvidence
+    sampled: LearningEvidence  # under readings drawn at random
+    learned: LearningEvidence  # under the default and the best supported readings
     policies: Sequence[PolicyUnderReading]  # under the default and the best supported readings
 
     @property
@@ -96,25 +104,44 @@ def reading_study(
     ones the policies are audited. The other arguments are those of `search`.
     """
     size, folder = sizes or (QUICK if quick else FULL), None if out is None else Path(out)
-    found = search(space=space, out=folder and folder / "search", **how)
-    evidence = variants(found)
-    main, *others = evidence.values()
-    by_experiments = {each.experiments: each for each in (*reversed(others), main)}
-    learned = learning(
-        found,
-        to_train(main, size["trained"]),
-        seeds=size["seeds"],
-        seed=seed,
-        out=folder and folder / ("learning-quick" if quick else "learning"),
-        **how,
+    main, sampled, learned = weighed(
+        seed=seed, space=space, out=folder, quick=quick, sizes=size, **how
     )
+    evidence = variants(main)
+    by_experiments = {each.experiments: each for each in reversed(evidence.values())}
     return ReadingStudy(
-        search=found,
+        search=main.search,
         evidence=evidence,
         joints={n: joint(by_experiments[n]) for n in EXPERIMENTS},
+        sampled=sampled,
         learned=learned,
         policies=under_best_readings(main, size["judged"]),
     )
+
+
+def weighed(
+    *,
+    seed: int,
+    space: ReadingSpace = PAPER_READINGS,
+    out: Path | None = None,
+    quick: bool = False,
+    sizes: Mapping[str, int] | None = None,
+    **how: Any,
+) -> tuple[Evidence, LearningEvidence, LearningEvidence]:
+    """Return the evidence with the completions weighed, and the training that weighs them."""
+    size, kind = sizes or (QUICK if quick else FULL), "-quick" if quick else ""
+    found = search(space=space, out=out and out / "search", **how)
+
+    def trained(name: str, readings: Integers) -> LearningEvidence:
+        folder = out and out / f"{name}{kind}"
+        return learning(found, readings, seeds=size["seeds"], seed=seed, out=folder, **how)
+
+    sampled = trained("sampled", at_random(space, size["sampled"], seed))
+    first = evidence(found, log_weights=completion_weights(space, sampled))
+    best = to_train(first, size["trained"])
+    learned = trained("learning", np.array(list(dict.fromkeys([*best.tolist(), 0]))))
+    weights = completion_weights(space, sampled, [learned])
+    return replace(first, log_weights=weights), sampled, learned
 
 
 # ---- in plain sentences ------------------------------------------------------------------------
@@ -142,7 +169,7 @@ def sentences(
     """
     main = next(iter(found.values()))
     return [
-        *_fit(main),
+        *_fit(main, found[ALIKE]),
         *_options(main.support, "reading", found.get(WITHOUT_RANDOM)),
         *_options(main.completion_support(), "the policy's"),
         *_variants(found),
@@ -162,7 +189,10 @@ def method(main: Evidence) -> list[Sentence]:
         "its exact mean with the exact standard error; its likelihood is the probability of the "
         f"interval ± {ROUNDING:g} that is rounded to it. The numbers read off the plot are taken "
         f"as normal with a standard deviation of {TOLERANCE:g}.",
-        "Weights follow from a uniform prior over the readings, completions averaged out. An "
+        "Weights follow from a uniform prior over the readings, completions averaged out; a "
+        "completion has the weight with which training of both schedules ends with it, estimated "
+        "under the readings that were trained and, for all others, under readings drawn at "
+        "random. An "
         f"option is identified where every other has a Bayes factor of at least {IDENTIFIED:g} "
         f"against it, favoured from {FAVOURED:g}, and excluded where the factor against it is "
         f"{EXCLUDED:g} or more.",
@@ -176,11 +206,10 @@ def method(main: Evidence) -> list[Sentence]:
     return [Sentence("method", text) for text in texts]
 
 
-def _fit(found: Evidence) -> Iterator[Sentence]:
+def _fit(found: Evidence, alike: Evidence) -> Iterator[Sentence]:
     space = found.search.space
     first, second = found.ranking[:2].tolist()
     ratio, default = np.exp(found.marginal[first] - found.marginal[[second, 0]]).tolist()
-    place = int(np.flatnonzero(found.ranking == 0)[0]) + 1
     yield Sentence(
         "fit",
         f"No single reading wins: the best supported one ({space.label(first)}) has "
@@ -190,9 +219,10 @@ def _fit(found: Evidence) -> Iterator[Sentence]:
     )
     yield Sentence(
         "fit",
-        f"The default reading is number {place:,} in the order, with {found.weights[0]:.3%} "
-        f"of the weight; the best supported reading makes the reported numbers {default:.0f} "
-        "times as likely.",
+        f"The default reading is number {found.rank():,} in the order, with "
+        f"{found.weights[0]:.3%} of the weight; the best supported reading makes the reported "
+        f"numbers {default:,.0f} times as likely. Were all completions alike, it would be number "
+        f"{alike.rank():,} with {alike.weights[0]:.3%}.",
     )
 
 

@@ -9,12 +9,13 @@ programming in double precision, no sampling.
 
 Three completions are named. With the order as written the open statuses are filled in so that the
 final policy has its highest exact value: this is the policy that "reported" names. The same with
-the order swapped is the second. The third is the one that fits the three reported averages best,
-which judges them:
+the order swapped is the second. The third judges the three reported averages: of those that
+training can be expected to end with (`readings.completions`) the one that fits them best,
 
     χ²(completion) = Σ (mean - reported average)² / (variance / n) over the three policies.
 
-The range over all completions stands beside every number that depends on them.
+The best fit of all stands beside it, and the range over all completions beside every number that
+depends on them.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.completions import learnable
 from exact_mdp.paper_repro.reported import COMPLETIONS, NUMBER, STARTS
 from exact_mdp.solvers.care import optimal, policy_values, policy_values_of_last
 from exact_mdp.solvers.parallel.many import many
@@ -63,6 +65,7 @@ class Averages:
     mean: Floats  # (C, 3) or (R, C, 3), last axis: the action in 0000, in the order of `STARTS`
     variance: Floats  # the same
     error: float | Floats  # (R,) how far a mean may be from the exact one
+    log_weights: Floats | None = None  # (…, C) of the completions; None where all are alike
 
     @cached_property
     def score(self) -> Floats:
@@ -75,8 +78,20 @@ class Averages:
         return np.asarray((self.score**2).sum(axis=-1))
 
     @cached_property
+    def learnable(self) -> NDArray[np.bool_]:
+        """(…, C) the completions that training can be expected to end with."""
+        if self.log_weights is None:
+            return np.ones(self.chi_squared.shape, dtype=bool)
+        return learnable(self.log_weights)
+
+    @cached_property
     def fitting(self) -> Integers:
-        """(…) the completion that fits the three reported averages best, taken together."""
+        """(…) the learnable completion that fits the three reported averages best, together."""
+        return np.asarray(np.where(self.learnable, self.chi_squared, np.inf).argmin(axis=-1))
+
+    @cached_property
+    def fitting_of_all(self) -> Integers:
+        """(…) the completion that fits them best, learnable or not."""
         return np.asarray(self.chi_squared.argmin(axis=-1))
 
     def at_fitting(self, values: Floats) -> Floats:
@@ -84,9 +99,15 @@ class Averages:
         return np.take_along_axis(values, self.fitting[..., None, None], axis=-2)[..., 0, :]
 
     @cached_property
+    def probabilities(self) -> Floats:
+        """(…, C) chance of a χ² on three degrees of freedom above that of each completion."""
+        return np.asarray(stats.chi2.sf(self.chi_squared, len(STARTS)))
+
+    @cached_property
     def probability(self) -> Floats:
-        """(…) chance of a χ² on three degrees of freedom above that of the best fit."""
-        return np.asarray(stats.chi2.sf(self.chi_squared.min(axis=-1), len(STARTS)))
+        """(…) that of the learnable completion that fits best."""
+        at = self.fitting[..., None]
+        return np.take_along_axis(self.probabilities, at, axis=-1)[..., 0]
 
     # ---- of one reading ----
 
@@ -96,9 +117,13 @@ class Averages:
 
     @property
     def named(self) -> dict[str, int]:
-        """The three completions that numbers are given for."""
-        fitting = int(self.fitting)
-        return {"as written": self.best(), "swapped": self.best("swapped"), "best fit": fitting}
+        """The completions that numbers are given for."""
+        return {
+            "as written": self.best(),
+            "swapped": self.best("swapped"),
+            "best learnable fit": int(self.fitting),
+            "best fit of all": int(self.fitting_of_all),
+        }
 
     def range(self, start: str) -> tuple[float, float]:
         """Return the lowest and highest mean of the policy with an action in 0000."""

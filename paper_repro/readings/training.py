@@ -37,6 +37,7 @@ from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.readings.completions import by_reading, counted
 from exact_mdp.paper_repro.readings.evidence import Evidence
 from exact_mdp.paper_repro.readings.search import ReadingSearch
 from exact_mdp.paper_repro.reported import ANGRY, NUMBER, STARTS, UNIQUE_POLICIES
@@ -54,7 +55,7 @@ SHOWN = {"constant": "constant ε", "decaying": "decaying ε"}
 CONVERGED = 1000  # last epochs, over which a curve is averaged
 CURVES = 2**20  # the child of the seed that curves are drawn from
 SEEDS = 100
-TRAINED = 40  # readings
+TRAINED = 30  # readings
 
 
 NUMBERS: Mapping[str, Callable[[str], Any]] = {
@@ -214,6 +215,31 @@ def to_train(found: Evidence, count: int = TRAINED) -> Integers:
         raise ModelError(f"{count} readings", where="learning", fix="give 1 or more")
     known = dict.fromkeys(training_reading(found.search.space, int(n)) for n in found.ranking)
     return np.array(list(known)[:count])
+
+
+def at_random(space: ReadingSpace, count: int, seed: int) -> Integers:
+    """Return `count` readings drawn at random, each once, at the first evaluation discount."""
+    numbers = np.arange(0, len(space), len(space.options["evaluation_discount"]))
+    if not 1 <= count <= len(numbers):
+        raise ModelError(f"{count} readings", where="learning", fix=f"give 1 to {len(numbers)}")
+    drawn = np.random.default_rng(seed).choice(numbers, count, replace=False)
+    return np.sort(drawn)
+
+
+def completion_weights(
+    space: ReadingSpace, sampled: LearningEvidence, learned: Sequence[LearningEvidence] = ()
+) -> Floats:
+    """Return (R, C) log weights of the completions under every reading.
+
+    From readings drawn at random, and from what others ended with themselves.
+    """
+    known = [sampled, *learned]
+    numbers = np.concatenate([each.readings for each in known])
+    counts = np.concatenate([counted(each.final) for each in known])
+    place = np.full(len(space), -1)
+    place[numbers] = np.arange(len(numbers))
+    first = [training_reading(space, number) for number in range(len(space))]
+    return by_reading(counted(sampled.final), counts, place[first])
 
 
 def learning(

@@ -256,10 +256,10 @@ def _policy_map(reading: Reading) -> Figure:
     return figure
 
 
-@PICTURES.add("three_policies")
+@PICTURES.add("three_policies", learns=True)
 def _averages(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(7.6, 3.9))
-    found = reading.averages
+    found = reading.weighed
     rows = [
         Average(
             label=f"a{NUMBER[start]} in 0000, {name}",
@@ -269,7 +269,7 @@ def _averages(reading: Reading) -> Figure:
             span=found.range(start),
         )
         for place, start in enumerate(STARTS)
-        for name, number in (("as written", found.best()), ("best joint fit", int(found.fitting)))
+        for name, number in (("as written", found.best()), ("best fit", int(found.fitting)))
     ]
     plot_averages(rows, optimum=reading.evaluations["optimal"].mean, ax=ax)
     return figure

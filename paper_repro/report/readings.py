@@ -17,6 +17,15 @@ from matplotlib.ticker import MaxNLocator
 
 from exact_mdp.analysis.readings import OptionSupport, option_label
 from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.returns import DRAWS
+from exact_mdp.paper_repro.reading import SEED, Reading
+from exact_mdp.paper_repro.readings.completions import (
+    JEFFREYS,
+    LEFT_OUT,
+    PARTS,
+    counted,
+    normalised,
+)
 from exact_mdp.paper_repro.readings.evidence import (
     SHORT,
     STATEMENTS,
@@ -34,6 +43,7 @@ from exact_mdp.paper_repro.report.report import Part
 from exact_mdp.paper_repro.report.tables import Table
 from exact_mdp.paper_repro.reported import (
     AVERAGE_RETURN,
+    COMPLETIONS,
     FINAL,
     RANDOM_RETURN,
     STARTS,
@@ -54,8 +64,8 @@ FOLDED = {  # kinds of sentences that are folded, and the heading that they stan
 PICTURES = Pictures()
 
 
-def readings_part(study: ReadingStudy) -> Part:
-    """Return what the search over all readings found."""
+def readings_part(study: ReadingStudy, reading: Reading) -> Part:
+    """Return what the search over all readings found; `reading` is the default one."""
     folded: dict[str, list[str]] = {title: [] for title in FOLDED.values()}
     shown: list[str] = []
     for each in (*method(study.main), *study.sentences):
@@ -66,7 +76,12 @@ def readings_part(study: ReadingStudy) -> Part:
         sentences=tuple(shown),
         more={title: tuple(texts) for title, texts in folded.items() if texts},
         figures=tuple(PICTURES),
-        tables=(_best_readings(study), _policies(study)),
+        tables=(
+            _best_readings(study),
+            _policies(study),
+            _shares(study, reading),
+            _completions(reading),
+        ),
     )
 
 
@@ -320,7 +335,10 @@ def _learning(study: ReadingStudy) -> Figure:
             capsize=1.5,
             label=f"{UNIQUE_POLICIES[schedule]} unique policies, {schedule} exploration",
         )
-    ax.set_xticks(y, [f"{place + 1}" for place in y], fontsize=7)
+    names = [
+        f"{place + 1}" if number else "default" for place, number in enumerate(learned.readings)
+    ]
+    ax.set_xticks(y, names, fontsize=7, rotation=90)
     ax.set_xlabel("reading, in the order of its support by the reported returns")
     ax.set_ylabel(f"share of {learned.seeds} training runs")
     ax.set_ylim(0, 1)
@@ -363,10 +381,76 @@ def _best_readings(study: ReadingStudy) -> Table:
         ),
         rows=tuple(rows),
         note="Weights are posterior, from a uniform prior over all readings; readings that nothing "
-        "tells apart share a weight. The three averages are those of the completion that fits "
-        "best. What training ends with is left out of the weights: it is known for the readings "
-        "that were trained alone, by sampling, and through the paper's learning settings as well "
-        "as the reading; what it adds is said above.",
+        "tells apart share a weight. Completions have the weights with which training ends with "
+        "them. The three averages are those of the completion that fits best and is learned often, "
+        "taken together. The number of unique policies is left out of the weights: it is known "
+        "for the readings that were trained alone; what it adds is said above.",
+    )
+
+
+def _shares(study: ReadingStudy, reading: Reading) -> Table:
+    """Return how often training ends with each option of what the text leaves open."""
+    own, options = reading.completions, [list(reported.ORDERS)] + [list(reported.ACTIONS)] * 4
+    drawn = counted(study.sampled.final) + JEFFREYS
+    others, rows = normalised(drawn), []
+    for part, name in enumerate(PARTS):
+        for place, option in enumerate(options[part]):
+            cells = []
+            for schedule in range(len(SETTINGS)):
+                low, high = own.intervals[schedule, part, place]
+                share, there = own.shares[schedule, part, place], others[:, schedule, part, place]
+                cells += [
+                    f"{share:.1%} ({low:.1%} to {high:.1%})",
+                    f"{there.mean():.1%} ({there.min():.1%} to {there.max():.1%})",
+                ]
+            rows.append(("1000 and 0100" if part == 0 else name, option, *cells))
+    shown = [f"{where}, {each} ε" for each in SETTINGS for where in ("default", "drawn at random")]
+    return Table(
+        title="What training ends with where the text leaves it open",
+        headings=("status", "action", *shown),
+        rows=tuple(rows),
+        note=f"Shares of {reading.runs} runs under the default reading, with 95 % intervals, from "
+        f"Jeffreys' prior; and of {study.sampled.seeds} runs under each of "
+        f"{len(study.sampled.readings)} readings drawn at random, with the least and the greatest. "
+        "The order of 1000 and 0100 is counted among the runs that end with one of the two.",
+    )
+
+
+def _completions(reading: Reading) -> Table:
+    """Return the completions that training can be expected to end with, the likeliest first."""
+    found, drawn = reading.weighed, np.exp(reading.completions.draws(DRAWS, SEED))
+    weights = np.exp(reading.completions.log_weights)
+    listed = [n for n in np.argsort(-weights).tolist() if found.learnable[n]]
+    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
+    fitting = {int(found.fitting): "best learnable", int(found.fitting_of_all): "best of all"}
+    rows = tuple(
+        (
+            reported.told(COMPLETIONS[n]),
+            f"{weights[n]:.2g}",
+            f"{low[n]:.2g} to {high[n]:.2g}",
+            *(f"{mean:.1f}" for mean in found.mean[n]),
+            f"{found.chi_squared[n]:.1f}",
+            f"{found.probabilities[n]:.2g}",
+            fitting.get(n, ""),
+        )
+        for n in dict.fromkeys([*listed, *fitting])
+    )
+    return Table(
+        title="Completions that training can be expected to end with",
+        headings=(
+            "1000 and 0100; the open statuses",
+            "weight",
+            "95 % interval",
+            *(f"{start} in 0000" for start in STARTS),
+            "χ²",
+            "p",
+            "fit",
+        ),
+        rows=rows,
+        note="Under the default reading; both runs of the paper ended with the same completion, so "
+        "that the shares of both schedules multiply. Listed are the fewest that hold all but "
+        f"{LEFT_OUT:.2%} of the weight, and the best fit of all {len(COMPLETIONS)}. The reported "
+        f"averages are {', '.join(map(str, AVERAGE_RETURN.values()))}.",
     )
 
 

@@ -26,6 +26,7 @@ from exact_mdp.paper_repro.claims import Judged, Verdict
 from exact_mdp.paper_repro.claims.claim import RULES
 from exact_mdp.paper_repro.claims.policies import optimal_actions
 from exact_mdp.paper_repro.reading import Reading
+from exact_mdp.paper_repro.readings.evidence import Evidence
 from exact_mdp.paper_repro.readings.search import ReadingSearch
 from exact_mdp.paper_repro.report.figures import Picture
 from exact_mdp.paper_repro.report.output import cells, counted, counts
@@ -93,10 +94,10 @@ def render(
     parts: Sequence[Part],
     record: Mapping[str, Any],
     pinned: Sequence[str],
-    search: ReadingSearch,
+    main: Evidence,
 ) -> tuple[str, str]:
     """Return the report as Markdown and as HTML; the figures are read from `out`/figures."""
-    data = _first_page(judged, reading, search) | {
+    data = _first_page(judged, reading, main) | {
         "outside": WORDS["outside"],
         "verdicts": [str(verdict) for verdict in Verdict],
         "groups": _groups(judged),
@@ -127,27 +128,25 @@ def render(
 
 
 def summary(
-    judged: Sequence[Judged], reading: Reading, search: ReadingSearch, record: Mapping[str, Any]
+    judged: Sequence[Judged], reading: Reading, main: Evidence, record: Mapping[str, Any]
 ) -> str:
     """Return one page of A4 for those who read no more."""
     page = environment(TEMPLATES)
     page.filters["anchor"] = anchor
     numbers = [cells(e) for e in judged if e.claim.paper is not None and e.claim.kind == "finding"]
-    data = _first_page(judged, reading, search) | {"numbers": numbers, "shown": _shown(record)}
+    data = _first_page(judged, reading, main) | {"numbers": numbers, "shown": _shown(record)}
     return str(page.get_template("summary.html.j2").render(data))
 
 
-def _first_page(
-    judged: Sequence[Judged], reading: Reading, search: ReadingSearch
-) -> dict[str, Any]:
+def _first_page(judged: Sequence[Judged], reading: Reading, main: Evidence) -> dict[str, Any]:
     return {
         "paper": reported.PAPER,
         "about": WORDS["about"],
-        "bottom": bottom_line(reading),
+        "bottom": bottom_line(reading, main),
         "conclude": WORDS["conclude"],
         "beyond": WORDS["beyond"],
         "limits": WORDS["limits"],
-        "plain": plain(judged, reading, search),
+        "plain": plain(judged, reading, main.search),
         "counts": counts(judged, "finding"),
         "counted": counted(judged),
         "signs": SIGNS,
@@ -207,9 +206,14 @@ def _groups(judged: Sequence[Judged]) -> list[dict[str, Any]]:
 
 
 def _named(reading: Reading) -> dict[str, str]:
-    """Return the three completions that numbers here are given for, each in one line."""
-    names = ("highest value as written", "highest value swapped", "best joint fit")
-    found = reading.averages
+    """Return the completions that numbers here are given for, each in one line."""
+    names = (
+        "highest value as written",
+        "highest value swapped",
+        "best joint fit that training ends with",
+        "best joint fit of all",
+    )
+    found = reading.weighed
     return {
         name: f"{reported.told(COMPLETIONS[number])} (value {found.mean[number, 0]:.2f})"
         for name, number in zip(names, found.named.values(), strict=True)
@@ -259,13 +263,8 @@ PLAIN_ACTIONS = {
 }
 
 
-def bottom_line(reading: Reading) -> str:
-    """Return what was found, in one paragraph, for those who read no more.
-
-    >>> from exact_mdp.paper_repro.reading import QUICK, default
-    >>> bottom_line(default(QUICK))[:56]
-    "In the simulation, the paper's advice is nearly the best"
-    """
+def bottom_line(reading: Reading, main: Evidence) -> str:
+    """Return what was found, in one paragraph, for those who read no more."""
     optimum, random, final = (
         reading.evaluations[name].mean for name in ("optimal", "random", f"reported.{FINAL}")
     )
@@ -285,6 +284,9 @@ def bottom_line(reading: Reading) -> str:
         random=random,
         lost=(optimum - final) / optimum,
         perfect=float(perfect(reading)),
+        rank=main.rank(),
+        readings=len(main.search.space),
+        weight=100 * main.weights[0],
     )
 
 
@@ -317,7 +319,7 @@ def plain(judged: Sequence[Judged], reading: Reading, search: ReadingSearch) -> 
     optimum, random, final = (
         reading.evaluations[name].mean for name in ("optimal", "random", f"reported.{FINAL}")
     )
-    found = reading.averages
+    found = reading.weighed
     fitting, filled = float(found.mean[int(found.fitting), 0]), COMPLETIONS[int(found.fitting)]
     near, far = sorted((optimum - final, optimum - fitting))
     audited = by_name.get("policy.final-is-optimal")
@@ -335,6 +337,7 @@ def plain(judged: Sequence[Judged], reading: Reading, search: ReadingSearch) -> 
         "readings": len(search.space),
         "confused": costs.get("0100", 0.0),
         "ways": len(COMPLETIONS),
+        "learnable": int(found.learnable.sum()),
         "one": PLAIN_ACTIONS[filled["1000"]],
         "other": PLAIN_ACTIONS[filled["0100"]],
         "order": reported.order(filled),

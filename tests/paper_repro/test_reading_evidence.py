@@ -8,13 +8,14 @@ from math import exp, log, sqrt
 
 import numpy as np
 import pytest
-from reading_cases import SMALL, small_search
+from reading_cases import ENDS, SMALL, small_search
 from reading_twin import moments_of
 from scipy.stats import norm
 
 from exact_mdp.mdp import ModelError
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import (
+    ALIKE,
     STATEMENTS,
     VARIANTS,
     Joint,
@@ -120,8 +121,10 @@ def test_completions_are_weighed_with_the_readings_averaged_out() -> None:
 
 
 def test_variants_are_the_evidence_with_their_settings() -> None:
-    found = variants(small_search())
-    assert list(found) == list(VARIANTS)
+    weights = np.broadcast_to(ENDS.log_weights, small_search().mean.shape[:2])
+    found = variants(evidence(small_search(), log_weights=weights))
+    assert list(found) == [*VARIANTS, ALIKE]
+    assert all((each.log_weights is None) == (name == ALIKE) for name, each in found.items())
     alone = found["the three averages alone"]
     assert np.array_equal(alone.total, alone.averages)
     ten = found["10,000 experiments, tolerance 5"]

@@ -21,13 +21,14 @@ import pytest
 import yaml
 from browser import CHROMIUM, Browser
 from click.testing import CliRunner, Result
-from reading_cases import small_search
+from reading_cases import ENDS, small_search
 
 from exact_mdp.analysis import check
 from exact_mdp.mdp import ModelError, Policy
 from exact_mdp.paper_repro.__main__ import main
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, judge
 from exact_mdp.paper_repro.reading import QUICK, Reading, changed, default
+from exact_mdp.paper_repro.readings.evidence import evidence
 from exact_mdp.paper_repro.readings.reported_policy import ranked, sums
 from exact_mdp.paper_repro.readings.search import PAPER_READINGS
 from exact_mdp.paper_repro.report import agents, readings, tradeoffs
@@ -89,12 +90,12 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def view() -> Reading:
-    return default(replace(QUICK, episodes=1000))
+    return replace(default(replace(QUICK, episodes=1000)), ends=ENDS)
 
 
 @pytest.fixture(scope="module")
 def judged(view: Reading) -> list[Judged]:
-    return judge([claim for claim in all_claims() if not claim.learns], view)
+    return judge([c for c in all_claims() if not c.id.startswith("learning.")], view)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +109,7 @@ def written(
     part = Part(title="A part <b>", sentences=("a < b | c",), figures=())
     markdown, page = render(
         out, judged=judged, reading=view, tables=tables, figures=chosen, parts=[part],
-        record=RECORD, pinned=["x: 1, pinned 2"], search=small_search(),
+        record=RECORD, pinned=["x: 1, pinned 2"], main=evidence(small_search()),
     )  # fmt: skip
     return out, markdown, page
 
@@ -187,7 +188,7 @@ def test_no_number_is_a_negative_nothing(written: tuple[Path, str, str]) -> None
 
 
 def test_one_page_for_those_who_read_no_more(view: Reading, judged: list[Judged]) -> None:
-    page = summary(judged, view, small_search(), RECORD)
+    page = summary(judged, view, evidence(small_search()), RECORD)
     parsed = Page(page)
     assert parsed.open == []
     assert "size: A4" in page
@@ -205,7 +206,7 @@ def test_the_pages_in_a_browser(
 ) -> None:
     report, one = tmp_path / "report.html", tmp_path / "summary.html"
     report.write_text(written[2], encoding="utf-8")
-    one.write_text(summary(judged, view, small_search(), RECORD), encoding="utf-8")
+    one.write_text(summary(judged, view, evidence(small_search()), RECORD), encoding="utf-8")
     with warnings.catch_warnings(), Browser(tmp_path / "browser") as browser:
         warnings.simplefilter("ignore", ResourceWarning)
         for wide, dark in ((320, False), (400, True), (1280, False), (1280, True)):
@@ -289,7 +290,7 @@ def test_the_summary_turns_with_the_verdicts(view: Reading, judged: list[Judged]
     turned = [
         replace(each, finding=replace(each.finding, verdict=Verdict.REPRODUCED)) for each in judged
     ]
-    assert "2.6 to 4.2 points below the best possible 146.2" in found["policy.final-is-optimal"]
+    assert "2.0 to 4.2 points below the best possible 146.2" in found["policy.final-is-optimal"]
     assert "1.8 points are missing at least" in found["policy.final-is-optimal"]
     kindest = small_search().regret.min()
     told = f"under the kindest of all 96 readings of the model {kindest:.1f}."
@@ -302,7 +303,8 @@ def test_the_summary_turns_with_the_verdicts(view: Reading, judged: list[Judged]
 
 
 def test_the_bottom_line_counts_the_statuses_where_the_advice_is_best(view: Reading) -> None:
-    told = bottom_line(view)
+    main = evidence(small_search())
+    told = bottom_line(view, main)
     advice = {**dict.fromkeys(ANGRY, "supportive"), **STATED, "0000": FINAL}
     tried = [
         check(
@@ -324,6 +326,9 @@ def test_the_bottom_line_counts_the_statuses_where_the_advice_is_best(view: Read
     assert f"in {sum(tried)} of these the advice is the best there is" in told
     assert "confused and nothing else, a hint is not" in told
     assert "a loss of 2.8%" in told
+    place = 1 + sum(main.marginal > main.marginal[0])
+    assert "one of 96 ways to read the text" in told
+    assert f"number {place}, with {100 * main.weights[0]:.2g} % of the weight" in told
 
 
 def test_no_run_earns_more_than_a_perfect_one(view: Reading) -> None:
