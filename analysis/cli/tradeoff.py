@@ -12,6 +12,7 @@ from typing import Any
 from exact_mdp.analysis.cli.options import Given, check_outputs, given, policy_from
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.solve import whole_policy
+from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
@@ -41,9 +42,7 @@ def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any
         {
             "from": edge.start,
             "to": edge.end,
-            "rate": edge.rate
-            if isinstance(edge.rate, Fraction)
-            else _named(front.names, edge.rate),
+            "rate": _named(front.names, edge.rate) if isinstance(edge.rate, tuple) else edge.rate,
         }
         for edge in front.edges
     ]
@@ -65,14 +64,18 @@ def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any
         "policies": beside,
     }
     two = len(front.names) == 2
-    costs = [None, *(float(edge.change[1] / -edge.change[0]) for edge in front.edges if two)]
+    costs = [
+        None, *(float(e.rate) for e in front.edges if not isinstance(e.rate, tuple))
+    ]  # fmt: skip
     rows = [
         _floats(front.names, vertex) | ({"rate": costs[number]} if two else {})
         for number, vertex in enumerate(vertices)
     ]
     facts = {
         "vertices": len(vertices),
-        "claim": "certified: exact, and no policy is beyond",
+        "claim": "certified: exact, and no policy is beyond"
+        if isinstance(front, Front)
+        else "certified: no policy is beyond; --json has proven bounds on all numbers",
         "more is": "worse: totals are costs" if mdp.sense == "min" else None,
     }
     each = {name: f"{name}:.10g" for name in front.names}

@@ -25,6 +25,7 @@ from operator import mul
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from exact_mdp.analysis.gate.limits import totals_under
+from exact_mdp.analysis.tradeoffs.enclosed_front import EnclosedFront
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
@@ -50,6 +51,7 @@ from exact_mdp.solvers.objectives.optima import (
     proof,
     proposed,
 )
+from exact_mdp.solvers.objectives.parametric import chain_of
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -59,6 +61,7 @@ if TYPE_CHECKING:
 
 pandas = later("pandas")
 Weights = tuple[int, ...]
+LONG = 100  # states on a cycle, with which fractions of a front take over 10 seconds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,10 +200,14 @@ class Front(Pictured):
         return front_violations(of, self.proof, self.attained, self.duals)
 
 
-def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
+def tradeoff(
+    model: MDP | Scenario, names: Sequence[str], *, exact: bool | None = None
+) -> Front | EnclosedFront:
     """Return the exact Pareto front of two or three expected totals from the start.
 
-    Every total is maximised; in a model of costs, minimised.
+    Every total is maximised; in a model of costs, minimised. Where more than 100 states lead to
+    each other, fractions are very long: then the front of two totals has the same proven policies,
+    and short bounds on its numbers.
 
     Parameters
     ----------
@@ -209,15 +216,20 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     names : sequence of str
         Two or three of: a component of the reward, `steps`, an event, a label that is not left
         again (its probability), or a sum such as `name=2*a-b`.
+    exact : bool, optional
+        Whether to write out fractions however long they are; False: to bound them in any case.
 
     Returns
     -------
-    Front
+    Front or EnclosedFront
+        Fractions, unless `exact` is False or, by default, they are long. Where policies tie in a
+        way that bounds do not tell, there are fractions, too, but for `exact=False`.
 
     Raises
     ------
     ModelError
-        For an unknown name, or a total that is infinite under some policy.
+        For an unknown name, or a total that is infinite under some policy; with `exact=False`,
+        for three totals, and where bounds do not tell policies apart.
 
     Examples
     --------
@@ -233,6 +245,16 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
             fix="name two or three",
         )
     of = Objectives.of(mdp_of(model), names)
+    two = len(names) == 2
+    if exact is False or (exact is None and two and of.longest_cycle > LONG):
+        if chain := chain_of(of) if two else None:
+            return EnclosedFront(names=of.names, chain=chain, objectives=of)
+        if exact is False:
+            raise ModelError(
+                "bounds do not tell the policies apart" if two else "bounds of three totals",
+                where="tradeoff",
+                fix="leave out exact=False: then the numbers of the front are fractions",
+            )
     vertices, duals = _chain(of) if len(names) == 2 else _cells(of)
     return Front(
         names=of.names,

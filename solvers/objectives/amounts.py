@@ -116,9 +116,14 @@ class Objectives:
         return 1 if self.mdp.sense == "max" else -1
 
     @cached_property
+    def longest_cycle(self) -> int:
+        """The largest number of states that lead to each other, or 0: fractions are as long."""
+        return max((len(s.states) for s in stages(self.rows) if s.kind is Kind.CYCLE), default=0)
+
+    @property
     def cyclic(self) -> bool:
         """Whether many states lead to each other, so that fractions are long."""
-        return any(s.kind is Kind.CYCLE and len(s.states) > SHORT for s in stages(self.rows))
+        return self.longest_cycle > SHORT
 
     @cached_property
     def in_floats(self) -> tuple[sp.csr_array, Floats]:
