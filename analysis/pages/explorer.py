@@ -270,6 +270,12 @@ def _curve(curve: ValueFunction, sets: _Sets) -> dict[str, Any]:
         ],
         "fixed": [_whole(each) for each in fixed],
         "certified": [_exact(point) for point in certified(curve)],
+        # Where some policy never ends, the value may be another one where two pieces meet.
+        "points": [
+            {"at": _exact(point), "value": _exact(curve.at(point))}
+            for point in certified(curve)
+            if curve.pieces[0].proof is not None
+        ],
     }
 
 
@@ -296,8 +302,10 @@ def _parameter(parameter: Parameter) -> dict[str, str]:
     }
 
 
-def _exact(number: Fraction) -> str:
-    """Return a rational in hexadecimal, "p/q": no number of digits is too large for that."""
+def _exact(number: Fraction | float) -> str:
+    """Return a rational in hexadecimal, "p/q": no number of digits is too large; ±∞ is ±1/0."""
+    if not isinstance(number, Fraction):
+        return "1/0" if number > 0 else "-1/0"
     return f"{number.numerator:x}/{number.denominator:x}"
 
 

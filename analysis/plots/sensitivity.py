@@ -135,6 +135,7 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
     """Draw the optimal start value along a parameter, piece by piece, from its exact functions.
 
     A dotted line is a value at which another policy becomes optimal; each piece has `n` points.
+    Where the value is infinite, the range is hatched.
     """
     ax = axes_or_new(ax)
     for number, piece in enumerate(found.pieces):
@@ -144,7 +145,10 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
         if number:
             label = "another policy becomes optimal" if number == 1 else None
             ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1, label=label)
-        ax.plot(x, [float(piece.value.at(value)) for value in at], color=BLACK)
+        if piece.value.infinite:
+            sign = "+" if piece.value.at(low) > 0 else "-"
+            ax.axvspan(x[0], x[-1], facecolor="0.9", hatch="///", label=f"the value is {sign}∞")
+        ax.plot(x, [float(piece.limit(value)) for value in at], color=BLACK)
         if piece.fixed is not None:
             ax.plot(x, [float(piece.fixed.at(value)) for value in at], "--", color="0.4")
     ax.plot([], [], color=BLACK, label=OUTPUT["optimal"].removeprefix("start value, "))

@@ -21,8 +21,9 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.base_case import maximised
+from exact_mdp.analysis.sensitivity.curves.endless_stretches import Region, gone, regions
 from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Rows
-from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Mask, Sweep
+from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Mask, Stretch, Sweep
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, reachable
@@ -32,9 +33,11 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, Posed, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
-from exact_mdp.mdp.parametric.row_change import Piece, row_change
+from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
+from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, transition_entries
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import shown
+from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
@@ -214,16 +217,17 @@ def thresholds(
     Returns
     -------
     Thresholds
-        Those inside the range, touches included; its own ends are not looked at. They are certified
+        Those inside the range, touches included; its own ends are not looked at. Where values are
+        infinite beyond one, all actions that keep them are optimal there. They are certified
         where the degree of the rows is proven; where that of a `mdp.parametric.Family` is only
         checked at some points they say so.
 
     Raises
     ------
     ModelError
-        For an unknown name, an empty range, a model at discount 1 in which some policy never ends,
-        one with cycles that is too large, or rows that are
-        no polynomials of the degree that a family states.
+        For an unknown name, an empty range, a model with cycles that is too large, rows that are
+        no polynomials of the degree that a family states, and where rewards cancel for ever at
+        discount 1, or +∞ and -∞ come together.
 
     Examples
     --------
@@ -247,7 +251,7 @@ def thresholds(
         if switches := _switches(mdp, *both, met=both):
             found.append(Threshold(low=low, high=high, switches=switches))
         if low == high:  # a breakpoint: rows have a kink there, and so may a gap that is 0 there
-            more = left.optimal | (proven(family.at({name: low})).optimal_pairs & ~right.optimal)
+            more = left.optimal | (_optimal_at(family, name, low, left) & ~right.optimal)
             more = np.where(mdp.terminal[mdp.pair_state], left.optimal, more)
             if switches := _switches(mdp, left.optimal, more, met=both):
                 found.append(Threshold(low=low, high=high, switches=switches, touch=True))
@@ -260,6 +264,19 @@ def thresholds(
     found.sort(key=lambda threshold: threshold.low)
     parameter = parameter_of(family, name)
     return Thresholds(parameter=parameter, range=span, found=tuple(found), checked=checked_at)
+
+
+def _optimal_at(family: Parametric, name: str, value: Fraction, left: Stretch) -> Mask:
+    """Return the pairs (L,) that are optimal at a value where the range is cut.
+
+    Where some policy never ends there may be none: rewards may cancel for ever at that value alone.
+    """
+    try:
+        return proven(family.at({name: value})).optimal_pairs
+    except ModelError:
+        if left.proof is None:
+            raise
+        return left.optimal
 
 
 def divided_family(family: Parametric) -> Parametric:
@@ -280,23 +297,57 @@ def below_one(family: Parametric, name: str, span: Range) -> Range:
     return Range(low=span.low, high=NEARLY_ONE)
 
 
-def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep]:
-    """Return a sweep, which yields stretches, over each section on which rows are polynomials."""
+def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep | Region]:
+    """Return what yields stretches, over each section on which rows are polynomials.
+
+    Where some policy never ends, one region or more for each section.
+    """
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
-    found = []
+    found: list[Sweep | Region] = []
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
-        middle = (low + high) / 2
-        base = family.at({name: middle})
-        if endless(base):
-            raise ModelError(
-                "thresholds and curves need every policy to end, and one does not",
-                where=f"parameter {name}, at discount 1",
-                fix="give a discount below 1 (discount=0.95), or a number of steps (--horizon "
-                f"{base.time_limit or 'N'}); gradient and tornado take the model as it is",
+        base, change = _middle(family, name, low, high)
+        if _endless(family, base, change):
+            found += regions(family, name, low, high)
+        else:
+            found.append(
+                Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high)
             )
-        change = row_change(family, name, Piece(low=low, high=high), origin=middle, base=base)
-        found.append(Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high))
     return found
+
+
+def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> tuple[MDP, RowChange]:
+    """Return the model in the middle of a section, and how it changes; next to it if a chance is 0.
+
+    What may happen there may then happen next to it, too.
+    """
+    for share in (Fraction(1, 2), Fraction(37, 97)):
+        origin = low + (high - low) * share
+        base = family.at({name: origin})
+        change = row_change(family, name, Piece(low=low, high=high), origin=origin, base=base)
+        if np.isin(change.transition.key, transition_entries(base)[0]).all():
+            break
+    return base, change
+
+
+def _endless(family: Parametric, mdp: MDP, change: RowChange) -> bool:
+    """Return whether some policy never ends in a section, its ends included, at discount 1.
+
+    Or earns where all is over, which is then over at one value of the parameter alone.
+    """
+    pairs = np.concatenate([change.reward.key, change.transition.key // mdp.n_states])
+    earns = mdp.discount_exact == 1 and not change.discount and mdp.terminal[mdp.pair_state[pairs]]
+    if endless(mdp) or np.any(earns):
+        return True
+    if mdp.discount_exact < 1 or change.discount or levels(mdp) is not None:
+        return False
+    low, high = change.piece.low, change.piece.high
+    assert low is not None
+    assert high is not None
+    for end in (low, high):
+        there = family.at({change.name: end})
+        if endless(there) or (there.terminal != mdp.terminal).any():
+            return True
+    return bool(gone(PolynomialRows.of(mdp, change), low, high))
 
 
 def _switches(mdp: MDP, before: Mask, after: Mask, *, met: tuple[Mask, ...]) -> tuple[Switch, ...]:

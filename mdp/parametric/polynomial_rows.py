@@ -44,6 +44,8 @@ class PolynomialRows:
     reward : list of fmpq_poly, of length L
     following : list of (state, fmpq_poly), for each of L pairs
         Discounted probabilities of states that are not terminal; none of terminal states.
+    moving : list of fmpq_poly
+        The probabilities that change, not discounted, those of terminal states included.
     """
 
     mdp: MDP
@@ -52,6 +54,7 @@ class PolynomialRows:
     terminal: list[bool]
     reward: list[fmpq_poly]
     following: list[list[tuple[int, fmpq_poly]]]
+    moving: list[fmpq_poly]
 
     @classmethod
     def of(cls, mdp: MDP, change: RowChange) -> PolynomialRows:
@@ -72,6 +75,7 @@ class PolynomialRows:
         }
         for key, moved in _polynomials(change.transition):
             weight[key] = weight.get(key, poly()) + moved
+        moving = [weight[key] for key in change.transition.key.tolist()]
         following: list[list[tuple[int, fmpq_poly]]] = [[] for _ in reward]
         for key, p in sorted(weight.items()):
             pair, state = divmod(key, mdp.n_states)
@@ -84,6 +88,7 @@ class PolynomialRows:
             terminal=terminal,
             reward=reward,
             following=following,
+            moving=moving,
         )
 
 

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.curves.checker import Section, Values, blackwell_violations
 from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Gaps
+from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Sweep
 from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple
 from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.analysis.sensitivity.thresholds import divided_family, sections_of
@@ -127,6 +128,7 @@ def blackwell(model: Scenario | MDP | Parametric) -> Blackwell:
     if mdp.sense == "min":
         family, _ = maximised(family, "optimal")
     (section,) = sections_of(family, "discount", Range(low=Fraction(0), high=Fraction(1)))
+    assert isinstance(section, Sweep)
     gaps, origin = Gaps(section.rows, (section.low, section.high)), section.origin
     steps = 4
     while True:

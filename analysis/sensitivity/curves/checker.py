@@ -8,11 +8,9 @@ y = θ - θ0, N_s / D are the optimal values for all y of an interval [a, b] bec
 and the Bellman equations have one solution: where γ Σ P < 1 throughout, or where γ Σ P ≤ 1 and some
 transition of each pair leads to a state that is nearer to the end (see `solvers.proof.checker`).
 
-No sign is sampled. A polynomial is not negative on an interval if its coefficients in Bernstein's
-basis are not; if one is, Sturm's theorem counts the roots of odd multiplicity, of which there must
-be none inside (Basu, Pollack and Roy, Algorithms in Real Algebraic Geometry, 2006, chapters 2
-and 10). A bracket between two pieces has one root in it at which everything changes that changes:
-the left values are optimal up to it, the right ones from it on.
+No sign is sampled (`.signs`). A bracket between two pieces has one root in it at which everything
+changes that changes: the left values are optimal up to it, the right ones from it on. Pieces where
+some policy never ends are checked by `.endless_checker`, and claim nothing of the brackets.
 """
 
 from __future__ import annotations
@@ -21,13 +19,30 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import groupby, pairwise
+from itertools import groupby
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from exact_mdp.analysis.sensitivity.curves.endless_checker import (
+    EndlessProof,
+    endless_violations,
+    without_end,
+)
+from exact_mdp.analysis.sensitivity.curves.signs import (
+    bernstein,
+    nonnegative,
+    odd_part,
+    positive,
+    positive_inside,
+    roots_on,
+    simple_part,
+    vanishes,
+)
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows, fraction, rational
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
@@ -47,7 +62,7 @@ Shares = Sequence[Sequence[tuple[int, Fraction]]]
 
 @dataclass(frozen=True, kw_only=True)
 class RationalFunction:
-    """A ratio of two polynomials, with coefficients from the constant up.
+    """A ratio of two polynomials, with coefficients from the constant up; ±1 / 0 is ±∞.
 
     Examples
     --------
@@ -64,7 +79,7 @@ class RationalFunction:
     def of(cls, ratio: tuple[fmpq_poly, fmpq_poly]) -> RationalFunction:
         """Return N / D with the constant of D, or its first coefficient that is not 0, made 1."""
         top, below = ([*map(fraction, poly.coeffs())] or [Fraction(0)] for poly in ratio)
-        unit = next(c for c in below if c)
+        unit = next((c for c in below if c), Fraction(1))
         return cls(
             numerator=tuple(c / unit for c in top), denominator=tuple(c / unit for c in below)
         )
@@ -72,8 +87,15 @@ class RationalFunction:
     def __neg__(self) -> RationalFunction:
         return replace(self, numerator=tuple(-c for c in self.numerator))
 
-    def at(self, value: Fraction) -> Fraction:
+    @property
+    def infinite(self) -> bool:
+        """Whether this is +∞ or -∞ throughout."""
+        return not any(self.denominator)
+
+    def at(self, value: Fraction) -> Fraction | float:
         """Return the ratio at a point."""
+        if self.infinite:
+            return inf * int(self.numerator[0])
         return _horner(self.numerator, value) / _horner(self.denominator, value)
 
 
@@ -110,6 +132,9 @@ class CurvePiece:
     section : Section
     values, fixed_values : (N of each of S states, D)
         The values of all states, polynomials of y; those that are maximised, of a model of costs.
+    proof : EndlessProof or None
+        What the polynomials leave to be shown where some policy never ends; of the open interval
+        between the brackets, whose ends `at` works out by themselves.
     """
 
     low: Bracket
@@ -120,6 +145,14 @@ class CurvePiece:
     section: Section
     values: Values
     fixed_values: Values | None = None
+    proof: EndlessProof | None = None
+
+    def limit(self, value: Fraction) -> Fraction | float:
+        """Return the optimal value at the start inside, or its limit at an end; it may be ±inf."""
+        if self.value.infinite or _horner(self.value.denominator, value):
+            return self.value.at(value)
+        inner = self.value.at((self.low[1] + self.high[0]) / 2)
+        return inf if inner > 0 else -inf
 
 
 def piece_violations(
@@ -135,7 +168,12 @@ def piece_violations(
         for piece in some:
             if equations is None:
                 equations = _Equations(family, name, piece.section)
-                wrong += equations.unsound()
+                wrong += equations.unsound() if piece.proof is None else ()
+            if piece.proof is not None:
+                wrong += equations.endless(family.at({name: piece.proof.point}), piece)
+                if shares is not None:
+                    wrong += equations.not_of(piece, shares)
+                continue
             gaps = equations.gaps(piece)
             wrong += equations.not_optimal(piece, gaps)
             if shares is not None:
@@ -186,8 +224,8 @@ def _positive_before(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
     """Whether a polynomial is positive from one point up to, not at, another."""
     if poly.degree() < 0 or poly(rational(low)) <= 0:
         return False
-    simple = _simple(poly)
-    return _roots(simple, low, high) == (simple(rational(high)) == 0)
+    simple = simple_part(poly)
+    return roots_on(simple, low, high) == (simple(rational(high)) == 0)
 
 
 def _sign_before(poly: fmpq_poly, at: Fraction) -> int:
@@ -240,7 +278,7 @@ class _Equations:
             yield "a probability is negative, or probabilities pass 1"
         elif not all(positive(s, low, high) for s in _different(self.slack.values())):
             falls, ends = self._nearer(None), (self._nearer(low), self._nearer(high))
-            if falls is None or None in ends or any(_vanishes(p, low, high) for p in falls):
+            if falls is None or None in ends or any(vanishes(p, low, high) for p in falls):
                 yield "nothing proves that the Bellman equations have one solution"
 
     def _nearer(self, at: Fraction | None) -> list[fmpq_poly] | None:
@@ -283,9 +321,9 @@ class _Equations:
             if pair in self.safe:
                 continue
             gap = self.known[pair]
-            if _bernstein(gap, low, end):
+            if bernstein(gap, low, end):
                 self.safe.add(pair)
-            elif not _bernstein(gap, low, high):
+            elif not bernstein(gap, low, high):
                 undecided.append(pair)
         self.last = piece.values
         return _Gaps(every=dict(self.known), open=undecided)
@@ -313,6 +351,29 @@ class _Equations:
                 yield f"a pair of state {self.state[pair]} is better from {at} on"
         yield from self._not_the_start(piece.values, piece.value, at)
 
+    def endless(self, mdp: MDP, piece: CurvePiece) -> Iterator[str]:
+        """Yield why values may not be the optimal ones throughout, where some policy never ends.
+
+        `mdp` is the model at the point of the proof.
+        """
+        low, high, at = piece.low[1], piece.high[0], shown(piece.low[1])
+        proof = piece.proof
+        assert proof is not None
+        if not self.section.low <= low < proof.point < high <= self.section.high:
+            yield f"the piece from {at} on is outside its section"
+            return
+        span = self._inside(low, high)
+        faults = endless_violations(mdp, self.rows, span, piece.values, proof, self.gap)
+        yield from (f"{fault}, from {at} on" for fault in faults)
+        if not np.array_equal(piece.optimal, proof.certificate.optimal_pairs):
+            yield f"the pairs from {at} on are not those that are optimal"
+        start = proof.certificate.start_value
+        sign = (start == inf) - (start == -inf)
+        if not sign:
+            yield from self._not_the_start(piece.values, piece.value, at)
+        elif not piece.value.infinite or piece.value.at(low) != start:
+            yield f"the value at the start from {at} on is another one"
+
     def _not_the_start(self, values: Values, value: RationalFunction, at: str) -> Iterator[str]:
         numerators, scale = values
         shift = flint.fmpq_poly([rational(self.section.origin), 1])
@@ -333,10 +394,21 @@ class _Equations:
         if values is None or value is None:
             yield f"the policy held fixed has no value from {at} on"
             return
-        if not positive(values[1], *self._inside(piece.low[0], piece.high[1])):
+        zero, states = flint.fmpq_poly(), self.states
+        if piece.proof is None:
+            sound = positive(values[1], *self._inside(piece.low[0], piece.high[1]))
+        else:
+            inside = self._inside(piece.low[1], piece.high[0])
+            sound = positive_inside(values[1], *inside)
+            pairs = [[pair for pair, share in mix if share] for mix in shares]
+            left = without_end(self.rows, pairs, [state for state, _ in self.start])
+            if left is None:
+                yield f"the policy held fixed may go on for ever from {at} on"
+                return
+            states = left
+        if not sound:
             yield f"the denominator of the policy held fixed from {at} on is not positive"
-        zero = flint.fmpq_poly()
-        for state in self.states:
+        for state in states:
             mix = (rational(share) * self.gap(values, pair) for pair, share in shares[state])
             if sum(mix, zero) != 0:
                 yield f"the policy held fixed has another value in state {state} from {at} on"
@@ -351,8 +423,8 @@ class _Equations:
         low, high = self._inside(*bracket)
         turning: list[fmpq_poly] = []
         for _, gaps in (before, after):
-            odd = (_odd(gaps.every[pair]) for pair in gaps.open)
-            turning += [each for each in odd if _roots(each, low, high)]
+            odd = (odd_part(gaps.every[pair]) for pair in gaps.open)
+            turning += [each for each in odd if roots_on(each, low, high)]
         if bracket != after[0].low:
             return False
         if not turning:
@@ -360,72 +432,8 @@ class _Equations:
         shared = turning[0]
         for each in turning[1:]:
             shared = shared.gcd(each)
-        return {_roots(each, low, high) for each in [*turning, shared]} == {1}
+        return {roots_on(each, low, high) for each in [*turning, shared]} == {1}
 
 
 def _different(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:
     return [*{str(p): p for p in polynomials}.values()]
-
-
-def nonnegative(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
-    """Whether a polynomial is nowhere negative on a closed interval."""
-    if _bernstein(poly, low, high):
-        return True
-    if _inside(_odd(poly), low, high):
-        return False
-    steps = poly.degree() + 2  # one of so many points is no root
-    inside = (low + (high - low) * Fraction(k, steps) for k in range(1, steps))
-    return all(poly(rational(y)) >= 0 for y in inside)
-
-
-def positive(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
-    """Whether a polynomial is positive on a closed interval."""
-    ends = min(poly(rational(low)), poly(rational(high))) > 0
-    return bool(ends and (_bernstein(poly, low, high) or not _roots(_simple(poly), low, high)))
-
-
-def _vanishes(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
-    """Whether a polynomial that is not 0 has a root between two points."""
-    return _inside(_simple(poly), low, high) > 0
-
-
-def _bernstein(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
-    """Whether no coefficient in Bernstein's basis of an interval is negative."""
-    moved = poly(flint.fmpq_poly([rational(low), rational(high - low)])).numer()
-    turned = flint.fmpz_poly(moved.coeffs()[::-1])(flint.fmpz_poly([1, 1]))
-    return all(c >= 0 for c in turned.coeffs())
-
-
-def _odd(poly: fmpq_poly) -> fmpq_poly:
-    """Return the product of the factors of odd multiplicity, each once."""
-    _, factors = poly.numer().factor_squarefree()
-    odd: fmpq_poly = flint.fmpq_poly([1])
-    for factor, times in factors:
-        odd = odd * factor if times % 2 else odd
-    return odd
-
-
-def _simple(poly: fmpq_poly) -> fmpq_poly:
-    """Return the product of all factors, each once."""
-    found: fmpq_poly = poly / poly.gcd(poly.derivative()) if poly.degree() > 0 else poly
-    return found
-
-
-def _roots(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
-    """Return the number of roots on a closed interval of a polynomial with simple ones (Sturm)."""
-    if poly.degree() < 1:
-        return 0
-    chain = [poly, poly.derivative()]
-    while chain[-1].degree() > 0:
-        left = (chain[-2] % chain[-1]).numer()
-        chain.append(-flint.fmpq_poly(left) / left.content())
-    changes = []
-    for at in (low, high):
-        signs = [value > 0 for each in chain if (value := each(rational(at)))]
-        changes.append(sum(a != b for a, b in pairwise(signs)))
-    return changes[0] - changes[1] + (poly(rational(low)) == 0)
-
-
-def _inside(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
-    """Return the same on the open interval."""
-    return _roots(poly, low, high) - sum(poly(rational(y)) == 0 for y in {low, high})

@@ -8,6 +8,9 @@ in lowest terms (`.gap_polynomials`). A threshold is known up to 1e-12. Within s
 the greater of the values on both sides, which are those of policies, optimal up to the threshold
 and from it on. The value of a policy held fixed is such a ratio, too, between
 the points at which the rows pass from one polynomial to another.
+
+At discount 1, where some policy never ends, pieces are those of `.endless_stretches`: between their
+brackets, the value is such a ratio or infinite; in a bracket it is worked out at each value.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.check import limit_of
+from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.curves.checker import (
     CurvePiece,
@@ -26,6 +30,7 @@ from exact_mdp.analysis.sensitivity.curves.checker import (
     Section,
     piece_violations,
 )
+from exact_mdp.analysis.sensitivity.curves.endless_stretches import Region
 from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Sweep, moved
 from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval, kept
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of
@@ -108,13 +113,20 @@ class ValueFunction(Pictured):
             )
         return found
 
-    def at(self, value: object) -> Fraction:
-        """Return the optimal value at the start at a value of the parameter."""
-        where = exact(value)
-        best = max if self.mdp.sense == "max" else min
-        return best(piece.value.at(where) for piece in self.around(where))
+    def at(self, value: object) -> Fraction | float:
+        """Return the optimal value at the start at a value of the parameter; ±inf is one, too.
 
-    def fixed_at(self, value: object) -> Fraction | None:
+        Raises ModelError outside the range, and where rewards cancel for ever at that very value.
+        """
+        where = exact(value)
+        found = self.around(where)
+        if any(e.proof and not e.low[1] < where < e.high[0] for e in found):
+            start = proven(self.family.at({self.parameter.name: where})).start_value
+            return start if self.mdp.sense == "max" else -start
+        best = max if self.mdp.sense == "max" else min
+        return best(piece.value.at(where) for piece in found)
+
+    def fixed_at(self, value: object) -> Fraction | float | None:
         """Return the value of the policy held fixed there."""
         where = exact(value)
         fixed = self.around(where)[0].fixed
@@ -144,7 +156,8 @@ class ValueFunction(Pictured):
         Returns
         -------
         tuple of Interval
-            In rising order.
+            In rising order. Where some policy never ends at discount 1, ends that are ends of
+            pieces may be exceptions; `at` has the value there.
 
         Raises
         ------
@@ -199,8 +212,8 @@ class ValueFunction(Pictured):
                 "low": float(piece.low[0]),
                 "high": float(piece.high[1]),
                 "degree": len(piece.value.numerator) - 1,
-                "value_low": float(piece.value.at(piece.low[1])),
-                "value_high": float(piece.value.at(piece.high[0])),
+                "value_low": float(piece.limit(piece.low[1])),
+                "value_high": float(piece.limit(piece.high[0])),
                 "claim": str(self.claim),
             }
             for piece in self.pieces
@@ -228,7 +241,8 @@ def value_function(
     relative : number, optional
         Today's value ± this share instead.
     policy : PolicyLike, optional
-        A policy held fixed, whose value is followed, too.
+        A policy held fixed, whose value is followed, too. At discount 1 it has to end, or to come
+        to where it earns nothing any more.
 
     Returns
     -------
@@ -269,13 +283,17 @@ def value_function(
     )
 
 
-def _pieces(sweep: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
+def _pieces(sweep: Sweep | Region, chain: PolicyChain | None) -> list[CurvePiece]:
     fixed = fixed_values = None
     if chain is not None:
         weights = map(chain.exact_weights, range(chain.mdp.n_states))
         mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
-        fixed_values = sweep.rows.values(mix, (sweep.low, sweep.high))
-        fixed = RationalFunction.of(moved(sweep.rows.worth(fixed_values), sweep.origin))
+        if isinstance(sweep, Sweep):
+            rows = sweep.rows
+        else:
+            rows = sweep.rows_of([[pair for pair, _ in each] for each in mix])
+        fixed_values = rows.values(mix, (sweep.low, sweep.high))
+        fixed = RationalFunction.of(moved(rows.worth(fixed_values), sweep.origin))
     origin = sweep.origin
     section = Section(low=sweep.low + origin, high=sweep.high + origin, origin=origin)
     return [
@@ -288,6 +306,7 @@ def _pieces(sweep: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
             section=section,
             values=stretch.values,
             fixed_values=fixed_values,
+            proof=stretch.proof,
         )
         for stretch in sweep
     ]
