@@ -11,6 +11,7 @@ PY    := $(BIN)/python
 PIP   := $(PY) -m pip --disable-pip-version-check --no-input
 STAMP := $(VENV)/.installed
 BENCH_STAMP := $(VENV)/.installed-bench
+DOCS_STAMP  := $(VENV)/.installed-docs
 
 # A second environment, with the lowest versions that pyproject.toml declares.
 LOWEST       := .venv-lowest
@@ -65,6 +66,12 @@ notebook-pages: $(STAMP) ## run every notebook into OUT/notebooks, as notebook a
 	        --HTMLExporter.mermaid_js_url= $(OUT)/notebooks/$$name.ipynb; \
 	done
 
+# Warnings are errors, links within the project that lead nowhere among them.
+.PHONY: docs
+docs: $(DOCS_STAMP) ## build the documentation into build/docs/html (NOTEBOOKS=off: as they are)
+	$(PY) -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs build/docs/html
+	@echo build/docs/html/index.html
+
 # ---------------------------------------------------------------- checks
 
 # The processes share the cores, so that each computes with one thread.
@@ -91,6 +98,11 @@ LOWEST_TESTS = $(addprefix tests/,mdp solvers/test_solvers.py solvers/test_equat
 test-lowest: $(LOWEST_STAMP) ## the core tests at the lowest declared versions, in .venv-lowest
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n $(WORKERS) \
 	    --dist loadgroup -k "not compiled_draws" $(LOWEST_TESTS)
+
+.PHONY: coverage
+coverage: $(STAMP) ## the share of lines and branches that `make test` runs, into build/coverage
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) -m pytest -n $(WORKERS) --dist loadgroup \
+	    --cov --cov-report=term --cov-report=html:build/coverage
 
 .PHONY: wheel-test
 wheel-test: $(STAMP) ## build the wheel, install it elsewhere and use it there
@@ -122,13 +134,14 @@ bench: $(BENCH_STAMP) ## the benchmarks; rewrites tests/benchmarks/RESULTS.md
 lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
 	$(PIP) install -qq --require-hashes --no-deps -r requirements-uv.lock
 	echo uv | $(COMPILE) --output-file requirements-uv.lock -
-	$(COMPILE) --extra all --extra test --output-file requirements.lock pyproject.toml
+	$(COMPILE) --extra all --group test --output-file requirements.lock pyproject.toml
 	$(COMPILE) --extra bench --constraints requirements.lock \
 	    --output-file requirements-bench.lock pyproject.toml
+	$(COMPILE) --group docs --constraints requirements.lock --output-file requirements-docs.lock
 	printf 'icu-sepsis\ngym\n' | $(COMPILE) --no-deps --output-file requirements-icu.lock -
 	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra lp --extra plots --extra gymnasium --extra sensitivity --extra umb \
 	    --extra parquet \
-	    --extra cluster --extra test --output-file requirements-lowest.lock pyproject.toml
+	    --extra cluster --group test --output-file requirements-lowest.lock pyproject.toml
 
 # The lowest versions are found anew each time: those locked would be kept where a bound falls.
 COMPILE = $(PY) -m uv pip compile --quiet --universal --python-version 3.11 \
@@ -163,6 +176,10 @@ $(STAMP): pyproject.toml requirements.lock requirements-icu.lock | $(PY)
 
 $(BENCH_STAMP): requirements-bench.lock $(STAMP)
 	$(PIP) install -qq --no-compile --require-hashes --no-deps -r requirements-bench.lock
+	@touch $@
+
+$(DOCS_STAMP): requirements-docs.lock $(STAMP)
+	$(PIP) install -qq --no-compile --require-hashes --no-deps -r requirements-docs.lock
 	@touch $@
 
 # Wheels alone: to build old versions of compiled packages takes compilers and an hour.

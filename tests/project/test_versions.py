@@ -21,9 +21,11 @@ from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import substitution
 from exact_mdp.solvers.parallel.sources import PACKAGES, ROOT
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+TOML = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT, GROUPS = TOML["project"], TOML["dependency-groups"]
 LOCKS = (
     "requirements.lock",
+    "requirements-docs.lock",
     "requirements-icu.lock",
     "requirements-lowest.lock",
     "requirements-uv.lock",
@@ -84,9 +86,10 @@ def name_of(requirement: str) -> str:
 
 def declared() -> dict[str, str]:
     """Return every requirement by the name of its package."""
-    extras = PROJECT["optional-dependencies"]
-    listed = [*PROJECT["dependencies"], *(each for extra in extras.values() for each in extra)]
-    return {name_of(each): each for each in listed if name_of(each) != "exact-mdp"}
+    parts = [*PROJECT["optional-dependencies"].values(), *GROUPS.values()]
+    listed = [*PROJECT["dependencies"], *(each for part in parts for each in part)]
+    named = [each for each in listed if isinstance(each, str)]  # a group may include another
+    return {name_of(each): each for each in named if name_of(each) != "exact-mdp"}
 
 
 def imported(path: Path) -> set[str]:

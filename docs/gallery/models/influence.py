@@ -1,0 +1,9 @@
+"""Influence between statuses.
+
+How much a status that is present raises the chance of the others, without assistance.
+"""
+
+from exact_mdp import Scenario
+from exact_mdp.analysis.plots import plot_influence
+
+plot_influence(Scenario.load("yuan2025"))
