@@ -28,8 +28,15 @@ from exact_mdp.mdp.table import Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.completions import LearnedCompletions, counted
 from exact_mdp.paper_repro.readings.search import PAPER_READINGS, Averages, averages
-from exact_mdp.paper_repro.readings.training import SETTINGS, Learned, learn, setting
+from exact_mdp.paper_repro.readings.training import (
+    SETTINGS,
+    Learned,
+    learn,
+    setting,
+    settings_of,
+)
 from exact_mdp.solvers import certify, evaluate, simulate, solve
+from exact_mdp.solvers.learning.schedules import Constant
 from exact_mdp.solvers.parallel.sources import source_digest
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.values.evaluate import Evaluation
@@ -45,12 +52,13 @@ class Sizes:
 
     runs: int  # training runs of each exploration schedule
     episodes: int  # simulated ones that check each exact mean
+    varied: int  # training runs of each schedule under each other setting of the learner
     supported: int = 8  # best supported readings under which open claims are worked out again
     dpi: int = 200  # of the figures as PNG
 
 
-QUICK = Sizes(runs=100, episodes=10_000, supported=2, dpi=110)
-FULL = Sizes(runs=400, episodes=100_000)
+QUICK = Sizes(runs=100, episodes=10_000, varied=40, supported=2, dpi=110)
+FULL = Sizes(runs=400, episodes=100_000, varied=100)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +130,7 @@ class Reading:
     label: str = "default"  # what it changes: "default", or "reading = option"
     runs: int = QUICK.runs  # see `Sizes`
     episodes: int = QUICK.episodes
+    varied: int = QUICK.varied
     store: Store = field(default_factory=Store)
     training: Mapping[str, Any] = field(default_factory=dict)  # settings of the learner that differ
     ends: LearnedCompletions | None = None  # those of a reading like it, instead of its own
@@ -207,7 +216,8 @@ class Reading:
     def learned(self, schedule: str) -> Learned:
         """Return the training runs under an exploration schedule, "constant" or "decaying"."""
         if schedule not in self._learned:
-            told = repr(sorted(self.training.items())).encode() if self.training else b""
+            settings = settings_of(schedule, self.training)
+            told = b"" if settings == SETTINGS[schedule] else repr(settings).encode()
             mark = told and f"-{sha256(told).hexdigest()[:8]}"
             folder = self.store.folder(f"training-{schedule}-{self.key}{mark or ''}")
             self._learned[schedule] = learn(
@@ -219,6 +229,22 @@ class Reading:
                 changes=self.training,
             )
         return self._learned[schedule]
+
+    @cached_property
+    def _taught(self) -> dict[str, Reading]:
+        return {}
+
+    def taught(self, label: str, *, runs: int, **settings: Any) -> Reading:
+        """Return this reading with another learner, whose runs are kept under the label."""
+        if label not in self._taught:
+            told = {**self.training, **settings}
+            self._taught[label] = replace(self, label=label, runs=runs, training=told)
+        return self._taught[label]
+
+    @property
+    def falling(self) -> Reading:
+        """The same, learned with a step that falls: 0.5 n^-0.7 at the n-th update."""
+        return self.taught("falling step", runs=self.varied, rate=Constant(0.5), rate_power=0.7)
 
     def simulated(self, name: str) -> dict[str, float]:
         """Return the mean return of a policy by independent simulation, and its standard error.
@@ -252,6 +278,7 @@ def default(sizes: Sizes, store: Store | None = None) -> Reading:
         scenario=Scenario.load("yuan2025"),
         runs=sizes.runs,
         episodes=sizes.episodes,
+        varied=sizes.varied,
         store=store or Store(),
     )
 
@@ -276,6 +303,7 @@ def changed(base: Reading, sets: Sequence[str]) -> Reading:
         label=", ".join(sets),
         runs=base.runs,
         episodes=base.episodes,
+        varied=base.varied,
         store=base.store,
         training=learner,
     )

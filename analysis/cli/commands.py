@@ -468,11 +468,6 @@ def check() -> None:
     metavar="ADDRESS",
     help="Train on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
 )
-@click.option(
-    "--explain",
-    is_flag=True,
-    help="Say how unstable the least stable status is by theory, and why.",
-)
 @of_model
 def train() -> None:
     """Train on MODEL as Yuan et al. (2025) do, and compute the exact values of the policies.

@@ -14,7 +14,6 @@ import numpy as np
 
 from exact_mdp.analysis.cli.options import Given, given, number_of, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, number, to_json
-from exact_mdp.analysis.learning.instability import compare, predict, require_theory
 from exact_mdp.analysis.learning.outcomes import (
     CANDIDATES,
     QUANTILES,
@@ -53,7 +52,6 @@ def train(
     out: str | None,
     jobs: str | None,
     scheduler: str | None,
-    explain: bool,
     sets: tuple[str, ...],
     discount: str | None,
     **options: Any,
@@ -63,8 +61,6 @@ def train(
     settings, first = _settings(asked.mdp, options), whole_of(seed, "--seed", most=2**128)
     count = whole_of(seeds, "--seeds", 1, 10**7)
     workers = None if jobs is None else whole_of(jobs, "--jobs", 1, 1024)
-    if explain:
-        require_theory(settings)
     solve(asked.mdp)  # a model that cannot be judged is refused before the work
     runs = train_many(
         asked.mdp,
@@ -78,8 +74,6 @@ def train(
     )
     found = outcomes(asked.mdp, runs)
     result = asked.head | {"seed": first, "settings": repr(settings)} | _summary(runs, found)
-    if explain:
-        result["unstable"] = _explained(settings, found)
     if out is not None:
         result["written"] = _save(Path(out), asked, settings, runs[0], found, result)
     return asked.report(result, _facts(result, found), _tables(result))
@@ -159,7 +153,6 @@ def _summary(runs: Sequence[TrainingRun], found: Outcomes) -> dict[str, Any]:
         },
         "steps": sum(run.steps for run in runs),
         "cut_short": sum(run.cut_short for run in runs),
-        "unstable": None,
         "written": [],
     }
 
@@ -206,30 +199,6 @@ def _named(found: Outcomes, choices: Numbers) -> dict[str, str] | None:
     alone = len(space.columns) == 1 and not space.extra
     label = space.columns[0].label if alone else space.label
     return {label(row): names[action] for row, action in enumerate(choices.tolist())}
-
-
-def _explained(settings: QLearning, found: Outcomes) -> dict[str, Any]:
-    """Return fixed point, gaps, noise and predicted shares of the row that changes most."""
-    row = int(found.changed.mean(axis=0).argmax())
-    theory = predict(found.mdp, settings, row=row, policy=found.policies[0])
-    counts = found.choices(row)
-    compared = {kind: compare(getattr(theory, kind), counts) for kind in ("linear", "switching")}
-    seen = zip(theory.frame().to_dict("index").items(), theory.actions.tolist(), strict=True)
-    return {
-        "row": theory.label,
-        "epsilon": theory.field.epsilon,
-        "rate": theory.rate,
-        "actions": {
-            name: entry
-            | {
-                "observed": float(counts[action] / found.runs),
-                "interval": compared["linear"].intervals[action],
-            }
-            for (name, entry), action in seen
-        },
-        "distance": {kind: each.distance for kind, each in compared.items()},
-        "distance_by_chance": {kind: each.noise for kind, each in compared.items()},
-    }
 
 
 def _save(
@@ -311,7 +280,7 @@ def _tables(result: dict[str, Any]) -> list[Table]:
         return _percent(entry["interval"])
 
     changed = [{"row": row} | each for row, each in result["changed_in_last"].items()]
-    found = [
+    return [
         Table(
             title="final greedy policies, and where they differ from the first",
             rows=result["policies"],
@@ -337,16 +306,3 @@ def _tables(result: dict[str, Any]) -> list[Table]:
             columns={"row": "row", "share of runs": "fraction:.1%", "95 %": interval},
         ),
     ]
-    theory = result["unstable"]
-    if theory:
-        shares = {name: f"{name}:.1%" for name in ("linear", "switching", "observed")}
-        values = {"Q": "fixed_point:.3f", "gap": "gap:.3f", "noise": "noise:.3f"}
-        found.append(
-            Table(
-                title=f"{theory['row']}: fixed point of the learner, noise at rate "
-                f"{theory['rate']:g}, and predicted and observed shares of final policies",
-                rows=[{"action": name} | entry for name, entry in theory["actions"].items()],
-                columns={"action": "action"} | values | shares | {"95 %": interval},
-            )
-        )
-    return found

@@ -43,7 +43,12 @@ from exact_mdp.paper_repro.readings.search import ReadingSearch
 from exact_mdp.paper_repro.reported import ANGRY, NUMBER, STARTS, UNIQUE_POLICIES
 from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
 from exact_mdp.solvers.learning.sampler import child
-from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant
+from exact_mdp.solvers.learning.schedules import (
+    PAPER_CONSTANT,
+    PAPER_DECAYING,
+    Constant,
+    Exponential,
+)
 from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.parallel.many import many
 
@@ -58,6 +63,7 @@ SEEDS = 100
 TRAINED = 30  # readings
 
 
+COUNTED = {"episodes": "episodes", "epochs": "epochs"}.__getitem__
 NUMBERS: Mapping[str, Callable[[str], Any]] = {
     "rate": lambda text: Constant(float(Fraction(text))),
     "rate_power": lambda text: float(Fraction(text)),
@@ -69,8 +75,14 @@ NUMBERS: Mapping[str, Callable[[str], Any]] = {
     "bootstrap_end": {"true": True, "false": False}.__getitem__,
     "snapshot_episode": int,
     "last": int,
+    "decay_at": lambda text: float(Fraction(text)),
+    "counted": COUNTED,
 }
-"""How each setting of the learner is read that can be changed by name."""
+"""How each setting of the learner is read that can be changed by name.
+
+Beside those of `QLearning`: `decay_at`, the epoch at which the decaying ε is 0.8, and `counted`,
+what the last 100 are: episodes, or epochs, each with the policy that the paper evaluates.
+"""
 
 
 def setting(name: str, text: str) -> dict[str, Any]:
@@ -87,10 +99,25 @@ def setting(name: str, text: str) -> dict[str, Any]:
         raise ModelError(
             f"{text!r} is no value of {name}",
             where="training",
-            fix="give a number, or true or false for bootstrap_end",
+            fix="give a number; true or false for bootstrap_end, episodes or epochs for counted",
         ) from None
-    replace(SETTINGS["constant"], **found)  # refuses what does not fit
+    settings_of("decaying", found)  # refuses what does not fit
     return found
+
+
+def settings_of(schedule: str, changes: Mapping[str, Any]) -> QLearning:
+    """Return the learner under an exploration schedule, with settings changed by name.
+
+    >>> settings_of("decaying", {"decay_at": 10.0}).exploration == PAPER_DECAYING
+    False
+    >>> settings_of("constant", {"decay_at": 10.0}) == SETTINGS["constant"]
+    True
+    """
+    own = {name: value for name, value in changes.items() if name not in ("decay_at", "counted")}
+    if "decay_at" in changes and schedule == "decaying":
+        at, least = changes["decay_at"], PAPER_DECAYING.minimum
+        own["exploration"] = Exponential.through(0.8, at=at, minimum=least)
+    return replace(SETTINGS[schedule], **own)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,13 +169,20 @@ def learn(
 ) -> Learned:
     """Train with this many seeds; runs that the folder holds are not done again.
 
-    `changes` are settings of `QLearning` that differ from the paper's.
+    `changes` are settings that differ from the paper's, by name: see `NUMBERS`.
     """
     source = child(seed, list(SETTINGS).index(schedule))
-    settings = replace(SETTINGS[schedule], **changes)
+    settings = settings_of(schedule, changes)
     trained = train_many(mdp, settings, runs, rng=source, n_jobs=None, out=folder)
+    if changes.get("counted") == "epochs":
+        trained = [_by_epochs(run, settings.last) for run in trained]
     found = outcomes(mdp, trained, bound=False)
     return Learned(schedule=schedule, runs=trained, outcomes=found, seed=seed)
+
+
+def _by_epochs(run: TrainingRun, count: int) -> TrainingRun:
+    """Return a run whose last policies are those of its last epochs, the final one last."""
+    return replace(run, last=np.append(run.snapshots[-count:][:-1], run.last[-1:]))
 
 
 def random_baseline(mdp: MDP, seed: int) -> LearningCurve:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import FancyArrowPatch, Rectangle
+from matplotlib.patches import FancyArrowPatch, Patch, Rectangle
+from matplotlib.ticker import PercentFormatter
 
 from exact_mdp.analysis.plots.learning import smoothed
 from exact_mdp.analysis.plots.style import (
@@ -63,7 +64,8 @@ def plot_averages(averages: Sequence[Average], *, optimum: float, ax: Axes | Non
             ax.plot(ends, [row, row], color="0.35", linewidth=width, solid_capstyle="butt")
         ax.plot(each.exact, row, **exact)
         ax.plot(each.reported, row, markersize=7, **reported)
-        apart = f"{(each.exact - each.reported) / each.standard_error:+.1f} s.e."
+        off = round((each.exact - each.reported) / each.standard_error, 1) + 0.0  # no −0.0
+        apart = f"{off:+.1f} s.e."
         place = ("axes fraction", "data")
         ax.annotate(apart.replace("-", "−"), (1.01, row), xycoords=place, va="center")
     ax.axvline(optimum, color="black", linestyle=":", linewidth=1)
@@ -275,3 +277,38 @@ def _status_grid(ax: Axes, statuses: Sequence[str]) -> list[tuple[int, int]]:
     ax.set_ylabel(", ".join(statuses[:high]))
     ax.tick_params(length=0)
     return [(vector & (2**low - 1), vector >> low) for vector in range(2**bits)]
+
+
+@plain_text
+def plot_shares(
+    counts: Mapping[str, Integers], actions: Sequence[str], *, ax: Axes | None = None
+) -> Axes:
+    """Draw a bar for each row of counts (A,), divided by the shares of the actions."""
+    ax = axes_or_new(ax)
+    styles = action_styles(actions)
+    for row, each in enumerate(counts.values()):
+        shares = np.asarray(each)[: len(actions)] / np.sum(each)
+        for style, share, left in zip(styles, shares, np.cumsum(shares) - shares, strict=True):
+            look: Look = {"color": style.fill, "hatch": style.hatch, "edgecolor": "black"}
+            ax.barh(row, share, left=left, height=0.6, linewidth=0.6, **look)
+    name_rows(ax, list(counts))
+    ax.set_xlim(0, 1)
+    ax.xaxis.set_major_formatter(PercentFormatter(1))
+    handles = [
+        Patch(facecolor=style.fill, hatch=style.hatch, edgecolor="black", label=style.name)
+        for style in styles
+    ]
+    ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=4, frameon=False)
+    return ax
+
+
+@plain_text
+def plot_dots(values: Mapping[str, Floats], *, ax: Axes | None = None) -> Axes:
+    """Draw a row of dots for each name, one for each value, and a bar at their mean."""
+    ax = axes_or_new(ax)
+    for row, each in enumerate(values.values()):
+        apart = (np.arange(len(each)) * 0.618034) % 1 - 0.5  # spread, and the same each time
+        ax.plot(each, row + 0.6 * apart, "o", ms=2.5, mfc="none", color="0.45", mew=0.6)
+        ax.plot([each.mean()] * 2, [row - 0.4, row + 0.4], color="black", lw=2)
+    name_rows(ax, list(values))
+    return ax

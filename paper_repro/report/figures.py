@@ -32,6 +32,7 @@ from exact_mdp.analysis.plots import (
 from exact_mdp.mdp import MDP, Policy, PolicyLike
 from exact_mdp.mdp.table import Floats
 from exact_mdp.paper_repro import reported
+from exact_mdp.paper_repro.claims.learning import gap_first
 from exact_mdp.paper_repro.reading import SEED, Reading
 from exact_mdp.paper_repro.readings.training import SHOWN, random_baseline
 from exact_mdp.paper_repro.report.drawings import (
@@ -39,7 +40,9 @@ from exact_mdp.paper_repro.report.drawings import (
     plot_agreement,
     plot_averages,
     plot_choices,
+    plot_dots,
     plot_experiments,
+    plot_shares,
     plot_trials,
 )
 from exact_mdp.paper_repro.reported import ACTIONS, FINAL, NUMBER, STARTS, STATUSES
@@ -329,6 +332,23 @@ def _unique(reading: Reading) -> Figure:
     ax.set_xticks(range(1, round(ax.get_xlim()[1])))
     ax.legend(handles=ax.containers[1::2], labels=list(SHOWN.values()), frameon=False)
     ax.set_title("Policies that are greedy in the last 100 episodes of a run")
+    return figure
+
+
+@PICTURES.add("first_status", learns=True)
+def _first_status(reading: Reading) -> Figure:
+    figure, (above, below) = plt.subplots(2, 1, figsize=(7.6, 5.2))
+    rows = {
+        f"{shown}, {step}": (view.learned(name), gap_first(view, name))
+        for step, view in (("constant rate", reading), ("falling step", reading.falling))
+        for name, shown in SHOWN.items()
+    }
+    shares = {label: learned.outcomes.choices(0) for label, (learned, _) in rows.items()}
+    plot_shares(shares, reading.mdp.actions[: len(ACTIONS)], ax=above)
+    above.set_xlabel("share of runs by their final action in 0000")
+    plot_dots({label: gaps for label, (_, gaps) in rows.items()}, ax=below)
+    below.axvline(0, color="black", lw=0.8)
+    below.set_xlabel("learned value of non-directive less directive in 0000 (points)")
     return figure
 
 

@@ -11,7 +11,7 @@ where a is ε-greedy in Q(k, ·) and U is, at the state s' that follows,
 
 and 0 at the end, unless `bootstrap_end` is set. Costs are learned as rewards, which they are times
 -1: so are action values and returns. Where several states share a row, this is no longer
-the solution of an MDP; see `solvers.learning.mean_field` for what it tends to.
+the solution of an MDP, and a constant α leaves noise that never settles: give it a `rate_power`.
 
 The defaults are those of Yuan et al. (2025), "Learning Algorithm Design and Training": 6,000 epochs
 of 30 episodes, α = 0.05, γ = 0.95, one row for each status, ε = 0.1. Sampling only: nothing here

@@ -30,7 +30,6 @@ from exact_mdp.analysis import (
 from exact_mdp.analysis.gate.check import Audit
 from exact_mdp.analysis.gate.data.posterior import Posterior
 from exact_mdp.analysis.gate.data.robust import Robust
-from exact_mdp.analysis.learning import instability
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
 from exact_mdp.analysis.learning.trainers import check_trainer
@@ -65,7 +64,6 @@ from exact_mdp.mdp.coach.model import Coach
 from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
-from exact_mdp.solvers.learning.mean_field import settle
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.training import train_many
 from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
@@ -128,7 +126,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Certificate": lambda: certify(care()),
     "Blackwell": lambda: blackwell(SMALL),
     "CoachSolution": lambda: solve(Coach()),
-    "Comparison": lambda: instability.compare(np.array([0.5, 0.5]), np.array([3, 5])),
     "ConstrainedSolution": lambda: solve(care(), subject_to={"anger": ">= -50"}),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
     "Explorer": lambda: explore(SMALL, "base.anger"),
@@ -146,7 +143,6 @@ MADE: dict[str, Callable[[], object]] = {
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "LossCurve": lambda: expected_loss(SMALL, {"a": "optimal"}, [10, 100], rng=0, n=20),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
-    "MeanField": lambda: settle(care(), [3] * 16, epsilon=0.1),
     "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
     "MultiModel": lambda: multi_model([care(), SMALL.with_(max_trial=2).compile()]),
     "Needed": lambda: recorded().needed("1/100", "9/10"),
@@ -156,7 +152,6 @@ MADE: dict[str, Callable[[], object]] = {
         check(recorded().mdp, "always:wait", confidence=0.95, by=Posterior(n=50, rng=0)).interval
     ),
     "PolicyComparison": lambda: compare(care(), {"a": "random", "b": "optimal"}),
-    "Prediction": lambda: instability.predict(care(), LEARNER, episodes=50, n=4),
     "PriceOfPerception": lambda: price_of_perception(care(), ROUGH, tol=1),
     "ReturnDistribution": lambda: return_distribution(care(), "random"),
     "Rationalization": lambda: rationalize(care(), "always:directive"),

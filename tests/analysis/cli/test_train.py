@@ -125,16 +125,6 @@ def test_any_model_can_be_learned() -> None:
     assert done.result["regret"]["mean"] < 10
 
 
-def test_it_explains_the_least_stable_status() -> None:
-    found = run(*QUICK, "--epochs", 600, "--explain").result["unstable"]
-    assert found["row"] == "status 0000"
-    assert sum(entry["observed"] for entry in found["actions"].values()) == pytest.approx(1)
-    assert found["actions"]["non-directive"]["gap"] == 0
-    for entry in found["actions"].values():
-        assert entry["noise"] > 4
-    assert 0 <= found["distance"]["switching"] <= 1
-
-
 def test_people_get_a_table() -> None:
     done = run(*QUICK[:-1], "--seeds", 4)
     assert done.status == 0
@@ -155,7 +145,6 @@ def test_people_get_a_table() -> None:
         (("--learning-discount", "2"), "outside [0, 1]"),
         (("--jobs", "0"), "--jobs"),
         (("--rate", "2"), "between 0 and 1"),
-        (("--explain", "--method", "sarsa"), "no theory"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
