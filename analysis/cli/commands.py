@@ -284,7 +284,8 @@ def convert() -> None:
 @click.option(
     "--certificate",
     metavar="FILE",
-    help="Write a proof for `verify`: .json; of the exact values with --certify, else of bounds.",
+    help="Write a proof for `verify`: .json; of the exact optimum with --certify or under limits, "
+    "else of bounds.",
 )
 def solve() -> None:
     """Find an optimal policy of MODEL and its value, with an error bound that is sound.
@@ -298,7 +299,7 @@ def solve() -> None:
     """
 
 
-@command("verify:verify", "Check a certificate of a model's optimum.")
+@command("verify:verify", "Check a certificate of an optimum or a front.")
 @click.argument("certificate")
 @model
 @horizon
@@ -307,7 +308,8 @@ def solve() -> None:
 def verify() -> None:
     """Check that CERTIFICATE proves the optimum of MODEL; exit status 1 where it does not.
 
-    The checker imports no solver.
+    It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
+    no solver.
     """
 
 
@@ -697,6 +699,7 @@ def perception() -> None:
     metavar="POLICY",
     help="A policy to place beside the front, with its distance. May be repeated.",
 )
+@click.option("--certificate", metavar="FILE", help="Write the proof for `verify`: .json.")
 @horizon
 @of_model
 def tradeoff() -> None:

@@ -58,10 +58,11 @@ def solve(
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--operator": operator}
-        refused |= {"--certificate": certificate, "--out": out}
+        refused |= {"--out": out, "--certificate": deterministic and certificate}
         refused["--criterion average"] = shared.get("criterion") == "average"
-        how = _deterministic if deterministic else _under_limits
-        return how(subject_to, refused, policy_out, **shared)
+        if deterministic:
+            return _deterministic(subject_to, refused, policy_out, **shared)
+        return _under_limits(subject_to, refused, policy_out, certificate, **shared)
     if deterministic:
         raise ModelError(
             "without limits every optimum is deterministic",
@@ -227,7 +228,11 @@ def _deterministic(
 
 
 def _under_limits(
-    texts: tuple[str, ...], refused: Mapping[str, object], policy_out: str | None, **shared: Any
+    texts: tuple[str, ...],
+    refused: Mapping[str, object],
+    policy_out: str | None,
+    certificate: str | None,
+    **shared: Any,
 ) -> Report:
     """Find the optimum under limits."""
     asked = _limited(refused, **shared)
@@ -237,6 +242,8 @@ def _under_limits(
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
     if policy_out:
         found.policy.write(policy_out)
+    if certificate:
+        found.save(certificate)
     result = {
         "method": "limits",
         "claim": found.claim,
@@ -253,7 +260,7 @@ def _under_limits(
             for state, chances in found.randomises.items()
         ],
         "policy": whole_policy(mdp, drawn),
-        "written": [policy_out] if policy_out else [],
+        "written": [path for path in (policy_out, certificate) if path],
     }
     facts = {
         "limits": "can be kept" if found.feasible else "no policy keeps them all (proven)",

@@ -26,11 +26,16 @@ from exact_mdp.solvers.solution import Certified
 RULES = 20  # rows of a policy with a memory that a table shows
 
 
-def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any) -> Report:
+def tradeoff(
+    *, names: tuple[str, ...], policies: tuple[str, ...], certificate: str | None, **shared: Any
+) -> Report:
     """Compute a front."""
+    check_outputs((certificate, (".json",)))
     asked = given(**shared)
     mdp = asked.mdp
     front = front_of(mdp, names)
+    if certificate:
+        front.save(certificate)
     vertices = front.vertices
     beside, placed = [], []
     for form in policies:
@@ -62,6 +67,7 @@ def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any
             for weights, tight in front.facets
         ],
         "policies": beside,
+        "written": [certificate] if certificate else [],
     }
     two = len(front.names) == 2
     costs = [
@@ -77,6 +83,7 @@ def tradeoff(*, names: tuple[str, ...], policies: tuple[str, ...], **shared: Any
         if isinstance(front, Front)
         else "certified: no policy is beyond; --json has proven bounds on all numbers",
         "more is": "worse: totals are costs" if mdp.sense == "min" else None,
+        "written": result["written"] or None,
     }
     each = {name: f"{name}:.10g" for name in front.names}
     tables = [

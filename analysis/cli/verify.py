@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from math import ulp
 from typing import Any
 
@@ -13,8 +15,9 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.certificate import AverageCertificate
+from exact_mdp.solvers.objectives.file import CHECKS, ObjectivesProof
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solution import Bounded, Certified
 
 HOLDS, FAILS = 0, 1
 
@@ -34,7 +37,13 @@ def verify(*, certificate: str, **shared: Any) -> Report:
         "certificate": certificate,
         "proof": "does not hold" if violations else f"holds ({proof.claim})",
     }
-    if not violations:
+    if isinstance(proof, ObjectivesProof):
+        proven = {} if violations else proof.found(asked.mdp)
+        result |= {"kind": proof.kind, "objectives": list(proof.objectives)} | proven
+        facts |= {name: value for name, value in proven.items() if name != "exact_start_value"}
+        if value := proven.get("exact_start_value"):
+            facts["start value"] = Certified(value=value)
+    elif not violations:
         start = _start(proof, asked.mdp)
         result |= {"start_value": start.value, "error_bound": start.error}
         facts["start value"] = start if isinstance(proof, BoundedCertificate) else proof.start
@@ -50,13 +59,15 @@ def verify(*, certificate: str, **shared: Any) -> Report:
     return asked.report(result, facts, [table], status=FAILS if violations else HOLDS)
 
 
-KINDS: dict[object, type[Certificate | BoundedCertificate | AverageCertificate]] = {
-    "bounded": BoundedCertificate,
-    "average": AverageCertificate,
+Proof = Certificate | BoundedCertificate | AverageCertificate | ObjectivesProof
+KINDS: dict[object, Callable[[str], Proof]] = {
+    "bounded": BoundedCertificate.load,
+    "average": AverageCertificate.load,
+    **{kind: partial(ObjectivesProof.load, kind=kind) for kind in CHECKS},
 }
 
 
-def _read(path: str) -> Certificate | BoundedCertificate | AverageCertificate:
+def _read(path: str) -> Proof:
     """Read a certificate of any kind."""
     try:
         text = read_bytes(path, most=LARGEST).decode("utf-8-sig")
@@ -71,7 +82,7 @@ def _read(path: str) -> Certificate | BoundedCertificate | AverageCertificate:
         kind = str(content.get("kind")) if isinstance(content, dict) else ""
     except (ValueError, RecursionError):  # integers of over 4,300 decimal digits among them
         kind = ""  # reading it as a certificate says what is wrong
-    return KINDS.get(kind, Certificate).load(path)
+    return KINDS.get(kind, Certificate.load)(path)
 
 
 def _start(proof: Certificate | BoundedCertificate | AverageCertificate, mdp: MDP) -> Bounded:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from exact_mdp.analysis.gate.limits import totals_under
@@ -19,6 +20,7 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Integers, shown
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Point
+from exact_mdp.solvers.objectives.file import CHAIN, ObjectivesProof
 from exact_mdp.solvers.objectives.switches import Bracket, Chain, Corner, chain_violations, corners
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -220,3 +222,7 @@ class EnclosedFront(Pictured):
         """Return what does not hold of the front, in words: nothing where it is sound."""
         of = Objectives.of(self.objectives.mdp, self.objectives.texts)
         return chain_violations(of, self.chain)
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
+        ObjectivesProof.of(CHAIN, self.objectives, chain=self.chain).save(path)

@@ -22,6 +22,7 @@ from functools import cached_property
 from itertools import combinations
 from math import gcd
 from operator import mul
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from exact_mdp.analysis.gate.limits import totals_under
@@ -42,6 +43,7 @@ from exact_mdp.solvers.objectives.checker import (
     best_for,
     front_violations,
 )
+from exact_mdp.solvers.objectives.file import FRONT, ObjectivesProof
 from exact_mdp.solvers.objectives.optima import (
     Losses,
     attained,
@@ -198,6 +200,11 @@ class Front(Pictured):
         """Return what does not hold of the front, in words: nothing where it is sound."""
         of = Objectives.of(self.objectives.mdp, self.objectives.texts)
         return front_violations(of, self.proof, self.attained, self.duals)
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
+        parts = {"proof": self.proof, "vertices": self.attained, "duals": self.duals}
+        ObjectivesProof.of(FRONT, self.objectives, **parts).save(path)
 
 
 def tradeoff(

@@ -29,6 +29,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -53,6 +54,7 @@ from exact_mdp.solvers.objectives.checker import (
     tight,
     totals_of,
 )
+from exact_mdp.solvers.objectives.file import LIMITS, ObjectivesProof
 from exact_mdp.solvers.objectives.occupancy import visits
 from exact_mdp.solvers.objectives.optima import extreme, optimum, proof
 from exact_mdp.solvers.objectives.simplex import maximise
@@ -217,10 +219,22 @@ class ConstrainedSolution(Result):
     def violations(self) -> list[str]:
         """Return what does not hold of the solution, in words: nothing where it is sound."""
         of = Objectives.of(self.mdp, self.objectives.texts)
-        weight = ONE if self.feasible else ZERO
-        return constrained_violations(
-            of, self.proof, self.limits, self.flow, (weight, *self.price), self.dual, self.shift
-        )
+        return constrained_violations(of, **self._claims)
+
+    @property
+    def _claims(self) -> dict[str, Any]:
+        return {
+            "proof": self.proof,
+            "limits": self.limits,
+            "flow": self.flow,
+            "price": (ONE if self.feasible else ZERO, *self.price),
+            "dual": self.dual,
+            "shift": self.shift,
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
+        ObjectivesProof.of(LIMITS, self.objectives, **self._claims).save(path)
 
 
 LIMIT = re.compile(r"\s*(>=|<=)\s*(\S+)\s*$")

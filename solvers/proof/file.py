@@ -4,8 +4,11 @@ All kinds have the keys
 
     format        "exact-mdp certificate"
     version       1
-    kind          "exact", "bounded" or "average"
+    kind          "exact", "bounded" or "average"; "front", "chain" or "limits"
     model         SHA-256 of the model, see `mdp.exact`
+
+and, but for the last three kinds (`solvers.objectives.file`),
+
     states        S
     policy        [S action numbers]
 
@@ -71,14 +74,13 @@ Read = Callable[[Any], Any]
 def save(found: ExactClaims | BoundedClaims | AverageClaims, path: str | Path) -> None:
     """Write a certificate, whole or not at all."""
     kind, body = _body(found)
-    head = {
-        "format": FORMAT,
-        "version": VERSION,
-        "kind": kind,
-        "model": found.model,
-        "states": len(found.policy),
-        "policy": found.policy.tolist(),
-    }
+    own = {"states": len(found.policy), "policy": found.policy.tolist()}
+    write(path, kind, found.model, own | body)
+
+
+def write(path: str | Path, kind: str, model: str, body: dict[str, object]) -> None:
+    """Write the keys of a certificate of some kind, whole or not at all."""
+    head = {"format": FORMAT, "version": VERSION, "kind": kind, "model": model}
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in (head | body).items()]
     write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
 
@@ -90,8 +92,8 @@ def _body(found: ExactClaims | BoundedClaims | AverageClaims) -> tuple[str, dict
         return "bounded", _bounded(found)
     start, vectors = found.start_value, {name: getattr(found, name) for name in AVERAGES}
     return "average", {
-        "start_value": _hex([start.numerator, start.denominator]),
-        **{name: {"top": _hex(x.top), "below": f"{x.below:x}"} for name, x in vectors.items()},
+        "start_value": hexed([start.numerator, start.denominator]),
+        **{name: {"top": hexed(x.top), "below": f"{x.below:x}"} for name, x in vectors.items()},
     }
 
 
@@ -99,32 +101,34 @@ def _exact(found: ExactClaims) -> dict[str, object]:
     return {
         "pairs": len(found.optimal_pairs),
         "unique": found.unique,
-        "start_value": _rational(found.start_value),
-        "denominators": _hex(found.denominator),
+        "start_value": hexed_ratio(found.start_value),
+        "denominators": hexed(found.denominator),
         "group": found.group.tolist(),
-        "numerators": _hex(found.numerator),
-        "gaps": _hex(found.gap),
-        "gap_scales": _hex(found.gap_scale),
+        "numerators": hexed(found.numerator),
+        "gaps": hexed(found.gap),
+        "gap_scales": hexed(found.gap_scale),
         "optimal": "".join(np.where(found.optimal_pairs, "1", "0")),
         "rank": None if found.rank is None else found.rank.tolist(),
-        "weight": None if found.weight is None else _hex(found.weight),
+        "weight": None if found.weight is None else hexed(found.weight),
         **({} if found.endless is None else {"endless": _endless(found.endless)}),
     }
 
 
 def _endless(found: EndlessClaims) -> dict[str, object]:
     listed = {name: getattr(found, name).tolist() for name in ("sign", "rank", "order")}
-    drift = None if found.drift is None else [list(map(_rational, each)) for each in found.drift]
-    return listed | {"potential": list(map(_rational, found.potential)), "drift": drift}
+    drift = None if found.drift is None else [list(map(hexed_ratio, each)) for each in found.drift]
+    return listed | {"potential": list(map(hexed_ratio, found.potential)), "drift": drift}
 
 
-def _rational(number: Fraction | float) -> object:
+def hexed_ratio(number: Fraction | float) -> object:
+    """Return a rational, or an infinity, as a file holds it."""
     if isinstance(number, float):
         return str(number)  # "inf" or "-inf"
-    return _hex([number.numerator, number.denominator])
+    return hexed([number.numerator, number.denominator])
 
 
-def _hex(numbers: Sequence[int | None]) -> list[str | None]:
+def hexed(numbers: Sequence[int | None]) -> list[str | None]:
+    """Return integers in hexadecimal."""
     return [None if number is None else f"{number:x}" for number in numbers]
 
 
@@ -134,24 +138,24 @@ def _bounded(found: BoundedClaims) -> dict[str, object]:
 
 def exact_fields(path: str | Path) -> dict[str, Any]:
     """Read the fields of an exact certificate; raises ModelError where the file is not one."""
-    file = _File(path, "exact")
-    states, pairs = file.get("states", _count), file.get("pairs", _count)
+    file = ProofFile(path, "exact")
+    states, pairs = file.get("states", count), file.get("pairs", count)
     found = {
-        "model": file.get("model", _digest),
-        "numerator": file.get("numerators", _list_of(_integer, states)),
-        "group": file.get("group", _array_of(states)),
-        "denominator": file.get("denominators", _list_of(_positive)),
-        "policy": file.get("policy", _array_of(states)),
-        "gap": file.get("gaps", _list_of(_or_none(_positive), states)),
-        "gap_scale": file.get("gap_scales", _list_of(_positive, states)),
-        "unique": file.get("unique", _typed(bool)),
+        "model": file.get("model", digest),
+        "numerator": file.get("numerators", list_of(integer, states)),
+        "group": file.get("group", array_of(states)),
+        "denominator": file.get("denominators", list_of(positive)),
+        "policy": file.get("policy", array_of(states)),
+        "gap": file.get("gaps", list_of(or_none(positive), states)),
+        "gap_scale": file.get("gap_scales", list_of(positive, states)),
+        "unique": file.get("unique", typed(bool)),
         "start_value": file.get("start_value", _value),
-        "rank": file.get("rank", _or_none(_array_of(states))),
-        "weight": file.get("weight", _or_none(_list_of(_integer, states))),
+        "rank": file.get("rank", or_none(array_of(states))),
+        "weight": file.get("weight", or_none(list_of(integer, states))),
     }
     if "endless" in file.data:
         found["endless"] = file.get("endless", partial(_endless_of, states))
-    marks = file.get("optimal", _typed(str))
+    marks = file.get("optimal", typed(str))
     if found["group"].max(initial=0) >= len(found["denominator"]):
         raise file.error("group")
     if len(marks) != pairs or not set(marks) <= {"0", "1"}:
@@ -162,26 +166,26 @@ def exact_fields(path: str | Path) -> dict[str, Any]:
 
 def bounded_fields(path: str | Path) -> dict[str, Any]:
     """Read the fields of a bounded certificate; raises ModelError where the file is not one."""
-    file = _File(path, "bounded")
-    states = file.get("states", _count)
-    vectors = {name: np.array(file.get(name, _list_of(_float, states))) for name in VECTORS}
-    names = {"model": file.get("model", _digest), "policy": file.get("policy", _array_of(states))}
+    file = ProofFile(path, "bounded")
+    states = file.get("states", count)
+    vectors = {name: np.array(file.get(name, list_of(_float, states))) for name in VECTORS}
+    names = {"model": file.get("model", digest), "policy": file.get("policy", array_of(states))}
     return names | vectors
 
 
 def average_fields(path: str | Path) -> dict[str, Any]:
     """Read the fields of a certificate of an average; raises ModelError where it is not one."""
-    file = _File(path, "average")
-    states = file.get("states", _count)
-    vectors = {name: file.get(name, _rationals(states)) for name in AVERAGES}
+    file = ProofFile(path, "average")
+    states = file.get("states", count)
+    vectors = {name: file.get(name, over_one(states)) for name in AVERAGES}
     return vectors | {
-        "model": file.get("model", _digest),
-        "policy": file.get("policy", _array_of(states)),
-        "start_value": file.get("start_value", _fraction),
+        "model": file.get("model", digest),
+        "policy": file.get("policy", array_of(states)),
+        "start_value": file.get("start_value", ratio),
     }
 
 
-class _File:
+class ProofFile:
     """The keys of a certificate file."""
 
     def __init__(self, path: str | Path, kind: str) -> None:
@@ -222,70 +226,77 @@ class _File:
 # ---- forms: each returns what was read, or raises ValueError or TypeError ------------------------
 
 
-def _wanted(value: Any, right: bool) -> Any:
+def wanted(value: Any, right: bool) -> Any:
+    """Return a value that is right; raises ValueError for another."""
     if not right:
         raise ValueError
     return value
 
 
-def _typed(kind: type) -> Read:
-    return lambda value: _wanted(value, type(value) is kind)
+def typed(kind: type) -> Read:
+    """Return a reader of values of one type."""
+    return lambda value: wanted(value, type(value) is kind)
 
 
 def _matching(pattern: str, read: Read) -> Read:
     fits = re.compile(pattern).fullmatch
-    return lambda text: read(_wanted(text, fits(text) is not None))
+    return lambda text: read(wanted(text, fits(text) is not None))
 
 
-_integer = _matching(r"-?[0-9a-f]+", partial(int, base=16))
+integer = _matching(r"-?[0-9a-f]+", partial(int, base=16))
 _float = _matching(r"-?0x[01]\.[0-9a-f]{1,13}p[+-][0-9]{1,4}", float.fromhex)
-_digest = _matching(r"[0-9a-f]{64}", str)
+digest = _matching(r"[0-9a-f]{64}", str)
 
 
-def _positive(text: str) -> int:
-    value = _integer(text)
-    return int(_wanted(value, value > 0))
+def positive(text: str) -> int:
+    """Read an integer above 0."""
+    value = integer(text)
+    return int(wanted(value, value > 0))
 
 
-def _fraction(pair: list[str]) -> Fraction:
+def ratio(pair: list[str]) -> Fraction:
+    """Read a rational."""
     top, bottom = pair
-    return fraction(_integer(top), _positive(bottom))
+    return fraction(integer(top), positive(bottom))
 
 
-def _rationals(length: int) -> Read:
-    return lambda parts: Rationals(
-        _list_of(_integer, length)(parts["top"]), _positive(parts["below"])
-    )
+def over_one(length: int) -> Read:
+    """Return a reader of this many integers over one denominator."""
+    return lambda parts: Rationals(list_of(integer, length)(parts["top"]), positive(parts["below"]))
 
 
 def _value(content: Any) -> Fraction | float:
-    return float(content) if content in ("inf", "-inf") else _fraction(content)
+    return float(content) if content in ("inf", "-inf") else ratio(content)
 
 
 def _endless_of(states: int, content: dict[str, Any]) -> EndlessClaims:
     """Return the claims; one that is missing is a KeyError, as a key of the file is."""
-    rationals, drift = _list_of(_fraction, states), content["drift"]
+    rationals, drift = list_of(ratio, states), content["drift"]
     means, biases = ([], []) if drift is None else map(rationals, drift)
-    signs = np.array(_list_of(_typed(int), states)(content["sign"]), dtype=np.int64)
+    signs = np.array(list_of(typed(int), states)(content["sign"]), dtype=np.int64)
     return EndlessClaims(
-        sign=_wanted(signs, bool((np.abs(signs) <= 1).all())),
-        rank=_array_of(states)(content["rank"]),
-        order=_array_of(states)(content["order"]),
+        sign=wanted(signs, bool((np.abs(signs) <= 1).all())),
+        rank=array_of(states)(content["rank"]),
+        order=array_of(states)(content["order"]),
         potential=rationals(content["potential"]),
         drift=None if drift is None else (means, biases),
     )
 
 
-def _count(value: object) -> int:
-    number = _typed(int)(value)
-    return int(_wanted(number, number >= 1))
+def count(value: object) -> int:
+    """Read a number of things."""
+    number = typed(int)(value)
+    return int(wanted(number, number >= 1))
 
 
-def _or_none(read: Read) -> Read:
+def or_none(read: Read) -> Read:
+    """Return a reader that takes null, too."""
     return lambda value: None if value is None else read(value)
 
 
-def _list_of(read: Read, length: int | None = None) -> Read:
+def list_of(read: Read, length: int | None = None) -> Read:
+    """Return a reader of a list that is not empty, or of one of a length."""
+
     def listed(values: object) -> list[Any]:
         if not isinstance(values, list) or not values or length not in (None, len(values)):
             raise ValueError
@@ -294,12 +305,12 @@ def _list_of(read: Read, length: int | None = None) -> Read:
     return listed
 
 
-def _array_of(length: int) -> Read:
+def array_of(length: int) -> Read:
     """Return a reader of this many integers from 0 up."""
 
     def array(values: object) -> Integers:
         if not isinstance(values, list) or len(values) != length or set(map(type, values)) != {int}:
             raise ValueError
-        return np.array(_wanted(values, min(values) >= 0), dtype=np.int64)
+        return np.array(wanted(values, min(values) >= 0), dtype=np.int64)
 
     return array

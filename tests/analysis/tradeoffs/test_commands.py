@@ -13,6 +13,9 @@ from cli_runner import run
 from exact_mdp import MDP, Policy, Scenario, check, evaluate, solve, tradeoff
 from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.mdp import ModelError
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.checker import totals_of
+from exact_mdp.solvers.objectives.file import ObjectivesProof
 
 SMALL = ("--set", "tasks=[1]", "--set", "max_trial=2")
 TWO = ("anger", "done=subtask-complete-1/2*trial")
@@ -142,3 +145,99 @@ def test_the_picture_shows_vertices_and_policies() -> None:
     plt.close(ax.figure)
     with pytest.raises(ModelError, match="no flat picture"):
         tradeoff(scenario, ["anger", "trial", "steps"]).plot()
+
+
+PARTS = {"a": [0, 5, 1, 7, 2, 3], "b": [4, 1, 6, 2, 5, 5]}
+CYCLE = [
+    (s, a, [("1/2", (s + 1) % 3, PARTS["a"][2 * s + a]), ("1/2", a, PARTS["a"][2 * s + a])])
+    for s in range(3)
+    for a in (0, 1)
+]
+THREE = MDP.from_outcomes(CYCLE, "3/4", components=PARTS)
+
+
+def proofs(folder: Path) -> dict[str, Path]:
+    """One proof of each kind about totals, as files."""
+    made = {
+        "front": tradeoff(THREE, ["a", "b"]),
+        "chain": tradeoff(THREE, ["a", "b"], exact=False),
+        "limits": solve(THREE, subject_to={"b": ">= 15"}),
+        "infeasible": solve(THREE, subject_to={"b": ">= 600"}),
+    }
+    THREE.save(folder / "three.npz")
+    assert made["limits"].randomises
+    for name, found in made.items():
+        found.save(folder / f"{name}.json")
+    return {name: folder / f"{name}.json" for name in made}
+
+
+def changed(content: object) -> list[object]:
+    """The same with one number in it changed: each in turn."""
+    if isinstance(content, dict):
+        items, build = list(content.items()), dict
+        found = []
+        for n, (key, value) in enumerate(items):
+            found += [build([*items[:n], (key, new), *items[n + 1 :]]) for new in changed(value)]
+        return found
+    if isinstance(content, list):
+        return [
+            [*content[:n], new, *content[n + 1 :]]
+            for n, value in enumerate(content)
+            for new in changed(value)
+        ]
+    if isinstance(content, int):
+        return [content + 1]
+    return [f"{int(content, 16) + 1:x}"] if isinstance(content, str) else []
+
+
+def said(proof: ObjectivesProof) -> list[object]:
+    """What a proof proves, as numbers."""
+    of, own = Objectives.of(THREE, proof.objectives), proof.content
+    if proof.kind == "front":
+        return [own["vertices"][n].total for n in range(len(own["vertices"]))]
+    if proof.kind == "chain":
+        return [pairs.tolist() for pairs in own["chain"].policies(of)]
+    return [proof.found(THREE), own["shift"], own["price"], totals_of(of, own["flow"])]
+
+
+def test_proofs_about_totals_are_files_that_are_checked(tmp_path: Path) -> None:
+    """Each holds for its model, for no other one; with a number changed it proves nothing else."""
+    other = THREE.with_(components={"a": PARTS["b"], "b": PARTS["a"]})
+    for name, path in proofs(tmp_path).items():
+        found = run("verify", path, tmp_path / "three.npz", "--json")
+        assert (found.status, found.result["passed"], found.result["claim"]) == (
+            0, True, "certified",
+        )  # fmt: skip
+        content = json.loads(path.read_text())
+        kind = content["kind"]
+        assert ObjectivesProof.load(path, kind).violations(other)
+        assert ObjectivesProof.load(path, kind).violations(THREE.with_(discount="1/2"))
+        parts = content.keys() - {"format", "version", "kind", "model", "objectives", "states"}
+        proven, refused = said(ObjectivesProof.load(path, kind)), list[bool]()
+        for part in parts - ({"weight"} if name == "chain" else set()):
+            for new in changed(content[part]):
+                path.write_text(json.dumps(content | {part: new}))
+                try:
+                    forged = ObjectivesProof.load(path, kind)
+                except ModelError:
+                    continue
+                refused.append(bool(forged.violations(THREE)))
+                assert refused[-1] or said(forged) == proven, (name, part, new)
+        assert sum(refused) > 0.3 * len(refused)
+    assert found.result["feasible"] is False
+
+
+def test_commands_write_proofs(tmp_path: Path) -> None:
+    front, limits = tmp_path / "f.json", tmp_path / "l.json"
+    run("tradeoff", "yuan2025", *TWO, *SMALL, "--certificate", front)
+    limit = ("--subject-to", "anger >= -1/10")
+    wanted = run("solve", "yuan2025", *SMALL, *limit, "--certificate", limits, "--json").result
+    assert wanted["written"] == [str(limits)]
+    for path, said in ((front, "vertices"), (limits, "start value")):
+        text = run("verify", path, "yuan2025", *SMALL)
+        assert (text.status, "holds (certified)" in text.out, said in text.out) == (0, True, True)
+    found = run("verify", limits, "yuan2025", *SMALL, "--json").result
+    assert found["exact_start_value"] == wanted["exact_start_value"]
+    assert run("verify", limits, "yuan2025").status == 1
+    front.write_text(front.read_text().replace('"bounds"', '"bound"'))
+    assert run("verify", front, "yuan2025", *SMALL).status == 2

@@ -1,0 +1,303 @@
+"""Proofs of fronts and of optima under limits as files, in the form of `solvers.proof.file`.
+
+All have the keys format, version, kind, model, and
+
+    objectives    [texts], as `amounts` reads them
+    states        S
+
+An exact front, of kind "front", has besides them
+
+    rank, weight  [S integers], or null: why equations have one solution
+    vertices      [{"pairs": [S pairs], "values": [vector, …], "totals": [rational, …]}]: of each
+                  policy, by objective
+    bounds        [{"weights": [rational, …], "values": vector}]
+
+where a rational is [numerator, denominator], and a vector {"top": [S integers], "below": integer}.
+One whose numbers are enclosed, of kind "chain" (`.switches`), has
+
+    first, switches   [S pairs], [pairs]
+    brackets          [[rational, rational], …]
+    totals            [[[rational, rational], [rational, rational]], …]
+    weight            [S integers]
+
+and an optimum under limits, of kind "limits" (`.constrained`),
+
+    rank, weight  as above
+    limits        [{"name": text, "sign": 1 or -1, "bound": rational}]
+    shift, price  rational, [rational, …]
+    pairs, flow   [pairs visited], [rational, …]: their expected visits
+    dual          vector
+
+What is read is checked for its form; whether its claims hold is for `violations` to say. Nothing
+here imports a solver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, ClassVar
+
+from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.checker import (
+    Attained,
+    Flow,
+    Limit,
+    Point,
+    Proof,
+    Values,
+    constrained_violations,
+    front_violations,
+    totals_of,
+)
+from exact_mdp.solvers.objectives.switches import Chain, chain_violations, corners
+from exact_mdp.solvers.proof.checker import not_of
+from exact_mdp.solvers.proof.file import (
+    ProofFile,
+    array_of,
+    count,
+    digest,
+    hexed,
+    hexed_ratio,
+    integer,
+    list_of,
+    or_none,
+    over_one,
+    ratio,
+    typed,
+    wanted,
+    write,
+)
+from exact_mdp.solvers.solution import Claim
+
+FRONT, CHAIN, LIMITS = "front", "chain", "limits"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObjectivesProof:
+    """A proof about totals that stands on its own: `violations` needs only the model.
+
+    Attributes
+    ----------
+    kind : str
+    model : str
+        `mdp.exact` of the model.
+    objectives : tuple of str
+    states : int
+    content : dict
+        What the checker of this kind takes.
+    """
+
+    kind: str
+    model: str
+    objectives: tuple[str, ...]
+    states: int
+    content: Mapping[str, Any]
+
+    claim: ClassVar[Claim] = Claim.CERTIFIED
+
+    @classmethod
+    def of(cls, kind: str, of: Objectives, **content: Any) -> ObjectivesProof:
+        """Return a proof about objectives of a model."""
+        model, states = fingerprint(of.mdp), of.mdp.n_states
+        return cls(kind=kind, model=model, objectives=of.texts, states=states, content=content)
+
+    def violations(self, mdp: MDP) -> list[str]:
+        """Return what does not hold of the proof, in words: nothing where it is sound."""
+        if wrong := not_of(mdp, self.model, range(self.states)):
+            return wrong
+        if any(not 0 <= pair < mdp.n_pairs for pair in _pairs(self.kind, self.content)):
+            return ["a pair is none of the model"]
+        of = Objectives.of(mdp, self.objectives)
+        if not {limit.name for limit in self.content.get("limits", ())} <= {*of.names[1:]}:
+            return ["what is limited is not counted"]
+        return CHECKS[self.kind](of, **self.content)
+
+    def found(self, mdp: MDP) -> dict[str, Any]:
+        """Return what a sound proof proves."""
+        of = Objectives.of(mdp, self.objectives)
+        if self.kind == FRONT:
+            return {"names": of.names, "vertices": len(self.content["vertices"])}
+        if self.kind == CHAIN:
+            return {"names": of.names, "vertices": len(corners(of, self.content["chain"]))}
+        feasible = self.content["price"][0] == 1
+        value = of.sign * totals_of(of, self.content["flow"])[0] if feasible else None
+        limits = [str(limit) for limit in self.content["limits"]]
+        return {"limits": limits, "feasible": feasible, "exact_start_value": value}
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON."""
+        head = {"objectives": list(self.objectives), "states": self.states}
+        write(path, self.kind, self.model, head | WRITTEN[self.kind](**self.content))
+
+    @classmethod
+    def load(cls, path: str | Path, kind: str) -> ObjectivesProof:
+        """Read a proof; raises ModelError where the file is none of this kind."""
+        file = ProofFile(path, kind)
+        states = file.get("states", count)
+        return cls(
+            kind=kind,
+            model=file.get("model", digest),
+            objectives=tuple(file.get("objectives", list_of(typed(str)))),
+            states=states,
+            content=READ[kind](file, states),
+        )
+
+
+def _pairs(kind: str, content: Mapping[str, Any]) -> list[int]:
+    """Return the pairs that are looked up."""
+    if kind == FRONT:
+        return [pair for vertex in content["vertices"] for pair in vertex.pairs.tolist()]
+    return list(content["flow"]) if kind == LIMITS else []
+
+
+# ---- a kind each: what is written, and what is read ----------------------------------------------
+
+Written = dict[str, object]
+
+
+def _vector(values: Values) -> Written:
+    return {"top": hexed(values.top), "below": f"{values.below:x}"}
+
+
+def _ratios(numbers: Sequence[Fraction]) -> list[object]:
+    return [hexed_ratio(number) for number in numbers]
+
+
+def _proof(proof: Proof) -> Written:
+    return {
+        "rank": None if proof.rank is None else proof.rank.tolist(),
+        "weight": None if proof.weight is None else hexed(proof.weight),
+    }
+
+
+def _front(proof: Proof, vertices: Sequence[Attained], duals: Mapping[Point, Values]) -> Written:
+    return _proof(proof) | {
+        "vertices": [
+            {
+                "pairs": vertex.pairs.tolist(),
+                "values": [_vector(v) for v in vertex.values],
+                "totals": _ratios(vertex.total),
+            }
+            for vertex in vertices
+        ],
+        "bounds": [{"weights": _ratios(w), "values": _vector(v)} for w, v in duals.items()],
+    }
+
+
+def _chain(chain: Chain) -> Written:
+    return {
+        "first": chain.first.tolist(),
+        "switches": list(chain.switches),
+        "brackets": [_ratios(bracket) for bracket in chain.brackets],
+        "totals": [[_ratios(bracket) for bracket in each] for each in chain.totals],
+        "weight": hexed(chain.weight),
+    }
+
+
+def _limits(
+    proof: Proof,
+    limits: Sequence[Limit],
+    flow: Flow,
+    price: Sequence[Fraction],
+    dual: Values,
+    shift: Fraction,
+) -> Written:
+    return _proof(proof) | {
+        "limits": [
+            {"name": each.name, "sign": each.sign, "bound": hexed_ratio(each.bound)}
+            for each in limits
+        ],
+        "shift": hexed_ratio(shift),
+        "price": _ratios(price),
+        "pairs": list(flow),
+        "flow": _ratios(list(flow.values())),
+        "dual": _vector(dual),
+    }
+
+
+def _read_proof(file: ProofFile, states: int) -> Proof:
+    weight = file.get("weight", or_none(list_of(integer, states)))
+    return Proof(file.get("rank", or_none(array_of(states))), weight)
+
+
+def _values(states: int) -> Callable[[Any], Values]:
+    read = over_one(states)
+
+    def values(parts: Any) -> Values:
+        found = read(parts)
+        return Values(found.top, found.below)
+
+    return values
+
+
+def _read_front(file: ProofFile, states: int) -> dict[str, Any]:
+    of = len(file.get("objectives", list_of(typed(str))))
+
+    def vertex(parts: dict[str, Any]) -> Attained:
+        return Attained(
+            pairs=array_of(states)(parts["pairs"]),
+            values=tuple(list_of(_values(states), of)(parts["values"])),
+            total=tuple(list_of(ratio, of)(parts["totals"])),
+        )
+
+    def bound(parts: dict[str, Any]) -> tuple[Point, Values]:
+        return tuple(list_of(ratio, of)(parts["weights"])), _values(states)(parts["values"])
+
+    return {
+        "proof": _read_proof(file, states),
+        "vertices": file.get("vertices", list_of(vertex)),
+        "duals": dict(file.get("bounds", list_of(bound))),
+    }
+
+
+def _read_chain(file: ProofFile, states: int) -> dict[str, Any]:
+    def bracket(ends: object) -> tuple[Fraction, Fraction]:
+        low, high = list_of(ratio, 2)(ends)
+        return low, high
+
+    def none_or(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        return lambda value: [] if value == [] else list_of(read)(value)
+
+    chain = Chain(
+        first=file.get("first", array_of(states)),
+        switches=tuple(file.get("switches", none_or(typed(int)))),
+        brackets=tuple(file.get("brackets", none_or(bracket))),
+        totals=tuple(tuple(each) for each in file.get("totals", list_of(list_of(bracket, 2)))),
+        weight=tuple(file.get("weight", list_of(integer, states))),
+    )
+    return {"chain": chain}
+
+
+def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
+    def limit(parts: dict[str, Any]) -> Limit:
+        sign = typed(int)(parts["sign"])
+        return Limit(
+            name=typed(str)(parts["name"]),
+            sign=wanted(sign, sign in (1, -1)),
+            bound=ratio(parts["bound"]),
+        )
+
+    limits = file.get("limits", list_of(limit))
+    pairs = file.get("pairs", list_of(typed(int)))
+    return {
+        "proof": _read_proof(file, states),
+        "limits": limits,
+        "flow": dict(zip(pairs, file.get("flow", list_of(ratio, len(pairs))), strict=True)),
+        "price": file.get("price", list_of(ratio, 1 + len(limits))),
+        "dual": file.get("dual", _values(states)),
+        "shift": file.get("shift", ratio),
+    }
+
+
+WRITTEN: dict[str, Callable[..., Written]] = {FRONT: _front, CHAIN: _chain, LIMITS: _limits}
+READ: dict[str, Callable[[ProofFile, int], dict[str, Any]]] = {
+    FRONT: _read_front, CHAIN: _read_chain, LIMITS: _read_limits,
+}  # fmt: skip
+CHECKS: dict[str, Callable[..., list[str]]] = {
+    FRONT: front_violations, CHAIN: chain_violations, LIMITS: constrained_violations,
+}  # fmt: skip
