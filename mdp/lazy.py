@@ -44,6 +44,7 @@ EXTRAS = {
 # Parts of the core that take long to load: 0.1 to 0.5 s each.
 HEAVY = (
     "exact_mdp.analysis.gate.data",  # of models from records alone
+    "exact_mdp.analysis.plots",  # draw with matplotlib
     "exact_mdp.mdp.care.perception",
     "exact_mdp.mdp.io",  # each format on its own
     "exact_mdp.paper_repro.agents.transport",  # made of classes of httpcore

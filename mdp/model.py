@@ -859,10 +859,13 @@ class MDP(Parts):
         frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
             One row for each transition: episode, state, action, reward and next state, in the order
             of time, one episode after the other. Without a next state the episode is over there.
-            A whole number is the same name as 1 and as 1.0.
+            A whole number is the same name as 1 and as 1.0. A sixth column, truncated (true or
+            false), marks the rows after which an episode was cut off, as by a time limit. States
+            in which that happened, and that nobody left, have the label "cut off".
         discount : number or "p/q"
         columns : mapping, optional
-            The names that the table has for "episode", "state", "action", "reward", "next_state".
+            The names that the table has for "episode", "state", "action", "reward", "next_state"
+            and, where it has it, "truncated".
         unseen : "unavailable", "pessimistic", or a number
             What is done about an action that nobody took in a state: it is left out there; or it
             ends the episode and is worth as little as a policy can be worth, or this number.

@@ -6,8 +6,9 @@ import shlex
 from dataclasses import replace
 from fractions import Fraction
 from math import inf, isinf, nextafter
+from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,22 +21,28 @@ from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
 from exact_mdp.analysis.pages.audit import audit_page
+from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.solution import Certified
 
+if TYPE_CHECKING:
+    from exact_mdp.analysis.gate.data.needed import Needed
+
 posterior = later("exact_mdp.analysis.gate.data.posterior")
+style = later("exact_mdp.analysis.plots.style")
 off_policy = later("exact_mdp.analysis.gate.data.off_policy")
 robust = later("exact_mdp.analysis.gate.data.robust")
 
 PASSED, FAILED = 0, 1
+DRAWN = ("draws", "seed", "n_jobs", "scheduler")
 RANGES = ("rewards", "returns")
 OF_KIND = {
     "robust": RANGES,
-    "posterior": ("prior", "draws", "seed", "n_jobs", "scheduler"),
-    "off-policy": (*RANGES, "records", "columns", "behaviour"),
+    "posterior": ("prior", *DRAWN),
+    "off-policy": (*RANGES, "records", "columns", "behaviour", *DRAWN),
 }
 OF_INTERVAL = (
     "confidence",
@@ -61,14 +68,17 @@ def check(
     certify: bool,
     no_explain: bool,
     subject_to: tuple[str, ...],
+    needed: bool,
+    picture: str | None,
     **rest: Any,
 ) -> Report:
     """Audit a policy."""
     started = perf_counter()
-    check_outputs((junit, (".xml",)), (html, (".html",)))
+    check_outputs((junit, (".xml",)), (html, (".html",)), (picture, (".svg", ".png")))
     github.check_summary()
     settings = {name: rest.pop(name) for name in OF_INTERVAL}
     interval = _interval_of(**settings)
+    _check_needed(needed, picture, **settings)
     asked = given(policy=learned, **rest)
     audit = gate.check(
         asked.mdp,
@@ -80,18 +90,22 @@ def check(
         subject_to=limits_from(subject_to) or None,
         **interval,
     )
+    plan = audit.needed() if needed else None
     why = None if no_explain else audit.representation
     if junit is not None:
         seconds = perf_counter() - started
         _junit(junit, asked.loaded.name, learned, audit, seconds, explain=why is not None)
     result = {"learned": learned} | _result(audit) | _limits(audit) | _reasons(audit, why)
+    result |= {} if plan is None else {"needed": _needed(plan)}
     report = asked.report(
         result,
-        _facts(audit, why),
-        _tables(result, audit),
+        _facts(audit, why) | ({} if plan is None else {"needed": plan.told}),
+        [*_tables(result, audit), *([] if plan is None else [_needed_table(plan)])],
         notes=_notes(audit, explain=not no_explain),
         status=PASSED if audit.passed else FAILED,
     )
+    if picture is not None and plan is not None:
+        style.save_as(plan.plot().figure, Path(picture))
     if html is not None:
         write_atomically(html, _page(report, audit, asked.loaded.name, learned))
     title = f"{learned} in {asked.loaded.name}: {'passed' if audit.passed else 'failed'}"
@@ -127,18 +141,68 @@ def _interval_of(confidence: str | None, by: str | None, **settings: Any) -> dic
     for name in RANGES:
         if name in stated and not (name == "rewards" and stated[name] == "known"):
             stated[name] = _range(stated[name], _option(name))
-    if kind == "posterior":
-        seed = whole_of(stated.pop("seed", "0"), "--seed")
-        count = whole_of(stated.pop("draws", str(posterior.DRAWS)), "--draws", 2, 10**8)
-        if "n_jobs" in stated:
-            stated["n_jobs"] = whole_of(stated["n_jobs"], "--n-jobs", 1, 10**6)
-        evidence = posterior.Posterior(n=count, rng=seed, progress=True, **stated)
-    elif kind == "off-policy":
+    if kind == "robust":
+        return {"confidence": confidence, "by": robust.Robust(**stated)}
+    stated["rng"] = whole_of(stated.pop("seed", "0"), "--seed")
+    stated["n"] = whole_of(stated.pop("draws", str(posterior.DRAWS)), "--draws", 2, 10**8)
+    if "n_jobs" in stated:
+        stated["n_jobs"] = whole_of(stated["n_jobs"], "--n-jobs", 1, 10**6)
+    if kind == "off-policy":
         stated["columns"] = dict(map(renamed, stated.get("columns", ())))
-        evidence = off_policy.OffPolicy(**stated)
+        evidence = off_policy.OffPolicy(progress=True, **stated)
     else:
-        evidence = robust.Robust(**stated)
+        evidence = posterior.Posterior(progress=True, **stated)
     return {"confidence": confidence, "by": evidence}
+
+
+def _check_needed(needed: bool, picture: str | None, **settings: Any) -> None:
+    """Raise ModelError where --needed has nothing to plan for."""
+    if picture is not None and not needed:
+        raise ModelError("--picture draws --needed", where="--picture", fix="add --needed")
+    if not needed:
+        return
+    if settings["confidence"] is None:
+        raise ModelError(
+            "--needed applies to an interval", where="--needed", fix="give --confidence 0.95"
+        )
+    if settings["by"] not in (None, "robust"):
+        raise ModelError(
+            f"--needed plans for the robust interval, not for {settings['by']}",
+            where="--needed",
+            fix="give --by robust",
+        )
+
+
+def _needed(plan: Needed) -> dict[str, Any]:
+    """Return the JSON object of a plan."""
+    return {
+        "limit": plan.limit,
+        "decided": plan.decided,
+        "expected": plan.expected,
+        "possible": plan.possible,
+        "observations": int(plan.more.sum()),
+        "pairs": plan.frame().to_dict("records"),
+        "planned": plan.planned,
+        "chance": plan.chance,
+        "rest": {"pairs": plan.rest[0], "worth": plan.rest[1]},
+    }
+
+
+def _needed_table(plan: Needed) -> Table:
+    return Table(
+        title="what more records of a pair are worth",
+        rows=plan.frame(),
+        columns={
+            "state": "state",
+            "action": "action",
+            "observations": "observations",
+            "worth": "worth:.6g",
+            "more": "more",
+        },
+        note="worth: how far the deciding end moves if the row is known; more: observations that "
+        "together decide the verdict, if they show the same shares" + plan.others,
+        first=SHOWN,
+    )
 
 
 def _option(name: str) -> str:
@@ -158,7 +222,6 @@ def _notes(audit: Audit, *, explain: bool) -> list[str]:
     notes = [UNEXPLAINED] if explain and audit.unexplained else []
     if audit.interval is not None:
         notes += [f"assumed: {each}" for each in audit.interval.assumptions]
-        notes.append("this is research software and no medical advice")
     return notes
 
 
@@ -203,7 +266,7 @@ def _page(report: Report, audit: Audit, model: str, learned: str) -> str:
             }
             for each in listed
         ],
-        notes=report.notes,
+        notes=[note for note in report.notes if note != ADVICE],  # at the foot of every page
         rerun=shlex.join(["exact-mdp", *words]),
     )
 

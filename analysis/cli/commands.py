@@ -147,13 +147,19 @@ of_interval = together(
         help="Where the total reward from any state lies; needed at discount 1.",
     ),
     click.option("--prior", metavar="X", help="posterior: observations a row begins with (1)."),
-    click.option("--draws", metavar="N", help="posterior: models drawn (2000)."),
-    click.option("--seed", metavar="S", help="posterior: seed of the draws (0)."),
-    click.option("--n-jobs", metavar="N", help="posterior: processes (1). Results do not change."),
+    click.option(
+        "--draws", metavar="N", help="posterior, off-policy: models drawn, or bootstraps (2000)."
+    ),
+    click.option("--seed", metavar="S", help="posterior, off-policy: seed of the draws (0)."),
+    click.option(
+        "--n-jobs",
+        metavar="N",
+        help="posterior, off-policy: processes (1). Results do not change.",
+    ),
     click.option(
         "--scheduler",
         metavar="ADDRESS",
-        help="posterior: a Dask cluster, tcp://HOST:PORT or local.",
+        help="posterior, off-policy: a Dask cluster, tcp://HOST:PORT or local.",
     ),
     click.option(
         "--records", metavar="FILE", help="off-policy: the trajectories, .csv or .parquet."
@@ -170,6 +176,12 @@ of_interval = together(
         metavar="POLICY",
         help="off-policy: the policy that chose the recorded actions; estimated unless given.",
     ),
+    click.option(
+        "--needed",
+        is_flag=True,
+        help="robust: which pairs leave the verdict open, and how many more records decide it.",
+    ),
+    click.option("--picture", metavar="FILE", help="Of --needed: the picture, .svg or .png."),
 )
 model = click.argument("model")
 policy = click.argument("policy")

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.cli.options import check_outputs, given, renamed, whole_of
+from exact_mdp.analysis.cli.options import advice, check_outputs, given, renamed, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
+from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
@@ -19,6 +20,7 @@ from exact_mdp.mdp.model import MDP
 
 transitions = later("exact_mdp.mdp.io.transitions")
 
+NAMED = 1000  # pairs that nobody took, in JSON
 RARE, MOST_RARE = "5", 20  # observations; rows of the table
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
 
@@ -93,7 +95,7 @@ def info(**shared: Any) -> Report:
         columns_shown = {"reading": "name", "option": "option"}
         tables = [Table(title="readings", rows=rows, columns=columns_shown)]
     facts["model hash"] = result["model_hash"]
-    return Report(result=result, facts=facts, tables=tables)
+    return Report(result=result, facts=facts, tables=tables, notes=advice(loaded))
 
 
 def _counterexample(mdp: MDP, ending: Termination) -> dict[str, Any] | None:
@@ -157,6 +159,8 @@ def data(
         "pairs": int((seen > 0).sum()),
         "discount": mdp.discount,
         "ends": list(ends),
+        "never_taken": [],
+        "n_never_taken": 0,
         "rare": rows,
         "model_hash": fingerprint(mdp),
     }
@@ -165,18 +169,38 @@ def data(
     }
     offered = mdp.n_actions * len(np.unique(mdp.pair_state[seen > 0]))
     facts["pairs"] = f"{result['pairs']:,} observed of {offered:,}, {len(rows):,} of them rare"
+    never = transitions.never_taken(mdp)
+    if len(never):
+        named = [f"{mdp.space.label(s)}: {mdp.actions[a]}" for s, a in never[:NAMED].tolist()]
+        result |= {"never_taken": named, "n_never_taken": len(never)}
+        facts["never taken"] = _some(named[:SHOWN], never)
     if ends:
         facts["ends"] = f"{_some(list(ends[:SHOWN]), ends)} (entered, never left)"
+    notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
+    unknown = [mdp.space.label(s) for s in np.flatnonzero(transitions.cut_off(mdp)).tolist()]
+    stopped = record.n_cut_off
+    result |= {"cut_off": stopped, "cut_off_states": unknown, "left_out": record.left_out}
+    if stopped or record.left_out:
+        facts["cut off"] = f"{stopped:,} episodes" + (
+            f", {record.left_out:,} of them without a next state: their last rows are not counted"
+            if record.left_out
+            else ""
+        )
+    if unknown:
+        facts["unknown"] = f"{_some(unknown[:SHOWN], unknown)} (episodes were cut off there)"
+        notes.append(
+            "nobody knows what follows where episodes were cut off and no record leaves: robust "
+            "and off-policy intervals allow every total there; the estimate takes it for 0"
+        )
     shown = {"state": "state", "action": "action", "observations": "observations"}
     title = f"pairs observed fewer than {least} times"
-    notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
     if ends:
         notes.append(
             "a state that no record leaves is taken for an end, worth 0: where episodes were cut "
             "off there, no verdict holds: record what follows"
         )
     table = Table(title=title, rows=rows, columns=shown, first=MOST_RARE)
-    return Report(result=result, facts=facts, tables=[table], notes=notes)
+    return Report(result=result, facts=facts, tables=[table], notes=[*notes, ADVICE])
 
 
 def convert(
@@ -198,4 +222,6 @@ def convert(
         "pairs": loaded.mdp.n_pairs,
         "transitions": loaded.mdp.n_transitions,
     }
-    return Report(result=result, facts={"written": target, "model": repr(loaded.mdp)})
+    return Report(
+        result=result, facts={"written": target, "model": repr(loaded.mdp)}, notes=advice(loaded)
+    )

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from exact_mdp.analysis.cli.render import Report, Table
+from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.load import Loaded, load
+from exact_mdp.mdp.io.load import COACH, Loaded, load
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
@@ -216,15 +217,26 @@ def given(
         steps=steps,
         head=head,
         facts=facts,
-        notes=()
-        if limit is None
-        else (
-            f"the environment stops after {limit:,} steps; this answer is for episodes without a "
-            f"limit{also}",
+        notes=(
+            *(
+                ()
+                if limit is None
+                else (
+                    f"the environment stops after {limit:,} steps; this answer is for episodes "
+                    f"without a limit{also}",
+                )
+            ),
+            *advice(endless),
         ),
         taken=found,
         average=average,
     )
+
+
+def advice(loaded: Loaded) -> tuple[str, ...]:
+    """Return the note on models of care, and on models from records; nothing on others."""
+    care = loaded.scenario is not None or loaded.name == COACH
+    return (ADVICE,) * (care or loaded.mdp.observations is not None)
 
 
 def policy_from(

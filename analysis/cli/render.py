@@ -31,6 +31,7 @@ from operator import itemgetter
 from typing import Any, Literal
 
 from exact_mdp.analysis.gate import github
+from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.mdp.lazy import later
 from exact_mdp.solvers.solution import Bounded, Certified, Estimated
@@ -131,7 +132,8 @@ class Report:
     tables : sequence of Table
         A table without rows is left out.
     notes : sequence of str
-        Printed on standard error.
+        Printed on standard error; part of Markdown. That this is no medical advice is part of
+        every form, in JSON the key "notice".
     status : int
         The exit status.
     """
@@ -145,13 +147,15 @@ class Report:
 
 def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> int:
     """Print a report, as JSON or for people, and return its exit status."""
-    for note in report.notes:
+    advice = [ADVICE] * (ADVICE in report.notes)
+    for note in (each for each in report.notes if each != ADVICE):
         print(f"note: {note}", file=sys.stderr)
     if as_json and as_markdown:
         raise ModelError("two forms of one output", where="--markdown", fix="leave out --json")
     if as_json or as_markdown:
         # "##[" in a name would begin a command to a runner.
-        found = to_json(report.result) if as_json else markdown(report)
+        result = dict(report.result) | dict.fromkeys(["notice"] * len(advice), ADVICE)
+        found = to_json(result) if as_json else markdown(report)
         print(found.replace("##[", "##\\u005b") if github.running() else found)
         return report.status
     out = console.Console(no_color=True, highlight=False, markup=False, emoji=False)
@@ -174,6 +178,8 @@ def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> int:
             if each.note:
                 out.print(_text(each.note))
             out.print(grid)
+        for line in advice:
+            out.print(_text(f"\n{line}"))
     for line in captured.get().splitlines():
         print(github.inert(line.rstrip()))
     return report.status
@@ -199,6 +205,7 @@ def markdown(report: Report, title: str = "") -> str:
             note = f"{_escaped(each.note)}\n\n" if each.note else ""
             grid = _pipes(list(each.columns), each.numeric(), each.cells())
             parts.append(f"### {_escaped(each.heading())}\n\n{note}{grid}")
+    parts += [f"Note: {_escaped(note)}\n" for note in report.notes]
     return "\n".join(parts)
 
 

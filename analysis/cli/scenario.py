@@ -8,6 +8,7 @@ from pathlib import Path
 
 from exact_mdp.analysis.cli.options import check_outputs
 from exact_mdp.analysis.cli.render import Report, Table
+from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.care import schema
 from exact_mdp.mdp.errors import ModelError
@@ -23,7 +24,7 @@ def new(*, file: str) -> Report:
     write_atomically(file, template.partition("\n")[2])  # less the line that names the schema
     line = f"#:schema {Path(str(schema.FILE)).resolve().as_uri()}"
     note = f"for completion in editors on this machine, put this line first: {line}"
-    return Report(result={"written": file}, facts={"written": file}, notes=[note])
+    return Report(result={"written": file}, facts={"written": file}, notes=[note, ADVICE])
 
 
 def lint(*, file: str) -> Report:
@@ -48,5 +49,6 @@ def lint(*, file: str) -> Report:
                 first=max(1, len(problems)),
             )
         ],
+        notes=[ADVICE],
         status=1 if problems else 0,
     )

@@ -11,7 +11,14 @@ import click
 import numpy as np
 
 from exact_mdp import solvers
-from exact_mdp.analysis.cli.options import Given, check_outputs, given, limits_from, number_of
+from exact_mdp.analysis.cli.options import (
+    Given,
+    advice,
+    check_outputs,
+    given,
+    limits_from,
+    number_of,
+)
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.analysis.optimum import Contradiction, Optimum, optimum
 from exact_mdp.analysis.record import run_record, write_record
@@ -319,7 +326,9 @@ def _as_operator(
     facts = {"model": scenario.name, "discount": mdp.discount}
     head = facts | {"horizon": None, "sense": mdp.sense, "question": None, "start": None}
     head |= {"criterion": "total"}
-    return Given(endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=())
+    return Given(
+        endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=advice(loaded)
+    )
 
 
 def policy_words(mdp: MDP, names: Sequence[Any]) -> dict[str, dict[str, Any] | None]:

@@ -309,7 +309,11 @@ class Audit(Pictured):
     def _open(self) -> str:
         if self.interval is None:
             return UNDECIDED
-        how = " (in Python audit.needed() says which)" if self.interval.by == "robust" else ""
+        if isinstance(self.interval, posterior.PosteriorInterval):
+            limit = self.max_regret or Fraction(0)
+            share = self.interval.within(limit).value
+            return f"{OPEN}: it is kept with probability {share:.3g} by the posterior"
+        how = " (audit.needed() or --needed says which)" if self.interval.by == "robust" else ""
         return f"{OPEN}: more records decide it{how}, or give a limit above the interval"
 
     @cached_property

@@ -15,6 +15,7 @@ from exact_mdp.mdp.lazy import later
 
 jinja2 = later("jinja2")
 
+ADVICE = "this is research software and no medical advice"
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -50,7 +51,7 @@ def render(template: str, **data: Any) -> str:
 
 def environment(*folders: Path, escape: bool = True) -> Any:
     """Return what makes pages from the templates of this folder and others; `escape` for HTML."""
-    return jinja2.Environment(
+    found = jinja2.Environment(
         loader=jinja2.FileSystemLoader([*folders, TEMPLATES]),
         undefined=jinja2.StrictUndefined,
         autoescape=escape,
@@ -59,3 +60,5 @@ def environment(*folders: Path, escape: bool = True) -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    found.globals["advice"] = ADVICE
+    return found

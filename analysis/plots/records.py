@@ -44,5 +44,5 @@ def plot_needed(found: Needed, *, most: int = MOST, ax: Axes | None = None) -> A
     told = "decided" if found.decided is not None else "open"
     if found.chance is not None:
         told = f"numbers: observations that decide if they show the same shares{found.likely}"
-    titled(ax, told + (f"; {left} more pairs" if left else ""))
+    titled(ax, told + (f"; {left} more pairs" if left else "") + found.others)
     return ax

@@ -302,12 +302,15 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     ...     [path.name for path in save(Figure(), Path(folder), "empty")]
     ['empty.svg', 'empty.png']
     """
-    _as_written(figure)
-    paths = []
-    for kind, metadata in (("svg", {"Date": None}), ("png", {})):
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format=kind, metadata=metadata)
-        path = folder / f"{name}.{kind}"
-        write_atomically(path, buffer.getvalue())
-        paths.append(path)
+    paths = [folder / f"{name}.{kind}" for kind in ("svg", "png")]
+    for path in paths:
+        save_as(figure, path)
     return paths
+
+
+def save_as(figure: Figure, path: Path) -> None:
+    """Write a figure as the path's ending says, svg or png, whole or not at all."""
+    _as_written(figure)
+    kind, buffer = path.suffix.lower().removeprefix("."), io.BytesIO()
+    figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else {})
+    write_atomically(path, buffer.getvalue())

@@ -5,7 +5,10 @@ Of n(s, a) times that action a was taken in state s, k ended in s' with reward r
     P(s', r | s, a) = k / n(s, a)          the maximum likelihood estimate, a rational number
 
 Episodes begin as they were seen to begin; the model keeps their number. A state that is only ever
-entered is taken for an end, where nothing happens any more: `entered` names these. An action that
+entered is taken for an end, where nothing happens any more: `entered` names these. A sixth column,
+`truncated`, tells the rows after which an episode was cut off, as by a time limit: a state that is
+only ever entered so is no end, and nobody knows what it is worth (`cut_off`); a row that was cut
+off without a next state tells nothing of what follows, and is not counted. An action that
 was never taken in a state is not available there; or it is as bad as the caller says, so that an
 optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang, ICML 2021).
 
@@ -33,7 +36,7 @@ from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, exact
-from exact_mdp.mdp.validate import as_discount
+from exact_mdp.mdp.validate import Flags, as_discount
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -43,6 +46,14 @@ if TYPE_CHECKING:
 pandas, tqdm = later("pandas"), later("tqdm")
 
 COLUMNS = ("episode", "state", "action", "reward", "next_state")
+TRUNCATED = "truncated"  # the column that a table may have besides
+CUT_OFF = "cut off"  # the label of states in which episodes were cut off, and which nobody left
+FLAGS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
+# What programs write where there is no value: no names, as pandas.read_csv has it.
+NO_NAMES = frozenset(
+    ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
+)
+LEFT_OUT = -2  # the next state of a row that was cut off without one
 ROWS = 10**6  # of a chunk
 LARGEST_FILE = 2**40
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
@@ -61,7 +72,8 @@ def from_transitions(
 ) -> dict[str, Any]:
     """Return the parts of the model that `MDP.from_transitions` makes."""
     record = counted(frame, columns, progress=progress)
-    return record.parts(discount, unseen, costs=names.get("sense") == "min") | names
+    parts = record.parts(discount, unseen, costs=names.get("sense") == "min")
+    return parts | names | {"labels": {**(names.get("labels") or {}), **parts["labels"]}}
 
 
 def counted(
@@ -74,6 +86,7 @@ def counted(
     record = record_of(frame, columns)
     for _, keys in read(record, frame, progress=progress):
         record.count(keys)
+    record.finish()
     return record
 
 
@@ -92,7 +105,8 @@ def read(
     """Yield the rows of a table, a million at most at a time, checked and in numbers.
 
     Of each chunk the episodes (R,), and (R, 4) state, action, next state (-1 where the episode is
-    over) and reward, by the numbers that `record` gives to names.
+    over, `LEFT_OUT` where it was cut off without one) and reward, by the numbers that `record`
+    gives to names.
     """
     with (
         tqdm.tqdm(desc="transitions", unit=" rows", disable=None if progress else True) as bar,
@@ -106,13 +120,13 @@ def read(
 
 
 def _named(columns: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the file's column of each of the five."""
-    for name in columns or {}:
-        if name not in COLUMNS:
-            raise ModelError(
-                f"unknown column {name!r}", where="columns", fix=suggest(str(name), COLUMNS)
-            )
-    found = dict(zip(COLUMNS, COLUMNS, strict=True)) | dict(columns or {})
+    """Return the file's column of each of the five, and of a sixth where it is named."""
+    given = dict(columns or {})
+    for name in given:
+        if name not in (*COLUMNS, TRUNCATED):
+            near = suggest(str(name), [*COLUMNS, TRUNCATED])
+            raise ModelError(f"unknown column {name!r}", where="columns", fix=near)
+    found = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
     twice = [name for name, column in found.items() if list(found.values()).count(column) > 1]
     if twice:
         raise ModelError(
@@ -139,7 +153,7 @@ def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
     path, used = str(frame), list(wanted)
     with opened(path, most=LARGEST_FILE) as file:
         if Path(path).suffix.lower() == ".parquet":
-            yield from _parquet(file, path, used)
+            yield from _parquet(file, path, [*used, TRUNCATED])
             return
         yield from _csv(file, path)
 
@@ -256,8 +270,10 @@ class Record:
         self.counts: list[tuple[Integers, Integers]] = []
         self.values: list[Any] = []  # of the rewards, by number
         self.starts: dict[int, int] = {}
-        self.rows = 0
-        self.last = (-1, -1)  # episode, next state
+        self.stops: dict[tuple[int, bool], int] = {}  # by next state, and whether it was cut off
+        self.rows = self.left_out = 0
+        self.lost = set[int]()  # states of rows that are not counted
+        self.last = (-1, -1, False)  # episode, next state, whether it was cut off
 
     def row(self, number: int) -> str:
         """Return how a row is called, in messages."""
@@ -286,6 +302,7 @@ class Record:
                     fix = "separate columns by commas: the first line has none"
                 raise ModelError(f"no column {column!r}", where=self.where, fix=fix)
         parts = {name: chunk[column] for name, column in self.columns.items()}
+        cut = self._cut(chunk)
         episode, state, action = (
             names.of(parts[name])
             for name, names in (
@@ -299,13 +316,49 @@ class Record:
             ("episode", episode), ("state", state), ("action", action), ("reward", reward),
         ):  # fmt: skip
             self.refuse(codes < 0, f"no {name}", "fill it in, or leave the row out")
-        self._follow(episode, state, then)
+        for name, codes, names in (
+            ("episode", episode, self.episodes), ("state", state, self.states),
+            ("action", action, self.actions), ("next state", then, self.states),
+        ):  # fmt: skip
+            for word in NO_NAMES & names.numbers.keys():
+                self.refuse(
+                    codes == names.numbers[word],
+                    f"the {name} is {word!r}, which programs write where there is none",
+                    "leave it empty where there is none (next_state alone may be); where it is a "
+                    "name, write another",
+                )
+        then = np.where(cut & (then < 0), LEFT_OUT, then)
+        self._follow(episode, state, then, cut)
         self._price(reward)
         self.rows += len(chunk)
         return episode, np.stack([state, action, then, reward], axis=1)
 
+    def _cut(self, chunk: DataFrame) -> Flags:
+        """Return (R,) whether an episode was cut off after a row; nowhere without such a column."""
+        name = self.columns.get(TRUNCATED, TRUNCATED)
+        if list(chunk.columns).count(name) > 1:
+            raise ModelError(
+                f"the column {name!r} stands twice in the table",
+                where=self.where,
+                fix="give each column a name of its own",
+            )
+        if name not in chunk or list(self.columns.values()).count(name) > (
+            TRUNCATED in self.columns
+        ):
+            return np.zeros(len(chunk), dtype=bool)
+        codes, values = pandas.factorize(chunk[name])
+        known = [FLAGS.get(str(value).strip().lower()) for value in values]
+        bad = np.array([*(each is None for each in known), True])[codes]
+        self.refuse(bad, f"{name} is neither true nor false", "write true or false, or 1 or 0")
+        found: Flags = np.array([*map(bool, known), False])[codes]
+        return found
+
     def count(self, keys: Integers) -> None:
-        """Count rows by their numbers."""
+        """Count rows by their numbers; not those of which nobody knows what followed."""
+        known = keys[:, 2] != LEFT_OUT
+        self.left_out += int((~known).sum())
+        self.lost |= set(keys[~known, 0].tolist())
+        keys = keys[known]
         self.counts.append(_sums(keys, np.ones(len(keys), dtype=np.int64)))
         if len(self.counts) > 16:
             self.counts = [_merged(self.counts)]
@@ -320,12 +373,13 @@ class Record:
             # Floats stay floats: a model knows which of its numbers were rounded.
             self.values.append(exact(value) if isinstance(value, str) else value)
 
-    def _follow(self, episode: Integers, state: Integers, then: Integers) -> None:
+    def _follow(self, episode: Integers, state: Integers, then: Integers, cut: Flags) -> None:
         """Check that each row begins where the one before ended; count where episodes begin."""
         if not len(episode):
             return
         before = np.concatenate([[self.last[0]], episode[:-1]])
         left = np.concatenate([[self.last[1]], then[:-1]])
+        over = np.concatenate([[self.last[2]], cut[:-1]])
         goes_on = episode == before
         # New names are numbered as they come: an episode that is new has a number above the others.
         most = np.maximum.accumulate(before)
@@ -335,6 +389,11 @@ class Record:
             "sort the rows by episode, then by time, and number episodes once",
         )
         self.refuse(
+            goes_on & over,
+            "an episode goes on after it was cut off",
+            "mark its last row alone as truncated, or give what follows another episode number",
+        )
+        self.refuse(
             goes_on & (left != state),
             "a gap in an episode: its next row begins in another state than this one led to",
             "add the rows that are missing, or give what follows another episode number",
@@ -342,7 +401,26 @@ class Record:
         fresh, times = np.unique(state[~goes_on], return_counts=True)
         for each, count in zip(fresh.tolist(), times.tolist(), strict=True):
             self.starts[each] = self.starts.get(each, 0) + count
-        self.last = (int(episode[-1]), int(then[-1]))
+        self._stop(left[~goes_on], over[~goes_on])
+        self.last = (int(episode[-1]), int(then[-1]), bool(cut[-1]))
+
+    def _stop(self, then: Integers, cut: Flags) -> None:
+        """Count episodes that stop, by their last next states."""
+        ends, times = np.unique(2 * then + cut, return_counts=True)
+        for end, count in zip(ends.tolist(), times.tolist(), strict=True):
+            key = (end >> 1, bool(end & 1))
+            self.stops[key] = self.stops.get(key, 0) + count
+
+    def finish(self) -> None:
+        """Count where the last episode stops; no row comes any more."""
+        self._stop(np.array([self.last[1]]), np.array([self.last[2]]))
+        self.last = (-1, -1, False)
+
+    @property
+    def n_cut_off(self) -> int:
+        """Number of episodes cut off: marked so, or stopped in a state that others leave."""
+        left = set(_merged(self.counts)[0][:, 0].tolist())
+        return sum(count for (then, cut), count in self.stops.items() if cut or then in left)
 
     @property
     def n_episodes(self) -> int:
@@ -355,6 +433,12 @@ class Record:
         if not self.rows:
             raise ModelError("no transitions", where=self.where, fix="give at least one row")
         keys, count = _merged(self.counts)
+        if not len(keys):
+            raise ModelError(
+                "every row was cut off without a next state, so that none tells what follows",
+                where=self.where,
+                fix="give the next states at which episodes were cut off",
+            )
         place, states = _sorted(self.states.numbers)
         choice, actions = _sorted(self.actions.numbers)
         worst = self._worst(unseen, rate, costs=costs)
@@ -375,6 +459,14 @@ class Record:
         taken = np.zeros((size, len(actions)), dtype=bool)
         taken[observed[:, 0], observed[:, 1]] = True
         over = ~taken.any(axis=1)
+        unknown = np.zeros(size, dtype=bool)
+        for cut in (True, False):  # an episode that was not cut off there was over
+            stops = [
+                then for (then, flag), count in self.stops.items() if flag is cut and then >= 0
+            ]
+            unknown[place[stops]] = cut
+        unknown[place[list(self.lost)]] = True
+        unknown &= over
         at_end = np.flatnonzero(over)
         free = ~taken & ~over.reshape(-1, 1) & (worst is not None)
         untried = np.argwhere(free)
@@ -400,6 +492,7 @@ class Record:
                 )
             ),
             "episodes": self.n_episodes,
+            "labels": {CUT_OFF: unknown} if unknown.any() else {},
         }
 
     def _worst(self, unseen: object, discount: Fraction, *, costs: bool) -> Fraction | None:
@@ -432,9 +525,26 @@ def entered(mdp: MDP) -> tuple[str, ...]:
     """
     assert mdp.observations is not None
     left = np.logical_or.reduceat(mdp.observations > 0, mdp.pair_offsets[:-1])
-    states = np.flatnonzero(mdp.terminal & ~left)
+    states = np.flatnonzero(mdp.terminal & ~left & ~cut_off(mdp))
     own = states[states < mdp.n_states - len(mdp.space.extra)]
     return tuple(mdp.space.label(state) for state in own.tolist())
+
+
+def cut_off(mdp: MDP) -> Flags:
+    """Return (S,) states of a model with counts that nobody left, and where episodes were cut off.
+
+    It takes them for ends, too; nobody knows what they are worth.
+    """
+    return mdp.labels.get(CUT_OFF, np.zeros(mdp.n_states, dtype=bool))
+
+
+def never_taken(mdp: MDP) -> Integers:
+    """Return (N, 2) the states that were left, and the actions that nobody took there."""
+    assert mdp.observations is not None
+    seen = mdp.observations > 0
+    taken = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
+    taken[mdp.pair_state[seen], mdp.pair_action[seen]] = True
+    return np.argwhere(taken.any(axis=1, keepdims=True) & ~taken)
 
 
 def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:

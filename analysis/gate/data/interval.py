@@ -7,16 +7,19 @@ of the interval keeps it, and broken where the lower end breaks it; in between m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -127,8 +130,11 @@ def observations_of(mdp: MDP) -> Integers:
 
 def of_process(mdp: MDP) -> tuple[str, ...]:
     """Return what every interval takes for true of the process behind a model's counts."""
-    ends = transitions.entered(mdp)
-    listed = ", ".join(ends[:SHOWN]) + (f" and {len(ends) - SHOWN:,} more" * (len(ends) > SHOWN))
+    ends, never = transitions.entered(mdp), transitions.never_taken(mdp)
+    # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
+    offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
+    never = [pair for pair in map(tuple, never.tolist()) if pair not in offered]
+    untaken = [f"{mdp.space.label(state)}: {mdp.actions[action]}" for state, action in never]
     return (
         "the process has the states and actions that were recorded, and what follows a state and "
         "an action depends on these alone",
@@ -136,11 +142,25 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
         if mdp.episodes is None
         else "the recorded episodes begin as those of the process do, each drawn by itself",
         *(
-            [f"nothing is earned any more after ({listed}): entered and never left, taken for ends"]
+            [
+                f"nothing is earned any more after {_some(ends)}: entered and never left, taken "
+                "for ends"
+            ]
             if ends
             else []
         ),
+        *([f"what nobody took is not to be had: {_some(untaken)}"] if untaken else []),
     )
+
+
+def named(mdp: MDP, states: Flags) -> str:
+    """Return the names of some states (S,) in brackets."""
+    return _some([mdp.space.label(state) for state in np.flatnonzero(states).tolist()])
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - SHOWN
+    return f"({', '.join(names[:SHOWN])}{f' and {more:,} more' if more > 0 else ''})"
 
 
 def range_of(given: object, what: str) -> Ends | None:

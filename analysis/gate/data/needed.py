@@ -7,15 +7,21 @@ regret keeps the limit, and the lower end elsewhere. Both ends are computed anew
 every number of observations that is asked about; nothing is extrapolated.
 
 *worth* of a pair is the value of information about it: how far the deciding end would move if its
-row were known and all others as they are.
+row were known and all others as they are. Each takes a robust solve, which begins at today's
+values. Where more than `TRIED` pairs were counted, those are asked about one by one that promise
+most: by the width of their rows at today's values, times their expected visits by the policy and
+by the choices that decide today's end. The others are asked about together: `rest` is what knowing
+all of them at once is worth.
 
 *more* is a plan: together these observations decide the verdict, and of no pair could a tenth of
 them be left out. Were the end's distance a sum of worth · √(n / n') over the pairs, n' observations
 in place of n, the fewest in all would be in proportion to (worth √n)^(2/3). So pairs are brought to
 numbers in that proportion (to a tenth of the largest where they are worth less), the least that
 decide, by bisection. Then, from the pairs that are worth least, each is given up or lowered as far
-as the verdict stays decided. Other plans may need fewer in all. So a plan ends just where the
-verdict does, if the shares stay as they are; but more observations show other shares, by chance.
+as the verdict stays decided; those that were asked about together also stand together here, and
+come in only where the verdict needs them. Other plans may need fewer in all. So a plan ends just
+where the verdict does, if the shares stay as they are; but more observations show other shares, by
+chance.
 
 *chance* is how likely they decide it: of `DRAWS` data sets, in which the plan's observations are
 drawn from the estimated model, the share that, with what there is, gives the expected verdict.
@@ -27,8 +33,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
-from math import ceil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -51,8 +56,10 @@ EXACTLY = 1e15  # observations after which a row counts as known
 MOST = 10**12  # observations of a pair that a plan may ask for
 SPARED = 0.1  # share of a number that is worth another attempt to save
 LEAST_SHAPE = 0.1
+SMALL = 1e-7  # of the values' range: steps not worth another one
+TINY = 5e-324
 DRAWS = 100  # data sets that the chance of a plan is estimated from
-TRIED = 60  # pairs whose numbers are lowered one by one; of more models the rest stays
+TRIED = 30  # pairs that are asked about one by one
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -75,13 +82,16 @@ class Needed(Pictured):
     pairs : (K,) int64
         Pairs that are worth knowing better, or of which the plan asks for more.
     worth : (K,)
-        What knowing each row would move the deciding end by, in units of reward.
+        What knowing each row would move the deciding end by, in units of reward; NaN where it was
+        asked about together with others alone.
     more : (K,) int64
         Observations of each that together decide the verdict; 0 where none does.
     planned : (float, float)
         The interval after them, if they show the same shares.
     chance : Probability, optional
         How likely they decide the verdict as expected, if the process is the estimated model.
+    rest : (int, float)
+        How many pairs were asked about together, and what knowing all of them is worth.
     """
 
     mdp: MDP
@@ -97,20 +107,32 @@ class Needed(Pictured):
     more: Integers
     planned: tuple[float, float]
     chance: Probability | None = None
+    rest: tuple[int, float] = (0, 0.0)
 
     picture = "exact_mdp.analysis.plots.records:plot_needed"
 
     def __repr__(self) -> str:
         now = f"regret in [{self.low:.6g}, {self.high:.6g}], limit {float(self.limit):.6g}"
+        return f"Needed({now}: {self.told})"
+
+    @property
+    def told(self) -> str:
+        """What is needed, in words."""
         if self.decided is not None:
-            return f"Needed({now}: decided, {'passes' if self.decided else 'fails'})"
+            return f"decided, {'passes' if self.decided else 'fails'}"
         if not self.possible:
-            return f"Needed({now}: open, and the estimate is at the limit itself)"
+            return "open, and the estimate is at the limit itself"
         return (
-            f"Needed({now}: open; {int(self.more.sum()):,} more observations of "
+            f"open; {int(self.more.sum()):,} more observations of "
             f"{np.count_nonzero(self.more)} pairs let it {'pass' if self.expected else 'fail'} if "
-            f"they show the same shares{self.likely})"
+            f"they show the same shares{self.likely}"
         )
+
+    @property
+    def others(self) -> str:
+        """What the pairs that were asked about together are worth; nothing where there are none."""
+        pairs, worth = self.rest
+        return f"; {pairs:,} other pairs, all known at once: {worth:.6g}" if pairs else ""
 
     @property
     def likely(self) -> str:
@@ -140,31 +162,35 @@ def needed(
 ) -> Needed:
     """Return what `Audit.needed` does; `own` (L,) is the policy, `estimate` its regret today."""
     sets = RowSets.of(mdp, float(1 - confidence), by.rewards)
-    returns, expected = by.range(mdp), estimate <= limit
+    today = RobustBounds(sets=sets, own=own, returns=by.range(mdp))
+    expected = estimate <= limit
+    (low, high), near = today.regret, today.found
 
-    def bounds(counts: Floats, *, start: bool = True) -> RobustBounds:
-        return RobustBounds(sets=sets.with_more(counts, start=start), own=own, returns=returns)
+    def bounds(sets: RowSets) -> RobustBounds:
+        return RobustBounds(sets=sets, own=own, returns=today.returns, near=near, small=SMALL)
 
-    def end(counts: Floats, *, start: bool = True) -> float:
-        return bounds(counts, start=start).regret_end(most=expected)
+    def end(more: Floats, *, start: bool = True) -> float:
+        return bounds(sets.with_more(more, start=start)).regret_end(most=expected)
 
-    def kept(found: float) -> bool:
-        return found <= limit if expected else found > limit
+    def short(more: Floats) -> float:
+        """Return how far the deciding end is from deciding; 0 or less where it decides."""
+        return signed(end(more))
 
-    def decides(counts: Floats) -> bool:
-        return kept(end(counts))
+    def signed(found: float) -> float:
+        gap = found - float(limit) if expected else float(limit) - found
+        return gap if (found <= limit if expected else found > limit) else max(gap, TINY)
 
-    def decided_by(sets: RowSets) -> bool:
-        return kept(RobustBounds(sets=sets, own=own, returns=returns).regret_end(most=expected))
-
-    low, high = bounds(np.zeros(mdp.n_pairs)).regret
     decided = True if high <= limit else False if low > limit else None
-    worth, more, possible = np.zeros(mdp.n_pairs), np.zeros(mdp.n_pairs), True
+    worth, more, possible, rest = np.zeros(mdp.n_pairs), np.zeros(mdp.n_pairs), True, (0, 0.0)
     if decided is None:
-        worth = _worth(sets, partial(end, start=False))
-        possible = decides(np.where(sets.counted > 0, EXACTLY, 0.0))
+        asked = _promising(today, most=expected)
+        together = np.setdiff1d(sets.pairs, asked)
+        worth, known = _worth(asked, together, partial(end, start=False), mdp.n_pairs)
+        rest = len(together), known
+        possible = short(np.where(sets.counted > 0, EXACTLY, 0.0)) <= 0
         if possible:
-            more = _plan(sets.counted, worth, decides)
+            more = _plan(sets.counted, worth, asked, together, short)
+    planned = bounds(sets.with_more(more))
     listed = np.flatnonzero((worth > 0) | (more > 0))
     listed = listed[np.lexsort([-more[listed], -worth[listed]])]
     return Needed(
@@ -179,9 +205,29 @@ def needed(
         pairs=listed,
         worth=worth[listed],
         more=more[listed].astype(np.int64),
-        planned=bounds(more).regret if more.any() else (low, high),
-        chance=_chance(sets, more, decided_by) if more.any() else None,
+        planned=planned.regret if more.any() else (low, high),
+        chance=_chance(
+            sets,
+            more,
+            lambda drawn: (
+                signed(replace(bounds(drawn), near=planned.found).regret_end(most=expected)) <= 0
+            ),
+        )
+        if more.any()
+        else None,
+        rest=rest,
     )
+
+
+def _promising(today: RobustBounds, *, most: bool) -> Integers:
+    """Return the counted pairs to ask about one by one, `TRIED` at most."""
+    sets, mdp = today.sets, today.mdp
+    if len(sets.pairs) <= TRIED:
+        return sets.pairs
+    middle = (today.own_low + today.own_high) / 2
+    width = sets.worth(middle, most=True).bound - sets.worth(middle, most=False).bound
+    visits = today.visits(most=most)[mdp.pair_state] * (1 + today.own) + today.own_visits
+    return np.sort(sets.pairs[np.argsort(-(width * visits)[sets.pairs], kind="stable")[:TRIED]])
 
 
 def _chance(sets: RowSets, more: Floats, decides: Callable[[RowSets], bool]) -> Probability:
@@ -218,43 +264,98 @@ def _chance(sets: RowSets, more: Floats, decides: Callable[[RowSets], bool]) -> 
     )
 
 
-def _worth(sets: RowSets, end: Callable[[Floats], float]) -> Floats:
-    """Return (L,) how far an end moves where one row is known."""
-    found, nothing = np.zeros(len(sets.counted)), np.zeros(len(sets.counted))
+def _worth(
+    asked: Integers, together: Integers, end: Callable[[Floats], float], pairs: int
+) -> tuple[Floats, float]:
+    """Return (L,) how far an end moves where one row is known, and what the others are worth."""
+    found, nothing = np.zeros(pairs), np.zeros(pairs)
     today = end(nothing)
-    for pair in tqdm.tqdm(sets.pairs.tolist(), desc="pairs", disable=None, delay=2):
-        known = nothing.copy()
-        known[pair] = EXACTLY
-        found[pair] = abs(end(known) - today)
-    return np.where(found > 1e-9 * abs(today), found, 0.0)
+
+    def moved(known: Any) -> float:
+        more = nothing.copy()
+        more[known] = EXACTLY
+        by = abs(end(more) - today)
+        return by if by > 1e-9 * abs(today) else 0.0
+
+    for pair in tqdm.tqdm(asked.tolist(), desc="pairs", disable=None, delay=2):
+        found[pair] = moved(pair)
+    found[together] = np.nan
+    return found, moved(together) if len(together) else 0.0
 
 
-def _plan(counted: Floats, worth: Floats, decides: Callable[[Floats], bool]) -> Floats:
+def _plan(
+    counted: Floats,
+    worth: Floats,
+    asked: Integers,
+    together: Integers,
+    short: Callable[[Floats], float],
+) -> Floats:
     """Return (L,) more observations that decide; none of them could be much fewer."""
-    shape = (worth * np.sqrt(counted)) ** (2 / 3)
-    shape = np.where(counted > 0, np.maximum(shape / (shape.max() or 1), LEAST_SHAPE), 0.0)
+    shape, known = np.zeros(len(counted)), np.zeros(len(counted))
+    shape[asked] = (worth[asked] * np.sqrt(counted[asked])) ** (2 / 3)
+    shape[asked] = np.maximum(shape[asked] / (shape.max() or 1), LEAST_SHAPE)
+    known[asked] = EXACTLY
+    groups = [np.array([pair]) for pair in asked[np.argsort(worth[asked], kind="stable")].tolist()]
+    if len(together) and short(known) > 0:
+        shape[together] = LEAST_SHAPE
+        groups.insert(0, together)
 
     def level(height: float) -> Floats:
         return np.maximum(np.ceil(height * shape - counted), 0.0)
 
-    def least(given: Callable[[float], Floats], low: float, high: float) -> float:
-        """Return about the least number that decides, from one that does not to one that does."""
-        while high - low > 1 and high > low * (1 + SPARED / 2):
-            middle = (low * high) ** 0.5 if low > 1 else (low + high) / 2
-            low, high = (low, middle) if decides(given(middle)) else (middle, high)
-        return high
+    low, high = 0.0, float(counted.max())
+    far, near = short(level(low)), short(level(high))
+    while near > 0 and high < MOST:
+        low, far, high = high, near, 2 * high
+        near = short(level(high))
+    height = _least(partial(_of, short, level), (low, far), (high, near))
+    plan = level(height)
+    left = short(plan)
+    for group in tqdm.tqdm(groups, desc="plan", disable=None, delay=2):
+        if not (largest := float(plan[group].max())):
+            continue
 
-    high = float(counted.max())
-    while not decides(level(high)) and high < MOST:
-        high *= 2
-    plan = level(least(level, 0.0, high))
-    used = np.flatnonzero(plan)
-    for pair in used[np.argsort(worth[used], kind="stable")][:TRIED].tolist():
-
-        def with_(number: float, pair: int = pair, plan: Floats = plan) -> Floats:
+        def with_(number: float, group: Integers = group, plan: Floats = plan) -> Floats:
             changed = plan.copy()
-            changed[pair] = ceil(number)
+            changed[group] = np.ceil(plan[group] * (number / plan[group].max()))
             return changed
 
-        plan = with_(0.0 if decides(with_(0.0)) else least(with_, 0.0, float(plan[pair])))
+        without = short(with_(0.0))
+        number = 0.0
+        if without > 0:
+            number = _least(partial(_of, short, with_), (0.0, without), (largest, left))
+        if number < largest:
+            plan = with_(number)
+            left = short(plan)
     return plan
+
+
+def _of(short: Callable[[Floats], float], plan: Callable[[float], Floats], number: float) -> float:
+    return short(plan(number))
+
+
+def _least(
+    short: Callable[[float], float], low: tuple[float, float], high: tuple[float, float]
+) -> float:
+    """Return about the least number that decides, from two with what each is short of it.
+
+    Secants, between which the interval is halved where they hardly narrow it.
+    """
+    (low_at, far), (high_at, near) = low, high
+    if far <= 0:
+        return low_at
+    turn = 0
+    while high_at - low_at > 1 and high_at > low_at * (1 + SPARED / 2):
+        middle = (low_at * high_at) ** 0.5 if low_at > 1 else (low_at + high_at) / 2
+        if turn % 3 < 2:
+            root = low_at + (high_at - low_at) * far / (far - near)
+            # A little to the side of the root that is further away, so that both ends come near.
+            aim = root * (1 + SPARED / 5 * (1 if high_at - root > root - low_at else -1))
+            middle = min(max(aim, low_at + 0.5), high_at - 0.5)
+        found = short(middle)
+        if found <= 0:
+            high_at, near = middle, found
+        else:
+            low_at, far = middle, found
+        turn += 1
+    return high_at

@@ -5,7 +5,8 @@ and counts for the policy π with the weight w = Π π(a_t | s_t) / b(a_t | s_t)
 
     E_b[w G] = V^π   (ordinary importance sampling),    V^π ≈ Σ w G / Σ w   (weighted),
 
-of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000; Kong, 1992). A bound
+of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000; Kong, 1992), whose
+bootstrap interval (`analysis.gate.data.bootstrap`) is reported and decides nothing. A bound
 that holds at a stated confidence, for any weights, is that of Thomas, Theocharous and Ghavamzadeh
 (High-confidence off-policy evaluation, AAAI 2015, theorem 1, all thresholds equal): of n
 independent X ≥ 0, here X = w (G - least return), with Y = min(X, c) and its sample variance s²,
@@ -29,23 +30,28 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import log
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from exact_mdp.analysis.gate.data.bootstrap import Episodes
 from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, observations_of
 from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
+from exact_mdp.analysis.sensitivity.draws.blocks import whole_number
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 transitions = later("exact_mdp.mdp.io.transitions")
 
+DRAWS = 2000
 HELD_OUT = 20  # one part in so many chooses the threshold
 FEWEST = 60  # episodes: fewer leave the bound at the end of the range
 THRESHOLDS = 200
@@ -66,6 +72,11 @@ class OffPolicy:
         counts, which the interval then takes for true.
     rewards, returns
         As in `Robust`; rewards have to be stated here, too, for the optimum.
+    n : int
+        Draws of the bootstrap of the weighted estimate, which is in `found` and decides nothing.
+    rng : int or Generator
+    n_jobs, scheduler, folder, progress
+        Where these draws are made, as `solvers.parallel.many.many` takes it; results do not change.
 
     Examples
     --------
@@ -85,6 +96,12 @@ class OffPolicy:
     behaviour: PolicyLike | None = None
     rewards: Given = None
     returns: Ends | None = None
+    n: int = DRAWS
+    rng: RNG = 0
+    n_jobs: int | None = 1
+    scheduler: str | None = None
+    folder: str | Path | None = None
+    progress: bool = False
     by: ClassVar[str] = "off-policy"
 
     def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> RegretInterval:
@@ -95,7 +112,8 @@ class OffPolicy:
                 where="records",
                 fix="name the records (--records FILE, by=OffPolicy(records=…))",
             )
-        doubt = float(1 - confidence)
+        doubt, seed = float(1 - confidence), seed_of(self.rng)
+        draws = whole_number(self.n, "draws", 2)
         robust = Robust(rewards=self.rewards, returns=self.returns)
         sets = RowSets.of(mdp, doubt / 2, self.rewards)
         bounds = RobustBounds(sets=sets, own=chain.weights, returns=robust.range(mdp))
@@ -120,6 +138,16 @@ class OffPolicy:
         best = bounds.at_start(mdp.maximised, "best")
         ordinary = Estimated(value=seen.ordinary, standard_error=seen.standard_error)
         sign = 1 if mdp.sense == "max" else -1
+        drawn = Episodes(weight=seen.weight, returns=seen.returns).interval(
+            float(confidence),
+            bounds.range,
+            draws,
+            seed,
+            n_jobs=self.n_jobs,
+            scheduler=self.scheduler,
+            folder=self.folder,
+            progress=self.progress,
+        )
         return RegretInterval(
             low=max(best[0] - high, 0.0),
             high=max(best[1] - low, 0.0),
@@ -136,6 +164,9 @@ class OffPolicy:
                 "optimal_value": bounds.at_start(mdp, "best"),
                 "learned_value": (low, high) if sign > 0 else (-high, -low),
                 "weighted": sign * seen.weighted,
+                "bootstrap": drawn if sign > 0 else (-drawn[1], -drawn[0]),
+                "draws": draws,
+                "seed": seed,
                 "ordinary": sign * ordinary.value,
                 "standard_error": ordinary.standard_error,
                 "effective_sample_size": seen.effective_sample_size,
@@ -249,7 +280,8 @@ def _trajectories(
     weight, total, steps = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
     end, last = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
     begun = mdp.start_distribution
-    over = np.append(mdp.terminal, True)  # the last one where no next state was recorded
+    over = mdp.terminal & ~transitions.cut_off(mdp)
+    over = np.append(over, [False, True])  # the last two: cut off, or over, without a next state
     for episode, keys in transitions.read(record, records):
         states = _known(record.states.numbers, mdp.space.number, "state", record)
         actions = _known(record.actions.numbers, mdp.action, "action", record)
@@ -260,7 +292,8 @@ def _trajectories(
             raise ModelError(
                 f"action {action} was taken in ({state}), where the model does not offer it",
                 where=record.where,
-                fix="give the records that the model was made from",
+                fix="give the records that the model was made from; where it was taken in rows "
+                "alone that were cut off without a next state, leave these episodes out of both",
             )
         more = int(episode[-1]) + 1 - len(weight)
         weight, total = np.append(weight, np.ones(more)), np.append(total, np.zeros(more))
@@ -282,7 +315,7 @@ def _trajectories(
         weight[named] *= np.multiply.reduceat(ratio[pair], first)
         steps[named] += length
         last = np.append(last, np.zeros(more, np.int64))
-        last[named] = np.append(states, -1)[keys[first + length - 1, 2]]
+        last[named] = np.append(states, [-2, -1])[keys[first + length - 1, 2]]
         end[named] = over[last[named]]
     if not len(weight):
         raise ModelError("no transitions", where=record.where, fix="give at least one row")

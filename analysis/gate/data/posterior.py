@@ -9,16 +9,18 @@ to Dirichlet weights of their own counts (Rubin's Bayesian bootstrap, Annals of 
 and the mean of the pair where a next state was never seen to follow.
 
 Every draw is a model: it is solved by policy iteration, the policy is evaluated in it, and the
-difference at the start is one draw of the regret. The credible interval leaves equal tails; its
-ends are moved outward by the 95 % intervals of the sample's quantiles, so that more draws narrow
-it. Draws come in blocks with a stream of random numbers each: the same seed gives the same bytes
-wherever the work is done.
+difference at the start is one draw of the regret. Draws come in blocks with a stream of random
+numbers each: the same seed gives the same bytes wherever the work is done.
 
-A credible interval holds its share of the models by the posterior; that it holds the truth in as
-many data sets nobody guarantees. It does not at the boundary: where the policy is optimal or close
-to it, as where actions tie, the true regret is 0, but a maximum over draws lies above 0 in nearly
-all of them, the more states there are. So the lower end is 0 wherever the policy is optimal in any
-draw, and elsewhere it does not prove a loss. For coverage take `robust`.
+The credible interval goes from 0 to the quantile of the confidence, moved upward by the 95 %
+interval of the sample's quantile, so that more draws narrow it. It has no lower end above 0,
+because none would be honest: the regret is a maximum, so that the noise of every draw adds to it.
+Where the policy is optimal, as where actions tie, the true regret is 0, but some other action looks
+better in nearly every draw, the more states there are, and an interval of equal tails misses the 0
+in nearly every data set. To the upper end the same bias only adds. So a posterior lets a policy
+pass, or leaves it open with the probability that it is within the limit (`within`); it proves no
+loss. That the upper end holds in the stated share of data sets nobody guarantees either: for that
+take `robust`. The equal tails are in `found`, as what the draws show.
 
 Draws are dense: (L, S) numbers each, which fits into memory up to about 10^8 of them.
 """
@@ -34,12 +36,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.gate.data.interval import RegretInterval, observations_of, of_process
+from exact_mdp.analysis.gate.data.interval import RegretInterval, named, observations_of, of_process
 from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded, whole_number
 from exact_mdp.analysis.sensitivity.psa.intervals import quantiles, share_of, wilson
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers, exact
@@ -48,6 +51,8 @@ from exact_mdp.solvers.parallel.many import many
 from exact_mdp.solvers.parallel.pieces import Arrays
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+transitions = later("exact_mdp.mdp.io.transitions")
 
 DRAWS = 2000
 BLOCK = 250  # draws in a piece of work
@@ -73,7 +78,7 @@ class Probability(Estimated):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PosteriorInterval(RegretInterval):
-    """A credible interval.
+    """A credible interval, from 0 upward.
 
     Attributes
     ----------
@@ -97,10 +102,9 @@ class PosteriorInterval(RegretInterval):
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """A credible interval of the regret under a Dirichlet prior.
+    """A credible upper bound of the regret under a Dirichlet prior.
 
-    It has no guaranteed coverage over data sets: where actions tie its lower end may lie above a
-    true regret of 0.
+    It has no guaranteed coverage over data sets, and no lower end above 0.
 
     Attributes
     ----------
@@ -136,6 +140,13 @@ class Posterior:
 
     def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> PosteriorInterval:
         """Return the interval; raises ModelError without counts, for a bad prior or number."""
+        if (unknown := transitions.cut_off(mdp)).any():
+            raise ModelError(
+                f"episodes were cut off in {named(mdp, unknown)}, which no record leaves: no prior "
+                "says what follows there",
+                where="posterior",
+                fix="ask for a robust interval, or record what follows",
+            )
         prior, seed = _prior(self.prior), seed_of(self.rng)
         count = whole_number(self.n, "draws", 2)
         model = _Model.of(mdp, chain.weights, prior)
@@ -163,10 +174,10 @@ class Posterior:
         )
         draws = joined(blocks)["regret"]
         tail = float((1 - confidence) / 2)
-        low, high = quantiles(draws, [tail, 1 - tail])
+        low, high, top = quantiles(draws, [tail, 1 - tail, float(confidence)])
         return PosteriorInterval(
-            low=low.low if draws.min() > 0 else 0.0,
-            high=high.high,
+            low=0.0,
+            high=top.high,
             confidence=float(confidence),
             by=self.by,
             assumptions=(
@@ -174,12 +185,12 @@ class Posterior:
                 f"before the records, rows are Dirichlet, each worth {prior:g} observations that "
                 "are spread evenly over all states",
                 "rewards are among those that were seen",
-                "the confidence is a probability by the posterior, no share of data sets: where "
-                "the policy is optimal or nearly so, as where actions tie, the interval may lie "
-                "above the true regret",
+                "the confidence is a probability by the posterior, no share of data sets; no lower "
+                "end above 0 is stated, as draws of a maximum do not tell a small loss from none",
             ),
             found={
                 "mean": float(draws.mean()),
+                "equal_tails": (low.low, high.high),
                 "draws": count,
                 "prior": prior,
                 "seed": seed,

@@ -23,6 +23,9 @@ move by (Pinsker: Σ |q - p| ≤ √(2 KL)) times the largest h. With the first 
 this bounds D by dynamic programming from above, and from below likewise; in every state the better
 of this bound and that by two separate models is taken.
 
+States in which episodes were cut off, and which no record leaves, may be worth whatever rewards
+allow, to the optimum and to the policy, so that they may cost the whole range.
+
 Every bound is that of a monotone operator T, a contraction where γ < 1: T v ≤ v + e gives
 v + e / (1 - γ) as an upper bound, whatever v is, and policy iteration finds a good v. At discount 1
 T is applied to a range that the user states, and keeps it valid however often.
@@ -30,8 +33,8 @@ T is applied to a range that the user states, and keeps it valid however often.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from typing import ClassVar
@@ -42,6 +45,7 @@ import scipy.sparse as sp
 from exact_mdp.analysis.gate.data.interval import (
     Ends,
     RegretInterval,
+    named,
     observations_of,
     of_process,
     range_of,
@@ -57,7 +61,9 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 IMPROVEMENTS = 50
 SWEEPS = 1000
-SMALL = 1e-10  # of the values' range: steps that are not worth another one
+ENDING = 1e-6
+FIXED_POINTS = ("own_low", "own_high", "best_low", "best_high", "most_regret", "least_regret")
+SMALL = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +134,11 @@ class Robust:
             told.append(f"rewards lie from {low:g} to {high:g}, as stated")
         if self.returns is not None:
             told.append(f"total rewards lie from {self.returns[0]} to {self.returns[1]}, as stated")
+        if sets.unknown.any():
+            told.append(
+                "what follows where episodes were cut off and no record leaves, "
+                f"{named(mdp, sets.unknown)}, is worth whatever rewards allow"
+            )
         if (sets.counted[~mdp.terminal[mdp.pair_state]] == 0).any():
             told.append("actions that nobody took are worth what the model says")
         return tuple(told)
@@ -170,11 +181,22 @@ class RobustBounds:
         The policy's probabilities of pairs.
     returns : (float, float), optional
         Where total rewards lie.
+    near : {name: (S,)}
+        Values of like sets, `found` of theirs: where the search for fixed points begins.
+    small : float
+        Steps of that part of the range are not worth another one; bounds hold wherever it ends.
     """
 
     sets: RowSets
     own: Floats
     returns: Ends | None = None
+    near: Mapping[str, Floats] = field(default_factory=dict)
+    small: float = SMALL
+
+    @property
+    def found(self) -> dict[str, Floats]:
+        """What was worked out so far, by name."""
+        return {name: vars(self)[name] for name in FIXED_POINTS if name in vars(self)}
 
     @property
     def mdp(self) -> MDP:
@@ -200,25 +222,30 @@ class RobustBounds:
         return least * SLACK, most * SLACK
 
     @cached_property
-    def own_values(self) -> tuple[Floats, Floats]:
-        """(S,) and (S,) bounds of V^π."""
-        return self._settled(self._under_policy(False), 0), self._settled(
-            self._under_policy(True), 1
-        )
+    def own_low(self) -> Floats:
+        """(S,) lower bounds of V^π."""
+        return self._settled(self._under_policy(False), 0, near="own_low")
 
     @cached_property
-    def best_values(self) -> tuple[Floats, Floats]:
-        """(S,) and (S,) bounds of V*."""
-        return self._best_value(0), self._best_value(1)
+    def own_high(self) -> Floats:
+        """(S,) upper bounds of V^π."""
+        return self._settled(self._under_policy(True), 1, near="own_high")
 
-    def _best_value(self, side: int) -> Floats:
-        return self._settled(self._optimum(side == 1), side)
+    @cached_property
+    def best_low(self) -> Floats:
+        """(S,) lower bounds of V*."""
+        return self._settled(self._optimum(False), 0, near="best_low")
+
+    @cached_property
+    def best_high(self) -> Floats:
+        """(S,) upper bounds of V*."""
+        return self._settled(self._optimum(True), 1, near="best_high")
 
     def at_start(self, mdp: MDP, whose: str) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
-        ends = self.best_values if whose == "best" else self.own_values
-        low = self.sets.at_start(ends[0], most=False)
-        high = self.sets.at_start(ends[1], most=True)
+        best = whose == "best"
+        low = self.sets.at_start(self.best_low if best else self.own_low, most=False)
+        high = self.sets.at_start(self.best_high if best else self.own_high, most=True)
         return (low, high) if mdp.sense == "max" else (-high, -low)
 
     @property
@@ -235,22 +262,51 @@ class RobustBounds:
     @cached_property
     def most_regret(self) -> Floats:
         """(S,) upper bounds of V* - V^π."""
-        best = self._best_value(1)
-        apart = best - self.own_values[0]
-        ceiling = self.sets.worth(best, most=True).bound
-        ceiling = ceiling - self.own_values[0][self.mdp.pair_state]
-        return self._settled(self._gaining(ceiling, True), 1, np.maximum(apart, 0.0))
+        apart = np.maximum(self.best_high - self.own_low, 0.0)
+        return self._settled(self._joint(True), 1, apart, near="most_regret")
 
     @cached_property
     def least_regret(self) -> Floats:
         """(S,) lower bounds of V* - V^π."""
-        best = self._best_value(0)
-        apart = best - self.own_values[1]
-        floor = self.sets.worth(best, most=False).bound
-        floor = floor - self.own_values[1][self.mdp.pair_state]
-        return self._settled(self._gaining(floor, False), 0, np.maximum(apart, 0.0))
+        apart = np.maximum(self.best_low - self.own_high, 0.0)
+        return self._settled(self._joint(False), 0, apart, near="least_regret")
+
+    @property
+    def own_visits(self) -> Floats:
+        """(L,) expected visits of each pair by the policy, if the shares are those seen."""
+        chain = sp.csr_array(self._mixing @ self.mdp.transition)
+        return np.asarray(self._visits(chain)[self.mdp.pair_state] * self.own)
+
+    def visits(self, *, most: bool) -> Floats:
+        """(S,) the same of the choices, and of the rows, that make one of the regret's bounds."""
+        value = self.most_regret if most else self.least_regret
+        return self._visits(self._joint(most)(value).piece()[0])
+
+    def _visits(self, chain: sp.csr_array) -> Floats:
+        """(S,) visits from the start; at discount 1 of the episodes that the chance 1e-6 ends."""
+        rate = min(self.mdp.discount, 1 - ENDING)
+        begun = self.mdp.start_distribution
+        return np.asarray(LinearSystem(sp.csr_array(chain.T), rate).approximate(begun))
 
     # ---- operators -------------------------------------------------------------------------------
+
+    def _unknown(self, step: Callable[[Floats], Step], worth: float) -> Callable[[Floats], Step]:
+        """Return an operator that takes states of which nobody knows what follows for `worth`."""
+        unknown = self.sets.unknown
+        if not unknown.any():
+            return step
+
+        def told(value: Floats) -> Step:
+            found = step(value)
+
+            def piece() -> tuple[sp.csr_array, Floats]:
+                laws, constant = found.piece()
+                kept = laws.multiply((~unknown).astype(np.float64).reshape(-1, 1))
+                return sp.csr_array(kept), np.where(unknown, worth, constant)
+
+            return Step(bound=np.where(unknown, worth, found.bound), piece=piece)
+
+        return told
 
     def _under_policy(self, most: bool) -> Callable[[Floats], Step]:
         mixing = self._mixing
@@ -264,7 +320,7 @@ class RobustBounds:
 
             return Step(bound=mixing @ rows.bound, piece=piece)
 
-        return step
+        return self._unknown(step, self.range[most])
 
     def _optimum(self, most: bool) -> Callable[[Floats], Step]:
         def step(value: Floats) -> Step:
@@ -277,10 +333,12 @@ class RobustBounds:
 
             return Step(bound=rows.bound[taken], piece=piece)
 
-        return step
+        return self._unknown(step, self.range[most])
 
-    def _gaining(self, apart: Floats, most: bool) -> Callable[[Floats], Step]:
-        """Return the operator of D: `apart` (L,) bounds it with a model for each side."""
+    def _joint(self, most: bool) -> Callable[[Floats], Step]:
+        """Return the operator of D: no action gains more than with a model for each side."""
+        best, own = (self.best_high, self.own_low) if most else (self.best_low, self.own_high)
+        apart = self.sets.worth(best, most=most).bound - own[self.mdp.pair_state]
         advantage = self._advantages[most]
         choose = np.minimum if most else np.maximum
 
@@ -298,13 +356,13 @@ class RobustBounds:
 
             return Step(bound=bound[taken], piece=piece)
 
-        return step
+        return self._unknown(step, self.range[1] - self.range[0] if most else 0.0)
 
     @cached_property
     def _advantages(self) -> tuple[Floats, Floats]:
         """(L,) and (L,) bounds of A_P(l) in every model P of the sets."""
         mdp, own, mixing, rate = self.mdp, self.own, self._mixing, self.mdp.discount
-        low, high = self.own_values
+        low, high = self.own_low, self.own_high
         middle = (low + high) / 2
         half = np.maximum(high - middle, middle - low)
         least = self.sets.worth(middle, most=False).bound
@@ -339,16 +397,22 @@ class RobustBounds:
     # ---- fixed points ----------------------------------------------------------------------------
 
     def _settled(
-        self, step: Callable[[Floats], Step], side: int, first: Floats | None = None
+        self,
+        step: Callable[[Floats], Step],
+        side: int,
+        first: Floats | None = None,
+        *,
+        near: str,
     ) -> Floats:
         """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
 
-        `first` (S,) are such bounds, the ends of the range unless given.
+        `first` (S,) are such bounds, the ends of the range unless given; `near` is the name of the
+        values to begin with.
         """
         sign, take = (1, np.minimum) if side else (-1, np.maximum)
         known = np.full(self.mdp.n_states, self.range[side]) if first is None else first
         rate, left = self.mdp.discount, float(1 - self.mdp.discount_exact)
-        scale = SMALL * (self.range[1] - self.range[0])
+        scale = self.small * (self.range[1] - self.range[0])
         if not left:
             for _ in range(SWEEPS):
                 value = take(known, step(known).bound)
@@ -356,7 +420,7 @@ class RobustBounds:
                     break
                 known = value
             return value
-        value = known
+        value = self.near.get(near, known)
         for _ in range(IMPROVEMENTS):
             found = step(value)
             over = max(float((sign * (found.bound - value)).max()), 0.0) / left * SLACK

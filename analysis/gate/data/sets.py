@@ -49,14 +49,17 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.robust.divergence import Likelihood
 from exact_mdp.solvers.robust.sets import Block, Inner, entries, inner
 
 special = later("scipy.special")
+transitions = later("exact_mdp.mdp.io.transitions")
 
 KNOWN = "known"
 HALVINGS = 60
+LASTING = ("pairs", "share", "counts", "gains", "_blocks")  # whatever the numbers are
 ONE_BLOCK = 2**14  # outcomes that are asked about together, however long the rows
 Given = Literal["known"] | tuple[object, object] | None
 
@@ -136,7 +139,15 @@ class RowSets:
         counted, episodes = np.asarray(self.counted + more), self.episodes
         if episodes is not None and start:
             episodes *= float(counted.sum() / self.counted.sum())
-        return replace(self, counted=counted, episodes=episodes)
+        found = replace(self, counted=counted, episodes=episodes)
+        vars(found).update({name: vars(self)[name] for name in LASTING if name in vars(self)})
+        return found
+
+    @cached_property
+    def unknown(self) -> Flags:
+        """(S,) states of which nobody knows what follows: episodes were cut off there."""
+        found: Flags = transitions.cut_off(self.mdp)
+        return found
 
     @cached_property
     def pairs(self) -> Integers:

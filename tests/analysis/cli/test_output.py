@@ -47,7 +47,7 @@ def test_long_distributions_and_values_are_left_to_json(monkeypatch: pytest.Monk
     assert re.search(r"exact start value  a rational of \d+ digits; --json prints it\n", done.out)
     done = run("returns", "yuan2025", "random", "--set", "tasks=[1]")
     assert "(the first 7 of 77; --json prints all)" in done.out
-    assert len(done.out.splitlines()) == 18
+    assert len(done.out.splitlines()) == 20  # with what it is not: medical advice
 
 
 def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
@@ -173,3 +173,20 @@ def test_every_command_is_documented() -> None:
         r"^\| `exact-mdp (\w+)", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE
     )
     assert sorted(table) == sorted(command.name for command in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["info", "coach"], True),
+        (["evaluate", "yuan2025", "random"], True),
+        (["sensitivity", "tea", "gradient", "--parameter", "reward.anxiety"], True),
+        (["solve", "yuan2025", "--operator"], True),
+        (["info", "gymnasium:FrozenLake-v1"], False),
+    ],
+)
+def test_what_concerns_care_says_that_it_is_no_medical_advice(words: list[str], told: bool) -> None:
+    assert ("no medical advice" in run(*words).out) == told
+    found = run(*words, "--json")
+    assert ("no medical advice" in json.loads(found.out).get("notice", "")) == told
+    assert "medical" not in found.err

@@ -12,7 +12,9 @@ import pandas as pd
 import pytest
 from cli_runner import run
 
+from exact_mdp.analysis import check
 from exact_mdp.analysis.cli import main
+from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.mdp import MDP
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs/data.md").read_text("utf-8")
@@ -72,7 +74,27 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
         assert shown in text
         assert "leaves the limit open" in text
         assert ("audit.needed" in text) == (kind == "robust")
-    assert "no medical advice" in page.read_text("utf-8")
+    assert page.read_text("utf-8").count("no medical advice") == 1
+    assert "no medical advice" in done.out
+
+
+def test_what_more_records_decide(folder: Path, tmp_path: Path) -> None:
+    words = ("check", folder / "model.npz", "always:a", "--max-regret=0.55", "--confidence=0.95")
+    words += ("--rewards=0,1",)
+    told = run(*words, "--needed", "--json", f"--picture={tmp_path / 'needed.svg'}").result[
+        "needed"
+    ]
+    mdp = MDP.load(folder / "model.npz")
+    by = Robust(rewards=(0, 1))
+    found = check(mdp, "always:a", max_regret="0.55", confidence=0.95, by=by).needed()
+    assert (told["expected"], told["decided"], told["possible"]) == (True, None, True)
+    assert [each["more"] for each in told["pairs"]] == found.more.tolist()
+    assert told["observations"] == found.more.sum() > 0
+    assert (tmp_path / "needed.svg").read_text("utf-8").startswith("<?xml")
+    done = run(*words, "--needed", f"--html={tmp_path / 'page.html'}")
+    assert done.status == 1
+    for text in (done.out, (tmp_path / "page.html").read_text("utf-8")):
+        assert "what more records of a pair are worth" in text
 
 
 @pytest.mark.parametrize(
@@ -87,6 +109,9 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
         (["--confidence", "0.9", "--rewards", "0,x"], "no range"),
         (["--confidence", "0.9", "--by", "off-policy"], "no trajectories"),
         (["--confidence", "0.9", "--by", "posterior", "--draws", "x"], "not a whole number"),
+        (["--needed"], "--needed applies to an interval"),
+        (["--confidence", "0.9", "--by", "posterior", "--needed"], "plans for the robust"),
+        (["--picture", "x.svg"], "--picture draws --needed"),
         (["--confidence", "0.9"], "nothing says where rewards lie"),
         (["--confidence=.9", "--rewards=0,1", "--by=off-policy", "--records=none.csv"], "none.csv"),
         (["--confidence", "0.9", "--horizon", "3"], "no counts"),

@@ -165,6 +165,10 @@ BAD: dict[str, list[tuple[Any, ...]]] = {
     "no action": [GOOD, (2, "a", None, 0, "b")],
     "no state": [GOOD, (2, None, "x", 0, "b")],
     "reward is inf": [GOOD, (2, "a", "x", np.inf, "b")],
+    "the state is 'NA'": [GOOD, (2, "NA", "x", 0, "b")],
+    "the next state is 'None'": [GOOD, (2, "a", "x", 0, "None")],
+    "the action is 'nan'": [GOOD, (2, "a", "nan", 0, "b")],
+    "the episode is 'NULL'": [GOOD, ("NULL", "a", "x", 0, "b")],
     "reward is 'dear'": [GOOD, (2, "a", "x", "dear", "b")],
 }
 
@@ -271,3 +275,75 @@ def test_a_line_with_too_few_fields_is_no_end(tmp_path: Path) -> None:
     assert caught.value.where == f"{path}, line 3"
     path.write_text(head + '1,"a, b",x,0,c\n1,c,x,1,\n\n')
     assert MDP.from_transitions(path).n_states == 3
+
+
+CUT = [*NAMES, "truncated"]
+
+
+def cut(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=CUT)
+
+
+CUT_ROWS = [
+    (1, "a", "x", 0, "b", False), (1, "b", "y", 1, "trap", True),
+    (2, "a", "x", 0, "home", False), (3, "a", "y", 1, None, True),
+    (4, "a", "x", 0, "a", True), (5, "a", "x", 0, "home", True), (6, "new", "x", 0, None, True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_where_episodes_were_cut_off_is_no_end(
+    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(transitions, "ROWS", size)
+    frame = cut(CUT_ROWS)
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    frame.astype({"truncated": int}).to_parquet(tmp_path / "log.parquet")
+    found = [MDP.from_transitions(each, "1/2") for each in (frame, tmp_path / "log.parquet")]
+    found.append(MDP.from_transitions(tmp_path / "log.csv", "1/2"))
+    other = frame.rename(columns={"truncated": "timeout"})
+    found.append(MDP.from_transitions(other, "1/2", columns={"truncated": "timeout"}))
+    for mdp in found:
+        names = [mdp.space.label(s).removeprefix("state ") for s in range(mdp.n_states)]
+        assert [n for n, flag in zip(names, mdp.labels["cut off"], strict=True) if flag] == [
+            "new",
+            "trap",
+        ]
+        assert transitions.entered(mdp) == ("state home",)
+        seen = {
+            (names[s], mdp.actions[a]): n
+            for s, a, n in zip(mdp.pair_state, mdp.pair_action, mdp.observations, strict=True)
+            if n
+        }  # type: ignore[arg-type]
+        assert seen == {("a", "x"): 4, ("b", "y"): 1}  # nobody knows what followed y in a
+        assert mdp.episodes == 6
+    record = transitions.counted(frame)
+    assert (record.n_cut_off, record.left_out) == (5, 2)
+    assert transitions.counted(frame.drop(columns="truncated")).n_cut_off == 1  # stops in a
+    model = tmp_path / "m.npz"
+    told = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2", "--json").result
+    assert (told["cut_off"], told["left_out"], told["n_never_taken"]) == (5, 2, 2)
+    assert told["cut_off_states"] == ["state new", "state trap"]
+    assert told["never_taken"] == ["state a: y", "state b: x"]
+    assert load_model(model).labels["cut off"].sum() == 2
+    plain = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2")
+    assert "no medical advice" in plain.out
+    assert "nobody knows what follows where episodes were cut off" in plain.err
+    save_model(found[0], tmp_path / "m.umb")
+    assert load_model(tmp_path / "m.umb").labels["cut off"].sum() == 2
+
+
+@pytest.mark.parametrize(
+    ("rows", "what"),
+    [
+        ([(*GOOD, True), (1, "b", "x", 0, None, False)], "goes on after it was cut off"),
+        ([(*GOOD, "maybe")], "truncated is neither true nor false"),
+        ([(*GOOD, None)], "truncated is neither true nor false"),
+        ([(1, "a", "x", 0, None, True)], "every row was cut off without a next state"),
+    ],
+)
+def test_cuts_that_cannot_be_are_named(rows: list[tuple[Any, ...]], what: str) -> None:
+    with pytest.raises(ModelError, match=what):
+        MDP.from_transitions(cut(rows))
+    with pytest.raises(ModelError, match="no column 'timeout'"):
+        MDP.from_transitions(cut([(*GOOD, True)]), columns={"truncated": "timeout"})
