@@ -84,7 +84,8 @@ print(f"{mdp.n_transitions} transitions, {mdp.n_transitions / mdp.transition.sha
 # ## How statuses influence each other
 #
 # Without assistance one status makes another likelier (the paper's Table 3). On the right the
-# moves of the whole vector under directive assistance.
+# chance of each status vector (column) after directive assistance, by the one now (row), in per
+# cent.
 
 # %%
 with style():
@@ -94,7 +95,7 @@ with style():
     plot_status_transitions(
         status_law(mdp, mdp.actions.index("directive")), scenario.statuses, ax=right
     )
-    right.set_title("moves of 10 % or more under directive assistance")
+    right.set_title("after directive assistance")
     plt.show()
 
 # %% [markdown]

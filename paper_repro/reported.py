@@ -26,6 +26,15 @@ from exact_mdp.mdp.table import Integers
 ACTIONS = ("none", "supportive", "non-directive", "directive")  # Table 2: a0 to a3
 NUMBER = {action: number for number, action in enumerate(ACTIONS)}
 STATUSES = tuple(map("".join, product("01", repeat=4)))  # forgetful, confused, angry, disengaged
+STATUS_WORDS = {
+    status: " and ".join(
+        name
+        for name, bit in zip(("forgetful", "confused", "angry", "disengaged"), status, strict=True)
+        if bit == "1"
+    )
+    or "well"
+    for status in STATUSES
+}
 ANGRY = tuple(status for status in STATUSES if status[2] == "1")
 
 # Table 3, in per cent: base, then influence on forgetful, confused, angry, disengaged at t+1.

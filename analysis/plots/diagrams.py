@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import comb
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Circle, FancyArrowPatch
 
-from exact_mdp.analysis.plots.style import axes_or_new, plain_text
+from exact_mdp.analysis.plots.style import Look, axes_or_new, plain_text
 from exact_mdp.mdp import Scenario
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats
 
-nx = later("networkx")
+RADIUS = 0.36  # of a status, where the statuses lie on a circle of radius 1
+APART = 0.07  # of an arrow from the line between two centres: arrows to and fro lie side by side
 
 
 @plain_text
@@ -36,49 +36,42 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     >>> ax.texts[0].get_text().splitlines()[0]
     'forgetfulness'
     """
-    ax, graph = axes_or_new(ax), nx.DiGraph()
-    graph.add_nodes_from(scenario.statuses)
+    ax, count = axes_or_new(ax), len(scenario.statuses)
+    angles = 3 * np.pi / 4 - 2 * np.pi * np.arange(count) / count  # four statuses make a square
+    places = np.column_stack([np.cos(angles), np.sin(angles)])
+    for status, place in zip(scenario.statuses, places, strict=True):
+        ax.add_patch(Circle(tuple(place), RADIUS, facecolor="white", edgecolor="black"))
+        numbers = [float(scenario[f"{kind}.{status}"]) for kind in ("base", "persistence")]
+        text = "{}\nsets in {:.0%}\nstays {:.0%}".format(status, *numbers)
+        ax.text(place[0], place[1], text, ha="center", va="center", fontsize=8)
     forwards = scenario.readings["influence_orientation"] == "row-to-column"
-    for row in scenario.statuses:
-        for column in scenario.statuses:
-            if row != column and (amount := scenario[f"influence.{row}.{column}"]):
-                origin, target = (row, column) if forwards else (column, row)
-                graph.add_edge(origin, target, amount=float(amount))
-    place = nx.circular_layout(graph)
-    amounts = {edge: graph.edges[edge]["amount"] for edge in graph.edges}
-    labels = {
-        status: f"{status}\nbase {float(scenario[f'base.{status}']):.0%}\n"
-        f"stays {float(scenario[f'persistence.{status}']):.0%}"
-        for status in scenario.statuses
-    }
-    nx.draw_networkx_nodes(
-        graph, place, ax=ax, node_size=5600, node_color="white", edgecolors="black"
-    )
-    nx.draw_networkx_labels(graph, place, labels, ax=ax, font_size=8)
-    nx.draw_networkx_edges(
-        graph,
-        place,
-        ax=ax,
-        node_size=5600,
-        width=[40 * amount for amount in amounts.values()],
-        edge_color="0.45",
-        connectionstyle="arc3,rad=0.14",
-        arrowsize=11,
-    )
-    nx.draw_networkx_edge_labels(
-        graph,
-        place,
-        {edge: f"+{100 * amount:g}" for edge, amount in amounts.items()},
-        ax=ax,
-        font_size=8,
-        label_pos=0.32,
-        connectionstyle="arc3,rad=0.14",
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-        rotate=False,
-    )
+    for row, column in np.ndindex(count, count):
+        if row != column:
+            names = scenario.statuses[row], scenario.statuses[column]
+            amount = float(scenario[f"influence.{'.'.join(names)}"])
+            ends = (row, column) if forwards else (column, row)
+            if amount:
+                _influence(ax, places[ends[0]], places[ends[1]], amount)
+    reach = float(np.abs(places).max()) + RADIUS + 0.03
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     ax.set_axis_off()
-    ax.margins(0.18)
     return ax
+
+
+def _influence(ax: Axes, start: Floats, end: Floats, amount: float) -> None:
+    """Draw an arrow between two circles, on the right of the line between them."""
+    along = (end - start) / np.linalg.norm(end - start)
+    aside = APART * np.array([along[1], -along[0]])
+    inside = along * np.sqrt(RADIUS**2 - APART**2)
+    tail, head = start + aside + inside, end + aside - inside
+    drawn: Look = {"linewidth": 0.6 + 16 * amount, "color": "0.55", "shrinkA": 0, "shrinkB": 0}
+    size = 9 + 40 * amount
+    ax.add_patch(
+        FancyArrowPatch(tuple(tail), tuple(head), arrowstyle="-|>", mutation_scale=size, **drawn)
+    )
+    x, y = tail + 0.3 * (head - tail)  # nearer to where it comes from, so that labels do not meet
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+    ax.text(x, y, f"+{100 * amount:g}", ha="center", va="center", fontsize=9, bbox=box)
 
 
 @plain_text
@@ -89,7 +82,7 @@ def plot_status_transitions(
     threshold: float = 0.1,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the moves between status vectors; the likelier, the darker and thicker.
+    """Draw the moves between status vectors as a map: the darker, the likelier.
 
     Parameters
     ----------
@@ -97,7 +90,7 @@ def plot_status_transitions(
         Probabilities of the next vector (column) given the present one (row).
     statuses : sequence of n str
     threshold : float
-        Probability below which a move is left out.
+        Probability from which a cell has its number, in per cent.
     ax : Axes, optional
 
     Returns
@@ -107,45 +100,28 @@ def plot_status_transitions(
     Examples
     --------
     >>> ax = plot_status_transitions(np.eye(4), ["anger", "confusion"])
-    >>> [text.get_text() for text in ax.texts]
-    ['00', '01', '10', '11']
+    >>> [text.get_text() for text in ax.texts], ax.get_ylabel()
+    (['100', '100', '100', '100'], 'status now: anger, confusion')
     """
-    ax, bits, graph = axes_or_new(ax), len(statuses), nx.DiGraph()
-    graph.add_nodes_from(range(2**bits))
-    for row, column in zip(*np.nonzero(law >= threshold), strict=True):
-        graph.add_edge(int(row), int(column))
-    chances = [float(law[edge]) for edge in graph.edges]
-    done = ["0.85" if vector == 0 else "white" for vector in graph]
-    place = _layers(bits)
-    nx.draw_networkx_nodes(
-        graph, place, ax=ax, node_size=620, node_color=done, edgecolors="black", linewidths=0.8
-    )
-    nx.draw_networkx_labels(
-        graph, place, {v: format(v, f"0{bits}b") for v in graph}, ax=ax, font_size=7
-    )
-    nx.draw_networkx_edges(
-        graph,
-        place,
-        ax=ax,
-        node_size=620,
-        width=[3.2 * chance for chance in chances],
-        edge_color=[str(0.75 - 0.75 * chance) for chance in chances],
-        arrowsize=7,
-        connectionstyle="arc3,rad=0.10",
-    )
-    ax.set_axis_off()
+    ax = axes_or_new(ax)
+    vector_map(ax, law, threshold)
+    ax.set(xlabel="status after the action", ylabel=f"status now: {', '.join(statuses)}")
     return ax
 
 
-def _layers(bits: int) -> dict[int, tuple[float, float]]:
-    """Return places of the vectors, left to right by how many statuses are present."""
-    place = {}
-    seen = [0] * (bits + 1)
-    for vector in range(2**bits):
-        present = vector.bit_count()
-        width = comb(bits, present)
-        # A zigzag keeps moves within a layer from running through other nodes.
-        aside = 0.22 * (-1) ** seen[present] if width > 1 else 0.0
-        place[vector] = (present + aside, (width - 1) / 2 - seen[present])
-        seen[present] += 1
-    return place
+def vector_map(ax: Axes, shares: Floats, threshold: float) -> None:
+    """Draw shares (2^n, 2^n), from row to column, with numbers in per cent from a threshold on."""
+    size = len(shares)
+    labels = [format(number, f"0{size.bit_length() - 1}b") for number in range(size)]
+    # Cells, not one image: it stays sharp at any size.
+    ax.pcolormesh(np.sqrt(shares), cmap="Greys", vmin=0, vmax=1, edgecolors="0.9", linewidth=0.3)
+    for row, column in np.argwhere(shares >= threshold):
+        share = shares[row, column]
+        centre: Look = {"ha": "center", "va": "center", "fontsize": 6}
+        ink = "white" if share > 0.35 else "black"
+        ax.text(column + 0.5, row + 0.5, f"{100 * share:.0f}", color=ink, **centre)
+    middles = np.arange(size) + 0.5
+    ax.set_xticks(middles, labels, rotation=90, fontsize=7, family="monospace")
+    ax.set_yticks(middles, labels, fontsize=7, family="monospace")
+    ax.tick_params(length=0)
+    ax.set(ylim=(size, 0), aspect="equal")

@@ -26,7 +26,7 @@ def plot_learning_curves(
     window: int = 100,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw each curve twice: sampled means as a thin pale line, exact values as a heavy one.
+    """Draw each curve twice: the range of sampled means as a pale band, exact values as a line.
 
     The greedy policy changes from epoch to epoch, and its exact value with it; the heavy line is
     the mean over a window of epochs, the dots beside it are the values themselves.
@@ -58,12 +58,12 @@ def plot_learning_curves(
     every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
     for number, (label, curve) in enumerate(every.items()):
         colour, line = INK[number % len(INK)], LINES[number % len(LINES)]
-        ax.plot(curve.sampled, color=colour, alpha=0.25, linewidth=0.4)
+        sampled_band(ax, curve.sampled, colour)
         if np.ptp(curve.exact) > 0:
             ax.plot(curve.exact, ".", color=colour, markersize=1, alpha=0.3)
         at, smooth = smoothed(curve.exact, window)
         ax.plot(at, smooth, color=colour, linestyle=line, linewidth=1.6, label=label)
-    return _by_epoch(ax, "return", optimum)
+    return _by_epoch(ax, "return (reward)", optimum)
 
 
 @plain_text
@@ -99,9 +99,10 @@ def plot_value_bands(
         low, high = np.quantile(curves, [0.05, 0.95], axis=0)
         at, middle = smoothed(curves.mean(axis=0), window)
         below, above = smoothed(low, window)[1], smoothed(high, window)[1]
-        ax.fill_between(at, below, above, color=colour, alpha=0.2, linewidth=0)
+        band = "5 to 95 % of the runs" if len(values) == 1 else None
+        ax.fill_between(at, below, above, color=colour, alpha=0.25, linewidth=0, label=band)
         ax.plot(at, middle, color=colour, linestyle=line, linewidth=1.4, label=label)
-    return _by_epoch(ax, "exact value of the greedy policy", optimum)
+    return _by_epoch(ax, "exact value of the greedy policy (reward)", optimum)
 
 
 def _by_epoch(ax: Axes, what: str, optimum: float | None) -> Axes:
@@ -242,6 +243,14 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
     ax.set(xlabel="policies greedy in the last episodes", ylabel="share of runs")
     ax.legend()
     return ax
+
+
+def sampled_band(ax: Axes, values: Floats, ink: str, bin: int = 20) -> None:
+    """Draw the range of values (E,) within bins of epochs, one shape for thousands of points."""
+    parts = np.array_split(values, max(len(values) // bin, 1))
+    at = np.linspace(0, len(values) - 1, len(parts))
+    low, high = ([f(part) for part in parts] for f in (np.min, np.max))
+    ax.fill_between(at, low, high, color=ink, alpha=0.22, linewidth=0)
 
 
 def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
+from exact_mdp.analysis.plots.diagrams import vector_map
 from exact_mdp.analysis.plots.style import (
     BLUE,
     MARKS,
@@ -206,16 +207,7 @@ def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
     >>> plot_confusion(np.eye(4)).get_xlabel()
     'perceived status'
     """
-    ax, size = axes_or_new(ax), len(confusion)
-    ax.imshow(np.sqrt(confusion), cmap="Greys", vmin=0, vmax=1)
-    for row, column in np.argwhere(confusion >= 0.05):
-        share = confusion[row, column]
-        centre: Look = {"ha": "center", "va": "center", "fontsize": 6}
-        ink = "white" if share > 0.35 else "black"
-        ax.text(column, row, f"{100 * share:.0f}", color=ink, **centre)
-    labels = [format(number, f"0{size.bit_length() - 1}b") for number in range(size)]
-    ax.set_xticks(range(size), labels, rotation=90, fontsize=7)
-    ax.set_yticks(range(size), labels, fontsize=7)
-    ax.tick_params(length=0)
+    ax = axes_or_new(ax)
+    vector_map(ax, confusion, 0.05)
     ax.set(xlabel="perceived status", ylabel="true status (numbers in %)")
     return ax

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 @plain_text
 def plot_return_distribution(
-    distribution: ReturnDistribution, *, label: str = "", ax: Axes | None = None
+    distribution: ReturnDistribution,
+    *,
+    label: str = "",
+    bin: float | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw the probability of each return, with the mean as a line.
 
@@ -28,6 +32,9 @@ def plot_return_distribution(
     distribution : ReturnDistribution
     label : str
         What stands before the mean in the title.
+    bin : float, optional
+        Add up the returns in stretches so long, from 0: distributions with many returns and with
+        few can be compared then. Each return has its own line unless given.
     ax : Axes, optional
 
     Returns
@@ -44,11 +51,17 @@ def plot_return_distribution(
     """
     ax = axes_or_new(ax)
     values = np.array([float(value) for value in distribution.values])
-    ax.vlines(values, 0, distribution.probabilities, color="0.25", linewidth=1.3)
+    if bin is None:
+        ax.vlines(values, 0, distribution.probabilities, color="0.25", linewidth=1.3)
+    else:
+        first, last = np.floor(values.min() / bin), np.floor(values.max() / bin)
+        edges = bin * np.arange(first, last + 2)
+        shares, _ = np.histogram(values, edges, weights=distribution.probabilities)
+        ax.bar(edges[:-1], shares, width=bin, align="edge", color="0.45", edgecolor="white")
     mean, sd = distribution.mean, distribution.sd
     ax.axvline(mean, color="black", linestyle="--", linewidth=1)
     ax.set_ylim(bottom=0)
-    ax.set_ylabel("probability")
+    ax.set_ylabel("probability" if bin is None else f"probability\nof each {bin:g} points")
     ax.set_title(f"{label}: mean {mean:.2f}, standard deviation {sd:.2f}".lstrip(": "))
     return ax
 

@@ -45,6 +45,7 @@ SETTINGS: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.titlesize": 10,
+    "figure.titlesize": 10,
     "axes.titlelocation": "left",
     "hatch.linewidth": 0.4,
     "svg.fonttype": "none",
@@ -52,6 +53,8 @@ SETTINGS: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "legend.frameon": False,
     "text.parse_math": False,
+    # Letters as wide at every resolution: what the layout gave room to is not cut off.
+    "text.hinting": "none",
 }
 
 

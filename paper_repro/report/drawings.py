@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress, product
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch, Patch, Rectangle
 from matplotlib.ticker import PercentFormatter
 
-from exact_mdp.analysis.plots.learning import smoothed
+from exact_mdp.analysis.plots.learning import sampled_band, smoothed
 from exact_mdp.analysis.plots.style import (
     INK,
     LINES,
@@ -64,8 +65,7 @@ def plot_averages(averages: Sequence[Average], *, optimum: float, ax: Axes | Non
             ax.plot(ends, [row, row], color="0.35", linewidth=width, solid_capstyle="butt")
         ax.plot(each.exact, row, **exact)
         ax.plot(each.reported, row, markersize=7, **reported)
-        off = round((each.exact - each.reported) / each.standard_error, 1) + 0.0  # no −0.0
-        apart = f"{off:+.1f} s.e."
+        apart = f"{(each.exact - each.reported) / each.standard_error:+z.1f} s.e."
         place = ("axes fraction", "data")
         ax.annotate(apart.replace("-", "−"), (1.01, row), xycoords=place, va="center")
     ax.axvline(optimum, color="black", linestyle=":", linewidth=1)
@@ -79,39 +79,57 @@ def plot_averages(averages: Sequence[Average], *, optimum: float, ax: Axes | Non
     )
     name_rows(ax, [each.label for each in averages])
     ax.set_ylim(len(averages) - 0.5, -0.5)
-    ax.set_xlabel("average return")
+    ax.set_xlabel("average return (points)")
     handles = [
         *ax.plot([], [], label="exact, ±1 and ±3 s.e.", **exact),
         *ax.plot([], [], label="reported", **reported),
     ]
     if any(each.span is not None for each in averages):
         handles += ax.plot([], [], label="exact, over what the text leaves open", **wide)
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.45, -0.22), ncols=3)
+    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(0, -0.18))
     return ax
 
 
 @plain_text
-def plot_agreement(
+def plot_status_policy(
     actions: Sequence[str],
     choices: Integers,
-    shares: Floats,
     *,
     statuses: Sequence[str],
-    marked: Sequence[int] = (),
+    shares: Floats | None = None,
+    marked: Collection[int] = (),
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the commonest action of every status vector and the share of runs that chose it.
+    """Draw the action in every status vector, in words; perhaps the share of runs that chose it.
 
-    Choices and shares are (2^n,) for n statuses; marked vectors have a heavy frame.
+    Choices and shares are (2^n,) for n statuses; a vector that is marked is called not optimal.
     """
-    ax, styles = axes_or_new(ax), action_styles(actions)
-    places = _status_grid(ax, statuses)
-    for vector, place in enumerate(places):
-        drawn = styles[int(choices[vector])]
-        cell(ax, *place, drawn, text=f"{drawn.short}\n{shares[vector]:.0%}")
-    for vector in marked:
-        _mark_cell(ax, *places[vector], width=2.5)
+    ax, styles, bits = axes_or_new(ax), action_styles(actions), len(statuses)
+    low = bits // 2
+    for vector, choice in enumerate(choices):
+        lines = [actions[int(choice)]]
+        lines += [] if shares is None else [f"{shares[vector]:.0%} of the runs"]
+        lines += ["not optimal"] if vector in marked else []
+        place = vector & (2**low - 1), vector >> low
+        cell(ax, *place, styles[int(choice)], text="\n".join(lines), font=7)
+    down, across = statuses[: bits - low], statuses[bits - low :]
+    ax.set(xlim=(0, 2**low), ylim=(2 ** (bits - low), 0))
+    ax.set_xticks(np.arange(2**low) + 0.5, combinations(across))
+    ax.set_yticks(np.arange(2 ** (bits - low)) + 0.5, combinations(down))
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
     return ax
+
+
+def combinations(names: Sequence[str]) -> list[str]:
+    """Return every combination of statuses in words, one below the other.
+
+    >>> combinations(["anger", "disengagement"])
+    ['neither', 'disengagement', 'anger', 'anger\\ndisengagement']
+    """
+    absent = "neither" if len(names) == 2 else "none"
+    rows = product((False, True), repeat=len(names))
+    return ["\n".join(compress(names, present)) or absent for present in rows]
 
 
 @plain_text
@@ -210,28 +228,24 @@ def plot_choices(
 ) -> Axes:
     """Draw what is lost by taking each action in each row, everything else being optimal.
 
-    Losses are (K, A), 0 for the best action of a row; cells {row: column} marked have a frame.
+    Losses are (K, A), 0 for the best action of a row; cells {row: column} marked have a dot.
     """
     ax = axes_or_new(ax)
     shade = 1 - 0.75 * np.sqrt(losses / max(float(losses.max()), 1e-300))
     for row, column in np.ndindex(losses.shape):
         light, loss = float(shade[row, column]), losses[row, column]
-        ax.add_patch(Rectangle((column, row), 1, 1, facecolor=str(light), edgecolor="white"))
-        ax.text(
-            column + 0.5,
-            row + 0.5,
-            "best" if loss == 0 else f"−{loss:.2f}" if loss >= 0.005 else "−0.00…",
-            ha="center",
-            va="center",
-            fontsize=8,
-            color="black" if light > 0.5 else "white",
-            fontweight="bold" if loss == 0 else "normal",
-        )
-    for row, column in marked.items():
-        _mark_cell(ax, column, row)
+        ink = "black" if light > 0.5 else "white"
+        face: Look = {"facecolor": str(light), "edgecolor": "0.85", "linewidth": 0.5}
+        ax.add_patch(Rectangle((column, row), 1, 1, **face))
+        text = "best" if loss == 0 else f"{loss:.2f}" if loss >= 0.005 else "under 0.01"
+        weight = "bold" if loss == 0 else "normal"
+        centre: Look = {"ha": "center", "va": "center", "fontsize": 8, "color": ink}
+        ax.text(column + 0.5, row + 0.5, text, fontweight=weight, **centre)
+        if marked.get(row) == column:
+            ax.plot(column + 0.12, row + 0.5, "o", color=ink, markersize=4)
     ax.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
     ax.set_xticks(np.arange(len(columns)) + 0.5, columns)
-    ax.set_yticks(np.arange(len(rows)) + 0.5, rows, family="monospace")
+    ax.set_yticks(np.arange(len(rows)) + 0.5, rows)
     ax.xaxis.tick_top()
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
@@ -240,43 +254,17 @@ def plot_choices(
 
 @plain_text
 def plot_experiments(
-    curves: Mapping[str, Floats], *, window: int = 100, bin: int = 20, ax: Axes | None = None
+    curves: Mapping[str, Floats], *, window: int = 100, ax: Axes | None = None
 ) -> Axes:
-    """Draw averages (E,) of experiments by epoch: their range in bins, and their running mean.
-
-    A line through thousands of points is a pale block; the range in each bin of epochs is the same
-    block, and light as a vector drawing.
-    """
+    """Draw averages (E,) of experiments by epoch: their range in bins, and their running mean."""
     ax = axes_or_new(ax)
     inks = (INK[0], INK[1], INK[3])
     for number, (label, values) in enumerate(curves.items()):
-        parts = np.array_split(values, max(len(values) // bin, 1))
-        at = np.linspace(0, len(values), len(parts))
-        low, high = ([f(part) for part in parts] for f in (np.min, np.max))
         ink, line = inks[number % len(inks)], LINES[number % len(LINES)]
-        ax.fill_between(at, low, high, color=ink, alpha=0.22, linewidth=0)
+        sampled_band(ax, values, ink)
         ax.plot(*smoothed(values, window), color=ink, linestyle=line, linewidth=1.6, label=label)
-    ax.set(xlabel="epoch", ylabel="average return")
+    ax.set(xlabel="epoch", ylabel="average return (points)")
     return ax
-
-
-def _mark_cell(ax: Axes, column: float, row: float, width: float = 2.0) -> None:
-    """Draw a heavy frame within a cell."""
-    ax.add_patch(Rectangle((column + 0.04, row + 0.1), 0.92, 0.8, fill=False, ec="black", lw=width))
-
-
-def _status_grid(ax: Axes, statuses: Sequence[str]) -> list[tuple[int, int]]:
-    """Prepare a map of all status vectors; return (column, row) of each vector."""
-    bits = len(statuses)
-    high, low = bits - bits // 2, bits // 2
-    columns = [format(v, f"0{low}b") if low else "" for v in range(2**low)]
-    ax.set(xlim=(0, 2**low), ylim=(2**high, 0), aspect="equal")
-    ax.set_xticks(np.arange(2**low) + 0.5, columns)
-    ax.set_yticks(np.arange(2**high) + 0.5, [format(v, f"0{high}b") for v in range(2**high)])
-    ax.set_xlabel(", ".join(statuses[high:]))
-    ax.set_ylabel(", ".join(statuses[:high]))
-    ax.tick_params(length=0)
-    return [(vector & (2**low - 1), vector >> low) for vector in range(2**bits)]
 
 
 @plain_text

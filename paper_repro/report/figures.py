@@ -15,13 +15,10 @@ from typing import TypeVar
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from exact_mdp.analysis.plots import (
-    action_styles,
     plot_distinct,
     plot_influence,
-    plot_policy,
     plot_regrets,
     plot_return_distribution,
     plot_status_transitions,
@@ -37,15 +34,15 @@ from exact_mdp.paper_repro.reading import SEED, Reading
 from exact_mdp.paper_repro.readings.training import SHOWN, random_baseline
 from exact_mdp.paper_repro.report.drawings import (
     Average,
-    plot_agreement,
     plot_averages,
     plot_choices,
     plot_dots,
     plot_experiments,
     plot_shares,
+    plot_status_policy,
     plot_trials,
 )
-from exact_mdp.paper_repro.reported import ACTIONS, FINAL, NUMBER, STARTS, STATUSES
+from exact_mdp.paper_repro.reported import ACTIONS, FINAL, NUMBER, STARTS, STATUS_WORDS, STATUSES
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.values.returns import return_distribution
 
@@ -162,13 +159,13 @@ def status_law(mdp: MDP, action: int) -> Floats:
 
 @PICTURES.add("status_transitions")
 def _transitions(reading: Reading) -> Figure:
-    figure, axes = plt.subplots(2, 2, figsize=(11, 9.5))
+    figure, axes = plt.subplots(2, 2, figsize=(9, 9.6))
     for (action, number), ax in zip(NUMBER.items(), axes.flat, strict=True):
         plot_status_transitions(status_law(reading.mdp, number), reading.scenario.statuses, ax=ax)
-        ax.set_title(f"a{number} {action}")
+        ax.set(title=f"a{number} {action}", ylabel="status now")
     figure.suptitle(
-        "Moves of the status vector (forgetful, confused, angry, disengaged) with probability of "
-        "10 % or more;\nthe darker and thicker, the likelier; 0000 completes the subtask",
+        "Chance of each status after an action, in per cent from 10 on; the darker, the likelier\n"
+        "digits: forgetful, confused, angry, disengaged; 0000 completes the subtask",
         x=0.01,
         ha="left",
     )
@@ -177,15 +174,18 @@ def _transitions(reading: Reading) -> Figure:
 
 @PICTURES.add("influence_graph")
 def _influence(reading: Reading) -> Figure:
-    figure, ax = plt.subplots(figsize=(6.4, 5.6))
+    figure, ax = plt.subplots(figsize=(5, 5.3))
     plot_influence(reading.scenario, ax=ax)
-    ax.set_title("Influence between statuses without assistance (Table 3), percentage points")
+    ax.set_title(
+        "What each status adds to the chance of another,\n"
+        "without assistance (Table 3), percentage points"
+    )
     return figure
 
 
 @PICTURES.add("learning_curves", learns=True)
 def _learning(reading: Reading) -> Figure:
-    figure = plt.figure(figsize=(8, 7))
+    figure = plt.figure(figsize=(6.6, 6.4))
     grid = figure.add_gridspec(2, 1)
     top = figure.add_subplot(grid[0])
     optimum = reading.evaluations["optimal"].mean
@@ -201,35 +201,26 @@ def _learning(reading: Reading) -> Figure:
         first = first or ax
         values = reading.learned(name).values
         plot_value_bands({shown: values}, optimum=optimum, ax=ax)
-        ax.set_title(f"{shown}: exact values, {len(values)} runs")
+        ax.set(title=f"{shown}: {len(values)} runs", ylabel="exact value (points)")
         ax.set_ylim(bottom=120)
     return figure
 
 
 @PICTURES.add("learned_policies", learns=True)
 def _learned_maps(reading: Reading) -> Figure:
-    figure, axes = plt.subplots(1, 2, figsize=(8.4, 4.6))
+    figure, axes = plt.subplots(2, 1, figsize=(5.6, 6.8))
     for ax, (name, shown) in zip(axes, SHOWN.items(), strict=True):
         choices, shares = reading.learned(name).common()
-        plot_agreement(
-            reading.mdp.actions[: len(ACTIONS)],
+        plot_status_policy(
+            ACTIONS,
             choices,
-            shares,
             statuses=reading.scenario.statuses,
+            shares=shares,
             marked=np.flatnonzero(choices != reading.optimum[: len(choices)]).tolist(),
             ax=ax,
         )
-        ax.set_title(f"{shown}: commonest final action")
-    _action_legend(figure, reading.mdp, columns=4)
+        ax.set_title(f"{shown}: the commonest action at the end")
     return figure
-
-
-def _action_legend(figure: Figure, mdp: MDP, *, columns: int) -> None:
-    handles = [
-        Patch(facecolor=s.fill, edgecolor="black", hatch=s.hatch, label=f"{s.short} {s.name}")
-        for s in action_styles(mdp.actions)
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
 
 
 @PICTURES.add("optimal_policy_map")
@@ -242,30 +233,24 @@ def _policy_map(reading: Reading) -> Figure:
             first = space.index(subtask=subtask, trial=trial)
             key = tuple(np.asarray(reading.optimum[first : first + size]).tolist())
             maps.setdefault(key, []).append((subtask, trial))
-    figure, axes = plt.subplots(
-        1, len(maps), figsize=(max(0.8 + 2.6 * len(maps), 4.4), 3.9), squeeze=False
-    )
-    for places, ax in zip(maps.values(), axes[0], strict=True):
-        subtask, trial = places[0]
-        at = {"subtask": subtask, "trial": trial}
-        plot_policy(reading.mdp, reading.optimum, legend=False, ax=ax, **at)
-        names = reading.scenario.statuses
-        half = len(names) - len(names) // 2
-        ax.set(xlabel=", ".join(names[half:]), ylabel=", ".join(names[:half]), aspect="equal")
+    figure, axes = plt.subplots(len(maps), 1, figsize=(5.6, 3.4 * len(maps)), squeeze=False)
+    for (choices, places), ax in zip(maps.items(), axes[:, 0], strict=True):
+        plot_status_policy(
+            reading.mdp.actions, np.array(choices), statuses=reading.scenario.statuses, ax=ax
+        )
         listed = ", ".join(f"{subtask}/{trial}" for subtask, trial in places)
         where = "every subtask and trial" if len(maps) == 1 else f"subtask/trial {listed}"
         ax.set_title(f"optimal action, {where}")
-    _action_legend(figure, reading.mdp, columns=2 if len(maps) == 1 else 4)
     return figure
 
 
 @PICTURES.add("three_policies", learns=True)
 def _averages(reading: Reading) -> Figure:
-    figure, ax = plt.subplots(figsize=(7.6, 3.9))
+    figure, ax = plt.subplots(figsize=(6, 4.4))
     found = reading.weighed
     rows = [
         Average(
-            label=f"a{NUMBER[start]} in 0000, {name}",
+            label=f"{start} in 0000,\n{name}",
             exact=float(found.mean[number, place]),
             standard_error=float(found.variance[number, place] / reported.EXPERIMENTS) ** 0.5,
             reported=reported.AVERAGE_RETURN[start],
@@ -275,6 +260,7 @@ def _averages(reading: Reading) -> Figure:
         for name, number in (("as written", found.best()), ("best fit", int(found.fitting)))
     ]
     plot_averages(rows, optimum=reading.evaluations["optimal"].mean, ax=ax)
+    ax.set_title("Three policies: what the paper reports, and exactly", pad=18)
     return figure
 
 
@@ -282,32 +268,33 @@ def _averages(reading: Reading) -> Figure:
 def _returns(reading: Reading) -> Figure:
     labels = {
         "optimal": "optimal policy",
-        f"reported.{FINAL}": "reported final policy (a2 in 0000)",
-        "random": "random policy",
+        f"reported.{FINAL}": "reported final policy",
+        "random": "random actions",
     }
-    figure, axes = plt.subplots(3, 1, figsize=(7, 6.5), sharex=True)
+    figure, axes = plt.subplots(3, 1, figsize=(5.8, 5.8), sharex=True, sharey=True)
     lowest = []
     for ax, (name, label) in zip(axes, labels.items(), strict=True):
         distribution = return_distribution(reading.mdp, reading.policies[name])
-        plot_return_distribution(distribution, label=label, ax=ax)
+        plot_return_distribution(distribution, label=label, bin=10, ax=ax)
         lowest.append(float(distribution.quantile(0.001)))
     axes[-1].set_xlim(left=min(lowest))
-    axes[-1].set_xlabel("return of an episode (sum of rewards)")
+    axes[-1].set_xlabel("return of an episode (points); dashed: the mean")
     return figure
 
 
 @PICTURES.add("cost_of_choices")
 def _choices(reading: Reading) -> Figure:
-    figure, ax = plt.subplots(figsize=(6.4, 5.6))
+    figure, ax = plt.subplots(figsize=(6.6, 5.8))
     policy = reported.policy(FINAL, reading.completion)
     plot_choices(
         choice_losses(reading),
-        rows=STATUSES,
-        columns=[f"a{number} {action}" for action, number in NUMBER.items()],
+        rows=[f"{words.replace(' and ', ', ')}  {s}" for s, words in STATUS_WORDS.items()],
+        columns=[action.replace("-", "-\n") for action in ACTIONS],
         marked={row: NUMBER[policy[status]] for row, status in enumerate(STATUSES)},
         ax=ax,
     )
-    ax.set_ylabel("status vector: forgetful, confused, angry, disengaged")
+    ax.set_xlabel("● action of the reported final policy", loc="left")
+    figure.suptitle("Points lost by an action taken whenever a status comes up", x=0.01, ha="left")
     return figure
 
 

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from exact_mdp.analysis.readings import OptionSupport, option_label
+from exact_mdp.analysis.plots.style import PALETTE, Look
+from exact_mdp.analysis.readings import OptionSupport, ReadingSpace
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims.returns import DRAWS
 from exact_mdp.paper_repro.reading import SEED, Reading
@@ -41,6 +44,7 @@ from exact_mdp.paper_repro.readings.training import SETTINGS
 from exact_mdp.paper_repro.report.figures import Pictures
 from exact_mdp.paper_repro.report.report import Part
 from exact_mdp.paper_repro.report.tables import Table
+from exact_mdp.paper_repro.report.wording import changes, said, title
 from exact_mdp.paper_repro.reported import (
     AVERAGE_RETURN,
     COMPLETIONS,
@@ -52,6 +56,7 @@ from exact_mdp.paper_repro.reported import (
 
 MARKS = dict(zip(STARTS, (("o", "black"), ("s", "0.45"), ("^", "white")), strict=True))
 INK: dict[str, Any] = {"mec": "black", "ecolor": "black"}
+REPORTED = PALETTE[3]
 SHADES = ("0.15", "0.6", "white")
 RANKED = 30  # readings in the figure
 LISTED = 10  # readings in the table
@@ -97,7 +102,7 @@ def _support(study: ReadingStudy) -> Figure:
     }
     listed = {label: study.evidence[name].support for label, name in shown.items()}
     names = list(study.search.space.options)
-    figure, axes = plt.subplots(1, 2, figsize=(10.5, 6.4), width_ratios=(1, 1))
+    figure, axes = plt.subplots(1, 2, figsize=(9.4, 7.4))
     for ax, part in zip(axes, (names[:6], names[6:]), strict=True):
         within = {
             label: [each for each in support if each.reading in part]
@@ -112,6 +117,11 @@ def _support(study: ReadingStudy) -> Figure:
     return figure
 
 
+def _broken(words: str, most: int = 22) -> str:
+    """Return words in lines of nearly equal length, as many as it takes to hold to the most."""
+    return fill(words, max(most, -(-len(words) // -(-len(words) // most)) + 4))
+
+
 def _support_bars(ax: Axes, listed: Mapping[str, Sequence[OptionSupport]]) -> None:
     """Draw the bars of options, one below the other, under the name of their reading."""
     options = next(iter(listed.values()))
@@ -120,8 +130,7 @@ def _support_bars(ax: Axes, listed: Mapping[str, Sequence[OptionSupport]]) -> No
     for number, option in enumerate(options):
         if number == 0 or option.reading != options[number - 1].reading:
             place += 1.5
-            name = option.reading.replace("_", " ")
-            ax.text(0.01, place - 0.62, name, weight="bold", va="bottom")
+            ax.text(0.01, place - 0.62, title(option.reading), weight="bold", va="bottom")
         places.append(place)
         prior = 1 / counts[option.reading]
         ax.plot([prior] * 2, [place - 0.42, place + 0.42], color="black", ls=":", lw=1.2)
@@ -138,7 +147,7 @@ def _support_bars(ax: Axes, listed: Mapping[str, Sequence[OptionSupport]]) -> No
             linewidth=0.5,
         )
     ax.plot([], [], color="black", ls=":", label="weight before any evidence")
-    ax.set_yticks(places, [option_label(option.option) for option in options])
+    ax.set_yticks(places, [_broken(said(option.reading, option.option)) for option in options])
     ax.set_ylim(place, 0.6)
     ax.set_xlim(0, 1)
     ax.tick_params(axis="y", length=0)
@@ -150,11 +159,10 @@ def _ranking(study: ReadingStudy) -> Figure:
     search, found = study.search, study.main
     numbers = list(dict.fromkeys([*found.ranking[:RANKED].tolist(), 0]))
     y = np.arange(len(numbers))
-    figure, (left, right, weight) = plt.subplots(
-        1, 3, figsize=(13.5, 8.8), sharey=True, width_ratios=(3, 1.5, 1)
+    figure, (dots, left, right, weight) = plt.subplots(
+        1, 4, figsize=(10, 8.6), sharey=True, width_ratios=(1.7, 3, 1.3, 1)
     )
-    # Small letters come out wider on paper than the layout takes them for.
-    figure.set_layout_engine("constrained", rect=(0.04, 0, 0.96, 1))
+    _changed(dots, search.space, numbers)
     chosen = found.completion[numbers]
     for place, (start, average) in enumerate(AVERAGE_RETURN.items()):
         variance = search.variance[numbers, chosen, place]
@@ -172,17 +180,20 @@ def _ranking(study: ReadingStudy) -> Figure:
     right.axvspan(RANDOM_RETURN - TOLERANCE, RANDOM_RETURN + TOLERANCE, color="0.9", lw=0)
     right.plot(search.random_mean[numbers], y, "D", ms=4, mfc="white", mec="black")
     weight.barh(y, found.weights[numbers], color="0.4", height=0.6)
-    left.set_yticks(y, [_wrapped(search.space.label(number)) for number in numbers], fontsize=6)
     left.set_ylim(len(numbers) - 0.4, -1.4)
-    left.set_xlabel("mean return, exact, ± 2 standard errors\nof an average of 1,000 experiments")
-    right.set_xlabel("mean return of the\nrandom strategy, exact")
+    left.set_xlabel(
+        "mean return (points), exact, ± 2 standard\nerrors of an average of 1,000 experiments"
+    )
+    right.set_xlabel("mean return of\nrandom actions\n(points), exact")
     weight.set_xlabel("posterior weight")
+    for ax in (left, right, weight):
+        ax.tick_params(axis="y", left=False)
     weight.xaxis.set_major_locator(MaxNLocator(3))
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=3, frameon=False)
     figure.suptitle(
-        f"The {RANKED} best supported readings and the default: what changes from the default, "
-        "and what it returns",
+        f"The {RANKED} best supported readings: what each changes from the default (a dot), and "
+        "what it returns",
         x=0.01,
         ha="left",
     )
@@ -195,76 +206,70 @@ def _stated(ax: Axes, value: float, text: str) -> None:
     ax.text(value, -1.3, text, ha="center", va="bottom")
 
 
-def _wrapped(label: str) -> str:
-    """Return a label in one line, or in two of nearly the same length."""
-    parts = label.split(", ")
-    if len(parts) < 4:
-        return label
-    ways = [(", ".join(parts[:k]) + ",", ", ".join(parts[k:])) for k in range(1, len(parts))]
-    return "\n".join(min(ways, key=lambda lines: max(map(len, lines))))
+def _changed(ax: Axes, space: ReadingSpace, numbers: Sequence[int]) -> None:
+    """Draw a dot for each option that a reading changes; the columns are those that any changes."""
+    settings = [space.settings(number) for number in numbers]
+    columns = [
+        (name, option)
+        for name, options in space.options.items()
+        for option in options[1:]
+        if any(each[name] == option for each in settings)
+    ]
+    for row, each in enumerate(settings):
+        held = [column for column, (name, option) in enumerate(columns) if each[name] == option]
+        ax.plot(range(len(columns)), [row] * len(columns), "o", ms=5, color="0.9")
+        ax.plot(held, [row] * len(held), "o", ms=5, color="black")
+    ax.set_xticks(range(len(columns)), [said(*column) for column in columns], rotation=90)
+    ax.xaxis.tick_top()
+    names = ["default" if number == 0 else f"{row + 1}" for row, number in enumerate(numbers)]
+    ax.set_yticks(range(len(numbers)), names)
+    ax.set_ylabel("rank")
+    ax.set_xlim(-0.6, len(columns) - 0.4)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
 
 
 @PICTURES.add("reading_scatter")
 def _scatter(study: ReadingStudy) -> Figure:
-    figure, (whole, near) = plt.subplots(1, 2, figsize=(11.5, 5.2))
-    for ax, size in ((whole, 9), (near, 22)):
-        _points(study, ax, size)
-        ax.set_xlabel("mean return of the random strategy, exact (points)")
-    whole.set_ylabel(
-        "mean return of the final policy (a2 in 0000), exact,\nbest completion (points)"
-    )
-    whole.set_title("all readings")
-    near.set_title("near what is reported")
-    x, y = RANDOM_RETURN, AVERAGE_RETURN[FINAL]
-    near.set_xlim(x - 2.5 * TOLERANCE, x + 4 * TOLERANCE)
-    near.set_ylim(y - 7, y + 5)
-    handles, labels = whole.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
-    return figure
-
-
-def _points(study: ReadingStudy, ax: Axes, size: float) -> None:
     search, found = study.search, study.main
     best = (np.arange(len(search.space)), found.completion, 0)
-    final, spread = search.mean[best], search.variance[best]
-    codes, names = search.space.codes, search.space.names
-    tasks, rate = codes[:, names.index("tasks")], codes[:, names.index("evaluation_discount")]
-    for number, shape in enumerate(search.space.options["tasks"]):
-        for discounted, fill in ((0, "0.45"), (1, "white")):
-            here = (tasks == number) & (rate == discounted)
-            ax.scatter(
-                search.random_mean[here],
-                final[here],
-                s=size,
-                marker="os^Dv*"[number],
-                facecolors=fill,
-                edgecolors="black",
-                linewidths=0.3,
-                rasterized=True,  # thousands of points
-                label=f"tasks {option_label(shape)}" if discounted == 0 else None,
-            )
-    ax.scatter([], [], s=size, facecolors="white", edgecolors="black", label="white: γ = 0.95")
-    ax.errorbar(
-        RANDOM_RETURN,
-        AVERAGE_RETURN[FINAL],
-        xerr=2 * TOLERANCE,
-        yerr=2 * float(np.sqrt(np.median(spread[found.credible()]) / found.experiments)),
-        fmt="P",
-        **{**INK, "ms": 9, "mfc": "white", "elinewidth": 1.6},
-        capsize=4,
-        zorder=5,
-        label="reported, ± 2 sd",
-    )
-    ax.scatter(
-        search.random_mean[0],
-        final[0],
-        s=90,
-        facecolors="none",
-        edgecolors="black",
-        linewidths=1.6,
-        zorder=5,
-        label="default reading",
-    )
+    x, y = search.random_mean, search.mean[best]
+    discounted = search.space.codes[:, search.space.names.index("evaluation_discount")] == 1
+    error = float(np.sqrt(np.median(search.variance[best][found.credible()]) / found.experiments))
+    near = (50.0, 100.0, AVERAGE_RETURN[FINAL] - 8, AVERAGE_RETURN[FINAL] + 8)
+    whole = (float(x.min()) - 5, float(x.max()) + 5, float(y.min()) - 5, float(y.max()) + 5)
+    panels = {
+        "all readings": (x > 0, whole),
+        "near what is reported, plain sums": (~discounted, near),
+        "near what is reported, discounted": (discounted, near),
+    }
+    figure, axes = plt.subplots(3, 1, figsize=(5.6, 9))
+    for ax, (name, (chosen, window)) in zip(axes, panels.items(), strict=True):
+        # Readings in a cell are counted: points would lie on top of each other.
+        inside = chosen & (x > window[0]) & (x < window[1]) & (y > window[2]) & (y < window[3])
+        shown: Look = {"gridsize": (40, 14), "mincnt": 1, "cmap": "Greys", "linewidth": 0}
+        cells = ax.hexbin(x[inside], y[inside], extent=window, norm=LogNorm(0.3, 300), **shown)
+        ax.errorbar(
+            RANDOM_RETURN,
+            AVERAGE_RETURN[FINAL],
+            xerr=2 * TOLERANCE,
+            yerr=2 * error,
+            fmt="none",
+            ecolor=REPORTED,
+            elinewidth=1.8,
+            capsize=3,
+            label="reported, ± 2 standard deviations",
+        )
+        if chosen[0]:
+            ring: Look = {"mfc": "none", "mec": "black", "mew": 1.4, "ls": ""}
+            ax.plot(x[0], y[0], "o", ms=9, label="default reading", **ring)
+        ax.set(xlim=window[:2], ylim=window[2:], title=name)
+    axes[0].legend(loc="upper left")
+    axes[-1].set_xlabel("mean return of random actions, exact (points)")
+    figure.supylabel("mean return of the final policy, exact (points)", fontsize=9)
+    bar: Look = {"location": "right", "shrink": 0.4, "format": "%g"}
+    figure.colorbar(cells, ax=axes, label="readings in a cell", **bar)
+    return figure
 
 
 @PICTURES.add("reading_joint")
@@ -358,7 +363,7 @@ def _best_readings(study: ReadingStudy) -> Table:
         rows.append(
             (
                 f"{place}",
-                search.space.label(number),
+                changes(search.space, number),
                 f"{found.weights[number]:.2%}",
                 *(f"{mean:.1f}" for mean in search.mean[number, completion]),
                 f"{search.random_mean[number]:.1f}",

@@ -39,6 +39,7 @@ from exact_mdp.paper_repro.reported import (
     FINAL,
     NUMBER,
     SECTIONS,
+    STATUS_WORDS,
     STATUSES,
     section_of,
 )
@@ -246,15 +247,6 @@ class Plain(NamedTuple):
     claim: str
 
 
-PLAIN_STATUSES = {
-    status: " and ".join(
-        name
-        for name, bit in zip(("forgetful", "confused", "angry", "disengaged"), status, strict=True)
-        if bit == "1"
-    )
-    or "well"
-    for status in STATUSES
-}
 PLAIN_ACTIONS = {
     "none": "no help",
     "supportive": "encouragement",
@@ -270,7 +262,7 @@ def bottom_line(reading: Reading, main: Evidence) -> str:
     )
     advice = {**dict.fromkeys(ANGRY, "supportive"), **reported.STATED, "0000": FINAL}
     wrong = [
-        f"{PLAIN_STATUSES[status]} and nothing else, {PLAIN_ACTIONS[action]} is not"
+        f"{STATUS_WORDS[status]} and nothing else, {PLAIN_ACTIONS[action]} is not"
         for status, action in advice.items()
         if not all(NUMBER[action] in best for best in optimal_actions(reading, status))
     ]
