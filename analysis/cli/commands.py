@@ -373,6 +373,7 @@ def returns() -> None:
 @click.option("--episodes", required=True, metavar="N", help="Number of episodes.")
 @click.option("--seed", default="0", metavar="S", help="Seed of the random numbers (0).")
 @of_policy
+@question
 @of_model
 def simulate() -> None:
     """Estimate the mean return of POLICY in MODEL from N episodes."""

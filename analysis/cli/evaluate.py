@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from itertools import accumulate
 from typing import Any
 
 from exact_mdp import solvers
@@ -96,8 +98,9 @@ def returns(*, exact: bool, **shared: Any) -> Report:
     found = return_distribution(asked.mdp, asked.policy, exact=exact)
     moments = solvers.evaluate(asked.mdp, asked.policy)
     mean, sd = moments.numbers["mean"], moments.numbers["sd"]
-    values, chances = [decimal(value) for value in found.values], found.probabilities.tolist()
-    error = float(found.error.max())
+    law = found.as_dict()
+    values, chances = [decimal(value) for value in law], [*law.values()]
+    error = float(found.frame()["error"].max())
     result = {
         "claim": found.claim,
         "mean": mean.value,
@@ -105,27 +108,34 @@ def returns(*, exact: bool, **shared: Any) -> Report:
         "error_bounds": {"mean": mean.error, "sd": sd.error},
         "error_bound": error,
         "remaining": found.remaining,
+        "never_ends": found.never_ends,
         "distribution": dict(zip(values, chances, strict=True)),
     }
     if found.exact is not None:
-        result["exact_distribution"] = dict(zip(values, found.exact, strict=True))
+        exactly: dict[Fraction | float, Fraction | float] = {}
+        exactly |= zip(found.values, found.exact, strict=True)
+        exactly |= {sign: each.value for sign, each in found.unending.items()}
+        result["exact_distribution"] = {decimal(value): exactly[value] for value in law}
     facts = {
         "mean": mean,
         "sd": sd,
         "returns": len(values),
+        "never ends": f"with probability {found.never_ends:.10g}, and the return is infinite"
+        if found.unending
+        else None,
         "claim": f"{found.claim}, each probability within {at_most(error)}",
         "not listed": f"returns of probability {at_most(found.remaining)} at most"
         if found.remaining
         else None,
     }
-    listed = zip(values, chances, found.values, strict=True)
+    listed = zip(values, chances, accumulate(chances), strict=True)
     table = Table(
         title="distribution",
-        rows=[{"return": name, "chance": chance, "value": each} for name, chance, each in listed],
+        rows=[{"return": name, "chance": chance, "sum": most} for name, chance, most in listed],
         columns={
             "return": "return",
             "probability": "chance",
-            "at most that": lambda row: found.cdf(row["value"]),
+            "at most that": "sum",
         },
         first=LISTED_RETURNS,
     )
@@ -136,7 +146,8 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
     """Simulate a policy."""
     count, first = whole_of(episodes, "--episodes", 1, MOST_EPISODES), whole_of(seed, "--seed")
     asked = given(**shared)
-    found = sample(asked.endless.mdp, asked.policy, count, first, horizon=asked.steps)
+    model = asked.endless.mdp if asked.question is None else asked.question(asked.endless.mdp)
+    found = sample(model, asked.policy, count, first, horizon=asked.steps)
     steps, error = float(found.steps.mean()), found.standard_error / 10
     result = {
         "claim": found.claim,
@@ -148,6 +159,7 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
         "event_probability": found.events,
         "episodes": found.episodes,
         "seed": first,
+        "never_ends": found.never_ends,
         "truncated": found.truncated,
         "truncation_error": found.truncation_error,
     }
@@ -159,6 +171,9 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
         "sd": number(found.sd, error),
         "steps": steps,
         **{f"share with a {name}": share for name, share in found.events.items()},
+        "never end": f"{found.never_ends:.4g} of them, and their return is infinite"
+        if found.never_ends
+        else None,
         "cut off": f"{found.truncated:,} episodes{cut}" if found.truncated else None,
     }
     return asked.report(result, facts)

@@ -386,14 +386,16 @@ def ratio(value: Fraction | float) -> str:
     return top if value.denominator == 1 else f"{top}/{digits_of(value.denominator)}"
 
 
-def decimal(value: Fraction) -> str:
-    """Return the exact decimal where it is finite, otherwise "p/q".
+def decimal(value: Fraction | float) -> str:
+    """Return the exact decimal where there is one, otherwise "p/q"; "inf" and "-inf" too.
 
     Examples
     --------
     >>> decimal(Fraction(-1, 8)), decimal(Fraction(42)), decimal(Fraction(1, 3))
     ('-0.125', '42', '1/3')
     """
+    if not isinstance(value, Fraction):
+        return str(value)
     twos = (value.denominator & -value.denominator).bit_length() - 1
     rest, fives = value.denominator >> twos, 0
     while rest % 5 == 0:

@@ -59,10 +59,14 @@ def plot_return_distribution(
         shares, _ = np.histogram(values, edges, weights=distribution.probabilities)
         ax.bar(edges[:-1], shares, width=bin, align="edge", color="0.45", edgecolor="white")
     mean, sd = distribution.mean, distribution.sd
-    ax.axvline(mean, color="black", linestyle="--", linewidth=1)
     ax.set_ylim(bottom=0)
     ax.set_ylabel("probability" if bin is None else f"probability\nof each {bin:g} points")
-    ax.set_title(f"{label}: mean {mean:.2f}, standard deviation {sd:.2f}".lstrip(": "))
+    title = f"mean {mean:.2f}, standard deviation {sd:.2f}"
+    if distribution.unending:
+        title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
+    else:
+        ax.axvline(mean, color="black", linestyle="--", linewidth=1)
+    ax.set_title(f"{label}: {title}".lstrip(": "))
     return ax
 
 
@@ -70,9 +74,13 @@ def plot_return_distribution(
 def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
     """Draw how many sampled episodes had which return, and the mean with its 95 % interval."""
     ax = axes_or_new(ax)
-    ax.hist(found.returns, bins=min(40, len(np.unique(found.returns)) + 1), color="0.6", ec="0.3")
-    ax.axvspan(*found.value.interval, color="0.85", zorder=0)
-    ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=str(found.value))
+    finite = found.returns[np.isfinite(found.returns)]
+    ax.hist(finite, bins=min(40, len(np.unique(finite)) + 1), color="0.6", ec="0.3")
+    if found.never_ends:
+        ax.plot([], [], color="white", label=f"{found.never_ends:.4g} of them never end")
+    else:
+        ax.axvspan(*found.value.interval, color="0.85", zorder=0)
+        ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=str(found.value))
     ax.set(xlabel="return (reward)", ylabel="episodes")
     ax.legend()
     return ax

@@ -13,6 +13,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -124,6 +125,12 @@ def mean_cvar(
 def point_of(mdp: MDP, level: Fraction, policy: PolicyLike) -> tuple[Fraction, Fraction]:
     """Return the mean and the mean of the worst episodes of a policy."""
     found = return_distribution(mdp, policy, exact=True)
+    if found.unending:
+        raise ModelError(
+            "a return of the policy may be infinite",
+            where="policy",
+            fix="give one that ends, or stop after N steps",
+        )
     assert found.exact is not None
     sign = 1 if mdp.sense == "max" else -1
     both = sorted((sign * value, p) for value, p in zip(found.values, found.exact, strict=True))

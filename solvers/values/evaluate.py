@@ -369,7 +369,7 @@ def _known(make: Callable[[], Bounded]) -> Bounded:
         return UNKNOWN
 
 
-def _rounded(number: Fraction) -> float:
+def _rounded(number: Fraction | float) -> float:
     """Return the nearest float; infinite beyond their range."""
     try:
         return float(number)

@@ -67,8 +67,11 @@ class Flow:
     start: dict[int, Fraction]  # {state: probability}
 
     @classmethod
-    def of(cls, chain: PolicyChain, gain: Numbers) -> Flow:
-        """Return the flow of a chain that ends, with (N,) rewards as multiples of a unit."""
+    def of(cls, chain: PolicyChain, gain: Numbers, ends: Mask) -> Flow:
+        """Return the flow of a chain that ends, with (N,) rewards as multiples of a unit.
+
+        What comes to other ends than `ends` (S,) is left out.
+        """
         mdp = chain.mdp
         inside = chain.reached & ~mdp.terminal
         members = np.flatnonzero(inside)
@@ -80,10 +83,11 @@ class Flow:
         order = np.argsort(level, kind="stable")
         place = np.full(mdp.n_states, len(members))
         place[members[order]] = np.arange(len(members))
-        used = np.flatnonzero(inside[chain.source])
+        used = np.flatnonzero(inside[chain.source] & (inside | ends)[chain.table.next])
         start: dict[int, Fraction] = defaultdict(Fraction)
         for state, weight in mdp.start:
-            start[int(place[state])] += weight
+            if inside[state] or ends[state]:
+                start[int(place[state])] += weight
         return cls(
             chain=chain,
             used=used,
@@ -197,7 +201,7 @@ def carry_dense(flow: Flow, max_sweeps: int) -> Carried:
             lost += left
         lost += window.trim()
         roundings += (int(entering[block]) + flow.chain.roundings + 6) * sweeps + sweeps
-        for group in groups.pop(block):
+        for group in groups.pop(block, []):
             if group.block != block and window.mass.size:
                 add(group.block, group.rows, window.low + group.gain, group.matrix @ window.mass)
     window = windows.get(last) or _Window(1)

@@ -8,17 +8,19 @@ of every pair (state, reward so far) is carried along the policy's chain, from t
 state after state in an order in which no transition leads back. Only terms that are at least 0 are
 ever added, so every probability keeps a small *relative* error, however small it is. States that
 lead back to each other are swept until at most 10⁻¹² of the mass is left among them; what is left
-is reported (forward dynamic programming; for the distribution of the return see Sobel, Journal of
+is reported. Runs that gain or lose for ever are an end of their own, of an infinite return
+(forward dynamic programming; for the distribution of the return see Sobel, Journal of
 Applied Probability 19, 1982, section 2, and Chung and Sobel, Discounted MDP's: distribution
 functions and exponential utility maximization, SIAM J. Control and Optimization 25, 1987).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from math import lcm, sqrt
+from math import inf, lcm, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -32,11 +34,11 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.dynamic.stopping import check_counts
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
-from exact_mdp.solvers.values.unending import rested
+from exact_mdp.solvers.values.unending import parted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -64,6 +66,9 @@ class ReturnDistribution(Pictured):
         sweeps stopped, and tails below 10⁻²⁸⁰. 0 where all are listed.
     exact : tuple of Fraction, optional
         The probabilities as exact rationals, where these were asked for.
+    unending : {inf: Bounded or Certified, -inf: …}
+        The probabilities of runs that never end and whose return is infinite. Runs that come to
+        rest, where nothing is earned any more, have a return as any other.
 
     Examples
     --------
@@ -81,12 +86,22 @@ class ReturnDistribution(Pictured):
     relative_error: float
     remaining: float
     exact: tuple[Fraction, ...] | None = None
+    unending: Mapping[float, Bounded | Certified] = field(default_factory=dict)
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
     def __post_init__(self) -> None:
         self.multiples.setflags(write=False)
         self.probabilities.setflags(write=False)
+
+    @property
+    def never_ends(self) -> float:
+        """Probability of an infinite return: that a run never ends, nor comes to rest."""
+        return float(sum(each.value for each in self.unending.values()))
+
+    def _infinite(self, sign: float) -> float:
+        found = self.unending.get(sign)
+        return 0.0 if found is None else float(found.value)
 
     @property
     def error(self) -> Floats:
@@ -112,13 +127,20 @@ class ReturnDistribution(Pictured):
 
     @cached_property
     def mean(self) -> float:
-        """Mean of the returns listed; infinite where it is beyond the range of floats."""
+        """Mean of the returns; infinite where some are, or where it is beyond the range of floats.
+
+        NaN where some are +∞ and others -∞.
+        """
+        if self.unending:
+            return sum(self.unending)
         scaled, power = self._scaled
         return times(float(self.probabilities @ scaled), power)
 
     @cached_property
     def sd(self) -> float:
-        """Standard deviation of the returns listed; infinite beyond the range of floats."""
+        """Standard deviation; infinite where a return is, or beyond the range of floats."""
+        if self.unending:
+            return inf
         scaled, power = self._scaled
         spread = sqrt(float(self.probabilities @ (scaled - self.probabilities @ scaled) ** 2))
         return times(spread, power)
@@ -127,10 +149,10 @@ class ReturnDistribution(Pictured):
         """Return the probability of a return of at most `value` (a number or "p/q")."""
         bound = exact(value) / self.unit
         count = np.searchsorted(self.multiples, bound.numerator // bound.denominator, side="right")
-        return float(self._cumulative[count - 1]) if count else 0.0
+        return float(self._cumulative[count - 1]) if count else self._infinite(-inf)
 
-    def quantile(self, share: float) -> Fraction:
-        """Return the least return whose cdf is at least `share`.
+    def quantile(self, share: float) -> Fraction | float:
+        """Return the least return whose cdf is at least `share`; it may be infinite.
 
         A cdf that misses `share` by no more than its error bound counts as reaching it, so that
         the median of a fair coin is tails, whatever the roundings.
@@ -138,26 +160,39 @@ class ReturnDistribution(Pictured):
         if not 0 <= share <= 1:
             raise ModelError(f"a quantile at {share}", fix="choose a probability from 0 to 1")
         slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
+        if -inf in self.unending and share - slack <= self._infinite(-inf):
+            return -inf
         index = int(np.searchsorted(self._cumulative, share - slack))
-        return self.unit * int(self.multiples[min(index, len(self.multiples) - 1)])
+        last = len(self.multiples) - 1
+        if index > last and (inf in self.unending or last < 0):
+            return max(self.unending)
+        return self.unit * int(self.multiples[min(index, last)])
 
     @cached_property
     def _cumulative(self) -> Floats:
-        return np.cumsum(self.probabilities)
+        return self._infinite(-inf) + np.cumsum(self.probabilities)
 
-    def as_dict(self) -> dict[Fraction, float]:
-        """Return {return: probability}."""
-        return dict(zip(self.values, self.probabilities.tolist(), strict=True))
+    def as_dict(self) -> dict[Fraction | float, float]:
+        """Return {return: probability}, infinite returns included."""
+        law: dict[Fraction | float, float] = {}
+        law |= {s: self._infinite(s) for s in self.unending if s < 0}
+        law |= zip(self.values, self.probabilities.tolist(), strict=True)
+        return law | {s: self._infinite(s) for s in self.unending if s > 0}
 
     def frame(self) -> DataFrame:
-        """Return the probability of every return, and its error bound."""
-        columns = {"probability": self.probabilities, "error": self.error}
-        return pandas.DataFrame(columns, index=pandas.Index(self.values, name="return"))
+        """Return the probability of every return, infinite ones included, and its error bound."""
+        law = self.as_dict()
+        errors: dict[Fraction | float, float] = {}
+        errors |= zip(self.values, self.error.tolist(), strict=True)
+        errors |= {s: float(getattr(each, "error", 0.0)) for s, each in self.unending.items()}
+        columns = {"probability": [*law.values()], "error": [errors[value] for value in law]}
+        return pandas.DataFrame(columns, index=pandas.Index([*law], name="return"))
 
     def __repr__(self) -> str:
         return (
             f"ReturnDistribution({len(self.multiples)} returns, mean {self.mean:.6g}, "
-            f"sd {self.sd:.6g}, remaining {self.remaining:.1g})"
+            f"sd {self.sd:.6g}, remaining {self.remaining:.1g}"
+            + (f", infinite with probability {self.never_ends:.6g})" if self.unending else ")")
         )
 
 
@@ -197,8 +232,8 @@ def return_distribution(
     Raises
     ------
     ModelError
-        Below discount 1; where an episode may go on for ever and earn; where there are too many
-        different returns; where `max_sweeps` do not suffice.
+        Below discount 1; where rewards cancel for ever, so that a return has no limit; where there
+        are too many different returns; where `max_sweeps` do not suffice.
 
     Examples
     --------
@@ -218,10 +253,12 @@ def return_distribution(
         )
     if horizon is not None:
         mdp = mdp.within(horizon)
-    chain = PolicyChain.of(mdp, policy, kind=kind)
-    chain = rested(chain)
+    parts = parted(PolicyChain.of(mdp, policy, kind=kind))
+    chain = parts.chain
     gain, unit = _lattice(chain)
-    flow = Flow.of(chain, gain)
+    flow = Flow.of(chain, gain, parts.ends)
+    still = np.zeros(len(gain), dtype=np.int64)
+    flows = {sign: Flow.of(chain, still, ends) for sign, ends in parts.lost.items()}
     if exact:
         masses, total = carry_exact(flow)
         shares = [Fraction(masses[multiple], total) for multiple in sorted(masses)]
@@ -232,6 +269,7 @@ def return_distribution(
             relative_error=UNIT,
             remaining=0.0,
             exact=tuple(shares),
+            unending={sign: _exact_share(each) for sign, each in flows.items()},
         )
     if gain.dtype == np.int64 and np.abs(gain).max(initial=0) <= DENSE_RANGE:
         found = carry_dense(flow, max_sweeps)
@@ -243,7 +281,22 @@ def return_distribution(
         probabilities=found.masses,
         relative_error=float(gamma(found.roundings)) * SLACK,
         remaining=found.remaining * SLACK,
+        unending={sign: _share(each, max_sweeps) for sign, each in flows.items()},
     )
+
+
+def _exact_share(flow: Flow) -> Certified:
+    """Return the probability of the ends of a flow."""
+    masses, total = carry_exact(flow)
+    return Certified(value=Fraction(sum(masses.values()), total))
+
+
+def _share(flow: Flow, max_sweeps: int) -> Bounded:
+    """Return the probability of the ends of a flow, from sweeps."""
+    found = carry_dense(flow, max_sweeps)
+    value = float(found.masses.sum())
+    error = (float(gamma(found.roundings)) * value + found.remaining) * SLACK + NEGLIGIBLE
+    return Bounded(value=value, error=error)
 
 
 def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:

@@ -29,7 +29,7 @@ from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.returns import times
-from exact_mdp.solvers.values.unending import rested
+from exact_mdp.solvers.values.unending import parted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -88,6 +88,11 @@ class Simulation(Pictured):
         """The mean return with its standard error."""
         return Estimated(value=self.mean, standard_error=self.standard_error)
 
+    @property
+    def never_ends(self) -> float:
+        """Share of the episodes that gain or lose for ever; their return is infinite."""
+        return float(np.isinf(self.returns).mean())
+
     @cached_property
     def _scaled(self) -> tuple[Floats, int]:
         """The returns over a power of two, so that sums and squares stay within the floats."""
@@ -96,13 +101,17 @@ class Simulation(Pictured):
 
     @property
     def mean(self) -> float:
-        """Mean return."""
+        """Mean return; infinite where a return is, NaN where some are +∞ and others -∞."""
+        if self.never_ends:
+            return float(sum({*self.returns[np.isinf(self.returns)].tolist()}))
         scaled, power = self._scaled
         return times(scaled.mean(), power)
 
     @property
     def sd(self) -> float:
-        """Standard deviation of the returns; infinite for one episode, which does not show it."""
+        """Standard deviation of the returns; infinite where one is, and for one episode."""
+        if self.never_ends:
+            return inf
         scaled, power = self._scaled
         return times(scaled.std(ddof=1), power) if self.episodes > 1 else inf
 
@@ -154,8 +163,8 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 where an episode may go on for ever and earn, or
-        takes longer.
+        For no episodes or no seed; at discount 1 where rewards cancel for ever, or an episode takes
+        longer than `max_steps`.
 
     Examples
     --------
@@ -168,8 +177,8 @@ def simulate(
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
     endless = mdp_of(model)
     mdp = endless if horizon is None else endless.within(horizon)
-    chain = rested(PolicyChain.of(mdp, policy, kind=kind))
-    mdp = chain.mdp
+    parts = parted(PolicyChain.of(mdp, policy, kind=kind))
+    chain, mdp = parts.chain, parts.chain.mdp
     limit, size = _longest(chain, horizon if max_steps is None else max_steps)
     first, cumulative = _cumulative(chain)
     following, gain, event = chain.table.next, chain.gain, chain.table.event
@@ -199,6 +208,8 @@ def simulate(
         raise ModelError(
             "a return is beyond the range of floats", where="rewards", fix="scale them down"
         )
+    for sign, lost in parts.lost.items():
+        returns[lost[state]] = sign
     stopped = 0
     if horizon is not None:
         last = mdp.n_states - endless.n_states  # the first state of the time at which all is over

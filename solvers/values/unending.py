@@ -2,21 +2,26 @@
 
 A policy has come to rest in states that it never leaves and in which nothing is earned, nor any
 event happens. These count as ends for its return, of which nothing else is changed; only its steps
-have no end. What any other policy is worth, finite or not, is the optimum of the model in which
-there is nothing else to do.
+have no end. Where it goes round for ever and earns something else than 0 a step on average, its
+return is +∞ or -∞; so it is where a run misses its goal. What any policy is worth, finite or not,
+is the optimum of the model in which there is nothing else to do.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
+from exact_mdp.solvers.average.certify import certify_average
+from exact_mdp.solvers.average.evaluate import evaluated
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure
 
 csgraph = later("scipy.sparse.csgraph")
@@ -49,6 +54,70 @@ def rested(chain: PolicyChain) -> PolicyChain:
     return PolicyChain(mdp=ended(mdp, rest), chosen=chain.chosen, policy=chain.policy)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Parted:
+    """A chain whose every run ends, comes to rest, or gains or loses for ever.
+
+    Attributes
+    ----------
+    chain : PolicyChain
+        With ends wherever one of these is certain.
+    lost : {inf: (S,) bool, -inf: (S,) bool}
+        The ends that stand for an infinite return, where there are some.
+    """
+
+    chain: PolicyChain
+    lost: dict[float, Mask]
+
+    @property
+    def ends(self) -> Mask:
+        """(S,) True at ends of finite returns."""
+        found = self.chain.mdp.terminal.copy()
+        for each in self.lost.values():
+            found &= ~each
+        return found
+
+
+def parted(chain: PolicyChain) -> Parted:
+    """Return where a policy's runs end, rest, or gain or lose for ever.
+
+    Raises ModelError where rewards cancel for ever, so that a return has no limit.
+    """
+    mdp = chain.mdp
+    if mdp.discount_exact != 1 or arrives(chain):
+        return Parted(chain=chain, lost={})
+    if mdp.goal is not None:
+        astray = (chain.stuck | mdp.terminal) & ~mdp.goal
+        lost, rest = {mdp.unreached: astray}, astray
+    else:
+        rest = _resting(chain)
+        lost = _for_ever(chain, chain.reached & _recurrent(chain) & ~rest & ~mdp.terminal)
+    gone = np.logical_or.reduce([rest, *lost.values()])
+    ending = PolicyChain(mdp=ended(mdp, gone), chosen=chain.chosen, policy=chain.policy)
+    return Parted(chain=ending, lost={sign: each for sign, each in lost.items() if each.any()})
+
+
+def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
+    """Return which of some states (S,), in which something is earned for ever, gain and lose."""
+    if not busy.any():
+        return {}
+    mdp = per_step(chain.mdp)
+    found = evaluated(mdp, chain.weights, chain.roundings)
+    gain, open_ = found.gain, busy & (np.abs(found.gain) <= found.gain_error)
+    if open_.any():
+        exactly = certify_average(per_step(model_of(chain))).gain
+        gain = np.array([(each > 0) - (each < 0) for each in exactly])
+        if (flat := busy & (gain == 0)).any():
+            state = int(np.flatnonzero(flat)[0])
+            raise ModelError(
+                "rewards cancel for ever, and the return has no limit",
+                where=f"policy, state ({mdp.space.label(state)})",
+                fix="choose a discount below 1, or stop after N steps (--horizon "
+                f"{mdp.time_limit or 'N'})",
+            )
+    return {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
+
+
 def model_of(chain: PolicyChain) -> MDP:
     """Return the model in which the policy's choices are the only ones."""
     mdp = chain.mdp
@@ -74,14 +143,19 @@ def model_of(chain: PolicyChain) -> MDP:
 
 def _resting(chain: PolicyChain) -> Mask:
     """Return (S,) True in recurrent classes without any reward or event."""
-    graph = chain.graph
-    _, label = csgraph.connected_components(graph, directed=True, connection="strong")
     busy = (chain.gain != 0) & ~chain.mdp.terminal[chain.source]
     if chain.table.event is not None:
         busy |= chain.table.event != 0
+    return _recurrent(chain, busy)
+
+
+def _recurrent(chain: PolicyChain, busy: Mask | None = None) -> Mask:
+    """Return (S,) True in recurrent classes without any of some outcomes (N,)."""
+    _, label = csgraph.connected_components(chain.graph, directed=True, connection="strong")
     source, target = chain.source, chain.table.next
+    leaves = label[source] != label[target]
     out = np.zeros(int(label.max()) + 1, dtype=bool)
-    out[label[source[busy | (label[source] != label[target])]]] = True
+    out[label[source[leaves if busy is None else busy | leaves]]] = True
     return np.asarray(~out[label])
 
 

@@ -43,6 +43,29 @@ def land(tmp_path: Path) -> str:
 
 
 @pytest.mark.parametrize(
+    ("words", "mean", "never"),
+    [
+        (["--reach", "home"], 0.75, 0),
+        (["--until", "home", "--start", "sea"], "inf", 1),
+        (["--until", "home", "--minimize"], "inf", 0.25),
+        (["--until", "over", "--minimize"], 5, 0),
+        (["--reach", "home", "--allowed", "dry", "--start", "beach"], 0.15, 0),
+        (["--start", "beach", "--minimize", "--horizon", "1"], 0, 0),
+    ],
+)
+def test_simulations_and_returns_of_questions(
+    land: str, words: list[str], mean: float | str, never: float
+) -> None:
+    found = run("simulate", land, "always:swim", "--episodes", "400", "--json", *words).result
+    assert found["mean"] == (mean if isinstance(mean, str) else pytest.approx(mean, abs=0.1))
+    assert found["never_ends"] == pytest.approx(never, abs=0.1)
+    exact = run("returns", land, "always:swim", "--json", *words).result
+    assert exact["mean"] == (mean if isinstance(mean, str) else pytest.approx(mean))
+    assert exact["never_ends"] == exact["distribution"].get("inf", 0) == never
+    assert exact["question"] == found["question"]
+
+
+@pytest.mark.parametrize(
     ("words", "exact", "policy"),
     [
         (["--reach", "home"], "1", "walk"),
@@ -173,12 +196,12 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
     assert (refused.status, "add --certify" in refused.err) == (2, True)
     assert run("solve", model, "--certify", "--certificate", proof).status == 0
     assert "5 (certified)" in run("verify", proof, model).out
+    done = run("sensitivity", model, "gradient", "--until", "home")  # without minimising: +∞
+    assert (done.status, "fix:" in done.err) == (2, True)
     for words in (
         ["sensitivity", model, "threshold"],
         ["sensitivity", model, "curve", "--parameter", "reward.5"],
-        ["sensitivity", model, "gradient", "--until", "home"],  # without minimising: +∞
+        ["sensitivity", model, "curve", "--parameter", "discount"],
         ["explore", model, "--parameter", "reward.5", "--html", page],
     ):
-        done = run(*words)
-        assert (done.status, "fix:" in done.err) == (2, True), words
-    assert run("sensitivity", model, "curve", "--parameter", "discount").status == 0
+        assert run(*words).status == 0, words

@@ -5,20 +5,24 @@ from __future__ import annotations
 from collections import defaultdict
 from fractions import Fraction as F
 from itertools import product
+from math import inf
 from random import Random
 
 import numpy as np
 import pytest
+from endless_oracle import classes, limit
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
+from strategies import Pairs, any_models, model_of
 
 from exact_mdp import solvers
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.solvers import Claim
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
+from exact_mdp.solvers.values.simulate import simulate
 
 Law = dict[F, F]
 SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])
@@ -85,9 +89,9 @@ def check_law(case: Case, found: ReturnDistribution) -> None:
 @given(LAWFUL)
 def test_the_law_is_that_of_brute_force(case: Case) -> None:
     assume(case.ends)
-    for limit in (10_000, -1):
+    for widest in (10_000, -1):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(solvers.values.returns, "DENSE_RANGE", limit)
+            patch.setattr(solvers.values.returns, "DENSE_RANGE", widest)
             found = law_of(case)
         check_law(case, found)
         assert found.claim is Claim.BOUNDED
@@ -257,11 +261,71 @@ def test_what_has_no_distribution_is_refused() -> None:
     with pytest.raises(ModelError, match="lattice") as caught:
         return_distribution(coin(0, 1).with_(discount="9/10"), "random")
     assert "evaluate()" in caught.value.fix
-    waiting = MDP.from_outcomes([(0, 0, [(1, 0, -1)]), (1, 0, [(1, 1, 0)])])
-    with pytest.raises(ModelError, match="may go on for ever"):
-        return_distribution(waiting, "random")
+    swinging = MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 1)])])
+    with pytest.raises(ModelError, match="cancel for ever"):
+        return_distribution(swinging, "random")
     with pytest.raises(ModelError, match="lead back"):
         return_distribution(geometric("1/2"), "random", exact=True)
+
+
+@settings(deadline=None, max_examples=20)
+@given(any_models(4))
+def test_runs_without_end_are_a_return_of_their_own(model: Pairs) -> None:
+    """Against the limits of the chain, and all that happens in some steps."""
+    size, pairs = model
+    rows = [next(pair for pair in pairs if pair[0] == s) for s in range(size)]
+    chain = [[row.get(t, F(0)) for t in range(size)] for *_, row in rows]
+    reward, star = [r for _, _, r, _ in rows], limit(chain)
+    mdp, lost, over = model_of(size, rows, F(1)), dict[float, F](), set[int]()
+    for each in classes(chain):
+        mean = sum(star[each[0]][t] * reward[t] for t in each)
+        over |= {*each}
+        if mean:
+            sign = inf if mean > 0 else -inf
+            lost[sign] = lost.get(sign, F(0)) + sum(star[0][t] for t in each)
+        elif any(reward[t] for t in each) and any(star[0][t] for t in each):
+            with pytest.raises(ModelError, match="cancel for ever"):
+                return_distribution(mdp, [0] * size)
+            return
+    found = return_distribution(mdp, [0] * size)
+    assert found.unending.keys() == {sign for sign, p in lost.items() if p}
+    for sign, number in found.unending.items():
+        assert abs(F(float(number.value)) - lost[sign]) <= F(number.error)
+    moving: dict[tuple[int, F], F] = {(0, F(0)): F(1)}
+    for _ in range(12):
+        following: dict[tuple[int, F], F] = defaultdict(F)
+        for (s, total), mass in moving.items():
+            for t, p in rows[s][3].items() if s not in over else ((s, F(1)),):
+                following[t, total + (reward[s] if s not in over else 0)] += mass * p
+        moving = following
+    resting = {s for s in over if not reward[s] and not any(star[s][t] * reward[t] for t in over)}
+    law, left = found.as_dict(), sum((p for (s, _), p in moving.items() if s not in over), F(0))
+    for value, error in zip(found.values, found.error, strict=True):
+        low = sum((p for (s, total), p in moving.items() if s in resting and total == value), F(0))
+        assert low - F(error) <= F(law[value]) <= low + left + F(error)
+    assert sum(law.values()) == pytest.approx(1, abs=1e-9)
+    if found.unending and len(found.unending) == 1:
+        assert found.mean == evaluate(mdp, [0] * size).mean
+        sampled = simulate(mdp, [0] * size, 400, 0)
+        assert sampled.never_ends == pytest.approx(found.never_ends, abs=0.15)
+        assert sampled.mean == found.mean or not sampled.never_ends
+
+
+def test_runs_that_miss_a_goal() -> None:
+    rows = [(0, 0, [("1/4", 1, 3), ("3/4", 2, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes(rows, labels={"home": [False, True, False]})
+    for sense in ("max", "min"):
+        found = return_distribution(mdp.with_(sense=sense).until("home"), "random", exact=True)
+        assert found.as_dict() == {F(3): 0.25, inf: 0.75}
+        assert found.unending[inf].value == F(3, 4)
+        assert (found.mean, found.sd, found.never_ends) == (inf, inf, 0.75)
+        assert [found.quantile(q) for q in (0.2, 0.25, 0.3, 1)] == [3, 3, inf, inf]
+        assert found.cdf(10) == 0.25
+        assert found.frame()["probability"].sum() == 1
+        assert "never ends" in found.plot().get_title()
+    lost = MDP.from_outcomes([(0, 0, [(1, 0, -1)])])
+    found = return_distribution(lost, "random")
+    assert (found.as_dict(), found.quantile(1), found.mean) == ({-inf: 1.0}, -inf, -inf)
 
 
 def test_several_starts_and_a_start_at_the_end() -> None:

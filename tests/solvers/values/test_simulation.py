@@ -137,8 +137,9 @@ def test_results_are_read_only() -> None:
 
 def test_discount_1_needs_a_policy_that_ends_in_time() -> None:
     mdp = MDP.from_outcomes(LOOP)
-    with pytest.raises(ModelError, match="may go on for ever"):
-        simulate(mdp, [0, 0, 0], 10, rng=0)
+    swinging = MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 1)])])
+    with pytest.raises(ModelError, match="cancel for ever"):
+        simulate(swinging, [0, 0], 10, rng=0)
     with pytest.raises(ModelError, match="after 1 steps") as caught:
         simulate(mdp, "random", 100, rng=0, max_steps=1)
     assert "max_steps" in caught.value.fix
