@@ -104,6 +104,13 @@ coverage: $(STAMP) ## the share of lines and branches that `make test` runs, int
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) -m pytest -n $(WORKERS) --dist loadgroup \
 	    --cov --cov-report=term --cov-report=html:build/coverage
 
+# The date of the last commit stands in the archives, so that built again they are the same bytes.
+.PHONY: wheel
+wheel: $(STAMP) ## build the wheel and the source archive into dist, the same bytes every time
+	rm -rf dist
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct 2>/dev/null || echo 1600000000) \
+	    $(PY) -m build --no-isolation --sdist --wheel --outdir dist .
+
 .PHONY: wheel-test
 wheel-test: $(STAMP) ## build the wheel, install it elsewhere and use it there
 	$(PY) -m pytest -m wheel tests/project/test_packaging.py

@@ -78,10 +78,14 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation"]
-    call(*build, "--outdir", out, source, cwd=out)
-    (found,) = out.glob("*.whl")
+    return build("wheel", source, tmp_path_factory.mktemp("wheel") / "out")
+
+
+def build(kind: str, source: Path, out: Path) -> Path:
+    """Build a wheel or a source archive of a folder, and return it."""
+    out.mkdir()
+    call(sys.executable, "-m", "build", f"--{kind}", "--no-isolation", "-o", out, source, cwd=out)
+    (found,) = out.iterdir()
     return found
 
 
@@ -119,6 +123,17 @@ def test_wheel_holds_every_file_of_the_packages_and_nothing_else(source: Path, w
     assert held == expected
     assert {f"exact_mdp/{package}/py.typed" for package in PACKAGES} <= held
     assert "exact_mdp/mdp/scenarios/yuan2025.toml" in held
+
+
+def test_built_again_it_is_the_same_wheel(source: Path, wheel: Path, tmp_path: Path) -> None:
+    """From the folder, touched since, and from the source archive, which is the same twice, too."""
+    (source / "pyproject.toml").touch()
+    assert build("wheel", source, tmp_path / "again").read_bytes() == wheel.read_bytes()
+    first, second = (build("sdist", source, tmp_path / name) for name in ("first", "second"))
+    assert first.read_bytes() == second.read_bytes()
+    shutil.unpack_archive(first, tmp_path / "unpacked", filter="data")
+    (unpacked,) = (tmp_path / "unpacked").iterdir()
+    assert build("wheel", unpacked, tmp_path / "third").read_bytes() == wheel.read_bytes()
 
 
 def test_wheel_describes_the_project(wheel: Path) -> None:
