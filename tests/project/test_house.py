@@ -107,3 +107,12 @@ def test_rules_of_the_review_are_refused_by_name_with_a_reason() -> None:
     assert refused
     for rule in refused:
         assert re.search(rf'"{rule}", +# \w+', lines), rule
+
+
+def test_the_paper_is_short_and_its_citations_are_in_the_bibliography() -> None:
+    """JOSS: at most 1,000 words, with a statement of need."""
+    text = (ROOT / "paper.md").read_text("utf-8").split("---\n", 2)[2]
+    entries = re.findall(r"^@\w+\{(\w+),", (ROOT / "paper.bib").read_text("utf-8"), re.M)
+    assert len(text.split()) <= 1000
+    assert "\n# Statement of need\n" in text
+    assert sorted(set(re.findall(r"@(\w+)", text))) == sorted(entries)
