@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -72,6 +73,7 @@ def test_slabs_cover_the_rectangle() -> None:
     assert ends[-1] == (1, 1)
     assert all(a.high == b.low for a, b in pairwise(found.slabs))
     assert len(found.optimal) > 2
+    assert found.violations() == []
     for i in range(5):
         for j in range(4):
             holds(found, family, names, -6 + F(7 * i + 1, 5), F(1, 10) + F(2 * j + 1, 20))
@@ -96,8 +98,40 @@ def test_random_models(gains: list[int], weights: list[int], spots: list[tuple[i
     box = {"p": (0, 1), "discount": (0, 1)}
     result = two_way(family, "p", "discount", ranges=box, points=2, exact=True)
     assert result.map is not None, result.sampled
+    assert result.map.violations() == []
     for x, y in spots:
         holds(result.map, family, ("p", "discount"), F(x, 40), F(y, 40))
+
+
+def test_the_checker_notices_a_forged_map() -> None:
+    """Each policy, line, slab and mark is needed."""
+    box = {"p": ("1/10", "9/10"), "discount": ("1/10", "9/10")}
+    found = two_way(two_bets(), "p", "discount", ranges=box, points=2, exact=True).map
+    assert found is not None
+    assert found.violations() == []
+    number = next(n for n, slab in enumerate(found.slabs) if slab.curves)
+    slab, rest = found.slabs[number], found.slabs
+
+    def instead(**changes: object) -> tuple[object, ...]:
+        return (*rest[:number], replace(slab, **changes), *rest[number + 1 :])  # type: ignore[arg-type]
+
+    low, high = slab.low, slab.high
+    middle = (low[1] + high[0]) / 2
+    wider = (*rest[: number - 1], replace(slab, low=rest[number - 1].low), *rest[number + 1 :])
+    marks = found.optimal[0].copy()
+    marks[0] = not marks[0]
+    for broken in (
+        replace(found, slabs=rest[1:]),
+        replace(found, slabs=(*rest[:number], *rest[number + 1 :])),
+        replace(found, slabs=instead(policies=slab.policies[::-1])),
+        replace(found, slabs=instead(policies=slab.policies[:1], curves=())),
+        replace(found, slabs=instead(policies=slab.policies[1:], curves=())),
+        replace(found, slabs=instead(curves=tuple((f, n + 1) for f, n in slab.curves))),
+        replace(found, slabs=instead(high=(middle, middle))),
+        replace(found, optimal=(marks, *found.optimal[1:])),
+        *([replace(found, slabs=wider)] if number else []),
+    ):
+        assert broken.violations()
 
 
 def test_where_nothing_is_proven_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
