@@ -1,7 +1,9 @@
 """Models to be timed, as plain arrays that every solver can be given.
 
-A workload is pairs of state and action with sparse rows, expected rewards and a discount; the
-states of each pair are sorted. The project is imported for the care model, and for `model()`.
+A workload is pairs of state and action with sparse rows, expected rewards and a discount. Pairs are
+sorted by state; the next states of a row stand in the order in which a user would have made them:
+drawn ones in none, those of SciPy's coordinates in rising order. The project is imported for the
+care model, and for `model()`.
 """
 
 from __future__ import annotations
@@ -48,12 +50,16 @@ class Workload:
             matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes + self.reward.nbytes
         )
 
-    def model(self) -> MDP:
+    def fresh(self) -> csr_array:
+        """The same rows in a matrix that nobody has asked yet whether they are sorted."""
+        matrix = self.transition
+        return csr_array((matrix.data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+    def model(self, transition: csr_array | None = None) -> MDP:
         from exact_mdp.mdp import MDP
 
-        return MDP.from_pairs(
-            self.state, self.action, self.transition, self.reward, discount=self.discount
-        )
+        rows = self.fresh() if transition is None else transition
+        return MDP.from_pairs(self.state, self.action, rows, self.reward, discount=self.discount)
 
     def save(self, path: Path) -> None:
         matrix = self.transition
@@ -82,7 +88,6 @@ class Workload:
 def _workload(
     name: str, size: int, discount: float, state, action, transition: csr_array, reward
 ) -> Workload:
-    transition.sum_duplicates()
     transition.eliminate_zeros()
     if transition.nnz < 2**31 - 1:  # as SciPy does by itself where it can
         transition.indices = transition.indices.astype(np.int32)
@@ -98,19 +103,59 @@ def _workload(
     )
 
 
-def garnet(states: int, discount: float, seed: int = 1) -> Workload:
-    """Four actions, ten random successors each (Archibald, McKinnon and Thomas, 1995)."""
-    rng = np.random.default_rng(seed)
-    actions, successors = 4, 10
-    pairs = states * actions
-    cuts = np.sort(rng.random((pairs, successors - 1)), axis=1)
-    weights = np.diff(cuts, axis=1, prepend=0.0, append=1.0)
+def drawn(pairs: int, states: int, successors: int, rng: np.random.Generator) -> NDArray[np.int32]:
+    """(pairs, successors) different states for each pair, in no order."""
     columns = rng.integers(states, size=(pairs, successors), dtype=np.int32)
+    again = np.arange(pairs)
+    while len(again):
+        ordered = np.sort(columns[again], axis=1)
+        again = again[(ordered[:, 1:] == ordered[:, :-1]).any(axis=1)]
+        columns[again] = rng.integers(states, size=(len(again), successors), dtype=np.int32)
+    return columns
+
+
+def shares(pairs: int, successors: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(pairs, successors) probabilities: the parts of [0, 1] between random cuts."""
+    cuts = np.sort(rng.random((pairs, successors - 1)), axis=1)
+    return np.diff(cuts, axis=1, prepend=0.0, append=1.0)
+
+
+def garnet(
+    states: int, discount: float, seed: int = 1, *, actions: int = 4, successors: int = 10
+) -> Workload:
+    """Random successors with random weights (Archibald, McKinnon and Thomas, 1995)."""
+    rng, pairs = np.random.default_rng(seed), states * actions
+    weights, columns = shares(pairs, successors, rng), drawn(pairs, states, successors, rng)
     rows = np.arange(0, pairs * successors + 1, successors)
     matrix = csr_array((weights.ravel(), columns.ravel(), rows), shape=(pairs, states))
     state, action = np.divmod(np.arange(pairs), actions)
     return _workload(
         f"garnet γ={discount}", states, discount, state, action, matrix, rng.random(pairs)
+    )
+
+
+def dense(states: int, discount: float = 0.95, seed: int = 2, *, actions: int = 10) -> Workload:
+    """Every state can follow every pair."""
+    rng, pairs = np.random.default_rng(seed), states * actions
+    matrix = csr_array(rng.dirichlet(np.ones(states), pairs))
+    state, action = np.divmod(np.arange(pairs), actions)
+    return _workload("dense rows", states, discount, state, action, matrix, rng.random(pairs))
+
+
+def clusters(
+    states: int, discount: float = 0.9999, seed: int = 3, *, size: int = 100, leave: float = 1e-4
+) -> Workload:
+    """Random clusters of states, left for anywhere with a small probability."""
+    rng, actions, successors = np.random.default_rng(seed), 3, 8
+    pairs = states * actions
+    near = drawn(pairs, size, successors, rng)
+    state, action = np.divmod(np.arange(pairs), actions)
+    columns = np.hstack([near + (state // size * size)[:, None], drawn(pairs, states, 1, rng)])
+    weights = np.hstack([(1 - leave) * shares(pairs, successors, rng), np.full((pairs, 1), leave)])
+    rows = np.repeat(np.arange(pairs), successors + 1)
+    matrix = csr_array((weights.ravel(), (rows, columns.ravel())), shape=(pairs, states))
+    return _workload(
+        "nearly decomposable", states, discount, state, action, matrix, rng.random(pairs)
     )
 
 
@@ -128,7 +173,7 @@ def queue(states: int, discount: float = 0.9999) -> Workload:
     columns = np.concatenate([np.minimum(state + 1, states - 1), np.maximum(state - 1, 0), state])
     matrix = csr_array((np.concatenate([up, down, stay]), (rows, columns)))
     reward = -(state / states) - 0.5 * rates[action] ** 2
-    return _workload("queue γ=0.9999", states, discount, state, action, matrix, reward)
+    return _workload(f"queue γ={discount}", states, discount, state, action, matrix, reward)
 
 
 def grid(side: int, discount: float = 0.9999) -> Workload:
@@ -153,7 +198,7 @@ def grid(side: int, discount: float = 0.9999) -> Workload:
     matrix = csr_array((chances, (rows, columns)), shape=(side * side * 4, side * side))
     reward = np.repeat(np.where(place == goal, 0.0, -1.0), 4)
     state, action = np.divmod(np.arange(side * side * 4), 4)
-    return _workload("grid γ=0.9999", side, discount, state, action, matrix, reward)
+    return _workload(f"grid γ={discount}", side, discount, state, action, matrix, reward)
 
 
 def inventory(capacity: int, discount: float = 0.9999, most: int = 20) -> Workload:
@@ -191,12 +236,19 @@ def layered(subtasks: int, discount: float = 0.99) -> Workload:
 
 
 FULL: dict[str, list[Callable[[], Workload]]] = {
-    "garnet γ=0.95": [lambda n=n: garnet(n, 0.95) for n in (10**3, 10**4, 10**5, 10**6)],
+    "garnet γ=0.95": [lambda n=n: garnet(n, 0.95) for n in (50, 10**3, 10**4, 10**5, 10**6)],
     "garnet γ=0.99": [lambda n=n: garnet(n, 0.99) for n in (10**3, 10**4, 10**5, 10**6)],
+    "garnet, other shapes": [
+        lambda n=n, k=k: garnet(n, 0.97, seed=100 + n, actions=2 + k, successors=4 * k + 1)
+        for n, k in ((80, 4), (700, 1), (3_000, 6), (30_000, 2))
+    ],
+    "dense rows": [lambda n=n: dense(n) for n in (200, 600)],
     "layered γ=0.99": [lambda n=n: layered(n) for n in (10, 100, 1000, 10_000)],
     "layered γ=1": [lambda n=n: layered(n, 1) for n in (10, 100, 1000, 10_000)],
     "queue γ=0.9999": [lambda n=n: queue(n) for n in (100, 1000, 10_000)],
-    "grid γ=0.9999": [lambda n=n: grid(n) for n in (30, 100, 300)],
+    "grid γ=0.999": [lambda n=n: grid(n, 0.999) for n in (7, 20, 60)],
+    "grid γ=0.9999": [lambda n=n: grid(n) for n in (30, 60, 100, 300)],
     "inventory γ=0.9999": [lambda n=n: inventory(n) for n in (100, 1000, 10_000)],
+    "nearly decomposable": [lambda n=n: clusters(n) for n in (300, 3_600)],
 }
 QUICK = {name: sizes[:2] for name, sizes in FULL.items()}

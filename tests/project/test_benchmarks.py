@@ -6,16 +6,18 @@ import compare
 import numpy as np
 import pytest
 from contenders import OURS
-from workloads import Workload, garnet, grid, inventory, queue
+from workloads import Workload, clusters, dense, garnet, grid, inventory, queue
 
 from results import write
 
-PEER = "quantecon MPI"
+PEER = "quantecon MPI, k=20"
 FAMILY = "queue γ=0.9999"
 
 
 @pytest.mark.parametrize(
-    "workload", [garnet(30, 0.95), queue(20), grid(5), inventory(30)], ids=lambda work: work.name
+    "workload",
+    [garnet(30, 0.95), dense(20), clusters(40, size=20), queue(20), grid(5), inventory(30)],
+    ids=lambda work: work.name,
 )
 def test_workloads_are_models(workload: Workload, tmp_path: Path) -> None:
     sums = np.asarray(workload.transition.sum(axis=1))
