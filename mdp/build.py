@@ -7,6 +7,7 @@ float, the table holds them as floats; else as integers over one denominator for
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
@@ -26,13 +27,16 @@ from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,
     chance_sum,
+    check_places,
     dense,
     grouped,
     picked,
     whole_numbers,
 )
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
+    Floats,
     Given,
     Integers,
     Numbers,
@@ -45,6 +49,9 @@ from exact_mdp.mdp.table import (
 )
 from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.validate import as_discount, as_start
+
+COMPILING = "exact_mdp.mdp.forms.compiling"
+loops = later("exact_mdp.mdp.forms.rows")
 
 MOST_UNNAMED_ACTIONS = 100_000
 LAYOUTS = {"ass": 1, "sas": 0}
@@ -153,7 +160,7 @@ def from_pairs(
     below = None
     if isinstance(transition, tuple) and len(transition) == 2 and sp.issparse(transition[0]):
         transition, below = transition[0], whole_numbers(transition[1], "denominators")
-    rows = array_of(transition, "transition")
+    rows = array_of(transition, "transition", columns=False)
     if below is not None and (
         rows.dtype != np.int64 or below.shape != rows.shape[:1] or (below < 1).any()
     ):
@@ -294,7 +301,13 @@ def _from_rows(
     """Build from sorted pairs, their (L, S) rows, over `below` (L,), and rewards (L,) or (L, S)."""
     size = rows.shape[1]
     rising = False
-    if sp.issparse(rows) and rows.dtype == np.float64 and rows.has_canonical_format:
+    sound = _taken(rows) if sp.issparse(rows) else None
+    if sound is None and sp.issparse(rows):
+        check_places(rows, "transition")
+    if sound is not None:
+        (offsets, following, data), rising = sound, True
+        weight = Grouped(data, ones(len(state)))
+    elif sp.issparse(rows) and rows.dtype == np.float64 and rows.has_canonical_format:
         rows, lowest = _copied(rows)
         if lowest <= 0:
             rows.eliminate_zeros()
@@ -320,7 +333,8 @@ def _from_rows(
     following = following if size < 2**31 else following.astype(np.int64)
     table = _table(offsets, following, weight, gain, of_pairs=reward.ndim == 1)
     if rising and len(table.next) == len(following):
-        vars(table)["rising"] = True  # SciPy made it so, and need not be asked again
+        vars(table)["rising"] = True  # it was made so, and need not be asked again
+        vars(table)["sound"] = sound is not None
     return _assemble(state, action, table, size, discount, start, names)
 
 
@@ -338,6 +352,25 @@ def _table(
         gain_doubt=gain.doubt,
     )
     return table if of_pairs else by_outcome(table)
+
+
+def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
+    """Return offsets (L+1,), columns and numbers (N,) of a sparse matrix, copied in one pass.
+
+    None where compiled loops are not loaded, and where rows are not sound as they are.
+    """
+    if COMPILING not in sys.modules or rows.dtype != np.float64:
+        return None
+    offsets = rows.indptr.astype(np.int64)
+    columns, data = np.empty(offsets[-1], dtype=rows.indices.dtype), np.empty(offsets[-1])
+    ends, given = block_ends(offsets), (rows.shape[1], offsets, rows.indices, rows.data)
+    good = [False] * (len(ends) - 1)
+
+    def work(number: int, first: int, last: int) -> None:
+        good[number] = loops.taken(first, last, *given, columns, data)
+
+    run_blocks(ends, work)
+    return (offsets, columns, data) if all(good) else None
 
 
 def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:

@@ -99,6 +99,9 @@ def numbered_in_order(mdp: MDP) -> bool:
     >>> numbered_in_order(MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0]))
     True
     """
+    first = int(mdp.transition.indices[0])  # most others show it at once
+    if first <= 0 and not mdp.terminal[0]:
+        return False
     return bool((_least_successor(mdp) > np.arange(mdp.n_states)).all())
 
 

@@ -46,6 +46,8 @@ HEAVY = (
     "exact_mdp.analysis.gate.data",  # of models from records alone
     "exact_mdp.analysis.plots",  # draw with matplotlib
     "exact_mdp.mdp.care.perception",
+    "exact_mdp.mdp.forms.compiling",  # numba
+    "exact_mdp.mdp.forms.rows",  # numba
     "exact_mdp.mdp.io",  # each format on its own
     "exact_mdp.paper_repro.agents.transport",  # made of classes of httpcore
     "exact_mdp.solvers.kernels",

@@ -232,7 +232,7 @@ class MDP(Parts):
 
     # ---- views -------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def discount(self) -> float:
         """The discount as a float."""
         return float(self.discount_exact)

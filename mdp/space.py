@@ -143,12 +143,12 @@ class StateSpace:
     def __post_init__(self) -> None:
         check_names(self.extra, "state", where="state space")
 
-    @property
+    @cached_property
     def regular(self) -> int:
         """Number of states in the product, without the extra ones."""
         return prod(column.size for column in self.columns)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of states."""
         return self.regular + len(self.extra)

@@ -42,6 +42,8 @@ def block_ends(work: Numbers, threads: int | None = None, most: int | None = Non
     total = int(work[-1])
     if threads is None:
         threads = max(1, min(cores(), total // SMALLEST))
+    if threads == 1 and (most is None or total <= most):
+        return [0, len(work) - 1]
     count = 1 if threads == 1 else PER_THREAD * threads
     if most is not None:
         count = max(count, total // most)
@@ -51,6 +53,8 @@ def block_ends(work: Numbers, threads: int | None = None, most: int | None = Non
 
 def run_blocks(ends: Sequence[int], work: Callable[[int, int, int], None]) -> None:
     """Call `work(number, first, last)` for each block; more than one run on all `cores`."""
+    if len(ends) == 2:
+        return work(0, ends[0], ends[1])
     blocks = enumerate(pairwise(ends))
     failures: list[BaseException] = []
 

@@ -34,14 +34,21 @@ from exact_mdp.mdp.table import (
 )
 
 
-def array_of(values: object, where: str) -> Any:
+def array_of(values: object, where: str, *, columns: bool = True) -> Any:
     """Return a sparse matrix as a CSR array, others as an array of one kind or of objects.
 
-    Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s.
+    Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s. Without `columns`
+    those of a CSR array are left to be checked by `check_places`.
     """
     with located(where):
         refuse_labels(values)
-        return _sparse(values) if sp.issparse(values) else _array(values)
+        return _sparse(values, columns=columns) if sp.issparse(values) else _array(values)
+
+
+def check_places(matrix: Any, where: str) -> None:
+    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
+    with located(where):
+        _check_places(matrix, columns=True)
 
 
 def as_given(value: object) -> Fraction | float:
@@ -91,7 +98,7 @@ def whole_numbers(values: ArrayLike, what: str) -> Integers:
     return array.astype(np.int64)
 
 
-def _sparse(values: Any) -> sp.csr_array:
+def _sparse(values: Any, *, columns: bool) -> sp.csr_array:
     """Return a sparse matrix as a CSR array; places that come twice still do."""
     if values.dtype.kind not in "fiub":
         raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
@@ -100,8 +107,8 @@ def _sparse(values: Any) -> sp.csr_array:
             f"a sparse array of {values.ndim} dimensions", fix="give a sparse matrix, or np.array"
         )
     if values.format in ("csr", "csc", "coo"):
-        _check_places(values)
-    found = sp.csr_array(values)
+        _check_places(values, columns=columns or values.format != "csr")
+    found = values if type(values) is sp.csr_array else sp.csr_array(values)
     if values.format == "coo" and found.nnz != values.nnz:
         # SciPy added up what comes twice, in floats: here it stays.
         order = np.lexsort((values.col, values.row))
@@ -113,8 +120,7 @@ def _sparse(values: Any) -> sp.csr_array:
     return found.astype(np.int64) if whole else found
 
 
-def _check_places(matrix: Any) -> None:
-    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
+def _check_places(matrix: Any, *, columns: bool) -> None:
     sizes = dict(zip(("row", "column"), matrix.shape, strict=True))
     if matrix.format == "coo":
         named = {"row": matrix.row, "column": matrix.col}
@@ -126,7 +132,7 @@ def _check_places(matrix: Any) -> None:
                 "a sparse matrix whose indptr does not run from 0 to its number of entries",
                 fix="build it anew, from coordinates for example",
             )
-    for what, numbers in named.items():
+    for what, numbers in named.items() if columns else ():
         if len(numbers) and not 0 <= numbers.min() <= numbers.max() < sizes[what]:
             worst = numbers.min() if numbers.min() < 0 else numbers.max()
             raise ModelError(

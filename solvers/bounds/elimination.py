@@ -114,9 +114,7 @@ def _rows(chain: sp.csr_array) -> Any:
 
 
 def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve:
-    """Return elimination within the band, from `within` below to above the diagonal.
-
-    Large chains are eliminated by LAPACK, which keeps the band alone.
+    """Return LAPACK's elimination within the band, from `within` below to above the diagonal.
 
     Examples
     --------
@@ -124,13 +122,11 @@ def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve
     >>> band(walk, 1.0, (0, 1))(np.array([1.0, 1.0])).tolist()
     [2.5, 1.0]
     """
-    matrix, (lower, upper) = matrix_of(chain, discount), within
-    if chain.nnz < COMPILED:
-        return _superlu(matrix.tocsc(), permc_spec="NATURAL")
-    entries = matrix.tocoo()
-    row, column = entries.coords
+    lower, upper = within
+    row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
     places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")
-    places[lower + upper + row - column, column] = entries.data
+    places[lower + upper + row - chain.indices, chain.indices] = -discount * chain.data
+    places[lower + upper] += 1.0
     factors, exchanged, failed = lapack.dgbtrf(places, lower, upper, overwrite_ab=True)
     if failed:
         raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")

@@ -7,7 +7,8 @@ all have this form. The chain must leak: at discount 1 the rows of terminal stat
 have to be empty (`policy_chain` does that).
 
 Solving: where an order of the states is known along which the chain only falls, by substitution;
-where all transitions are to near numbers, by elimination within that band; up to 500 states, by
+where all transitions are to near numbers, or that costs little, by elimination within that band; up
+to 500 states, by
 sparse elimination. Otherwise by BiCGSTAB, which does not fill the matrix. Where that does not
 converge soon, by sparse elimination, if there is room for its factors; if not, by GMRES, and by
 BiCGSTAB with more patience. Steps of iterative refinement follow.
@@ -18,10 +19,9 @@ equation with the residual for a constant; what comes out is then verified with 
 counted. That e - γ P e > 0 for some e > 0 also proves that the chain leaks
 (Berman and Plemmons, Nonnegative Matrices in the Mathematical Sciences, 1979, chapter 6, M35).
 
-Large chains are iterated for by the compiled loops of `solvers.kernels.linear`; small ones by
-SciPy's, preconditioned by the diagonal, so that no compiler is loaded. Chains of many states are
-large, too: threads of a library for linear algebra would wait for each other where other work goes
-on. GMRES restarts after `DIRECTIONS` steps (Saad and Schultz, SIAM J. Sci. Stat. Comput. 7, 1986).
+Iteration is compiled (`solvers.kernels.linear`): each step of SciPy's own is some hundred calls. Of
+large chains alone, GMRES is tried, which restarts after `DIRECTIONS` steps (Saad and Schultz, SIAM
+J. Sci. Stat. Comput. 7, 1986).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds import elimination
-from exact_mdp.solvers.bounds.elimination import Solve, TooLarge, matrix_of
+from exact_mdp.solvers.bounds.elimination import Solve, TooLarge
 from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import Bounded, SolverError, Status
 
@@ -48,11 +48,10 @@ scipy = later("scipy.sparse.linalg")
 
 DIRECT_STATES = 500
 MOST_FILL = 4
-CHEAP = 5_000_000  # multiplications within the band, for which iterating in SciPy takes longer
+CHEAP = 2e7  # multiplications within the band: some milliseconds
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
 STEPS, PATIENT = 400, 8000
-LONG = 5000  # states from which on SciPy's inner products run on threads of their own
 DIRECTIONS, GMRES_STEPS = 20, 400
 
 
@@ -121,13 +120,13 @@ class LinearSystem:
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         # Of a scale of 1, and nowhere so small that rounding would swallow the margin.
         wanted = excess / largest + 2.0**-10
-        error = self.approximate(wanted)
-        margin = self._residual(np.zeros_like(error), error)
-        slack = -margin - self._rounding(np.zeros_like(error), np.abs(error))
-        if not (np.all(np.isfinite(error)) and (error > 0).all() and (slack > 0).all()):
-            raise SolverError(Status.NO_BOUND)
-        scale = float((excess / slack).max())
-        return np.asarray(error * (scale * SLACK))
+        nothing = np.zeros_like(wanted)
+        for rough in (True, False):
+            error = self._nearly(wanted, CORRECTION) if rough else self.approximate(wanted)
+            slack = -self._residual(nothing, error) - self._rounding(nothing, np.abs(error))
+            if np.all(np.isfinite(error)) and (error > 0).all() and (slack > 0).all():
+                return np.asarray(error * (float((excess / slack).max()) * SLACK))
+        raise SolverError(Status.NO_BOUND)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def approximate(self, constant: Floats) -> Floats:
@@ -136,7 +135,7 @@ class LinearSystem:
         residual = self._residual(constant, value)
         size = float(np.abs(residual).max(initial=0.0))
         for _ in range(REFINEMENTS):
-            if size == 0.0 or not np.isfinite(size):
+            if not np.isfinite(size) or size <= self._floor(constant, value):
                 break
             better = value + self._nearly(residual, CORRECTION)
             after = self._residual(constant, better)
@@ -148,6 +147,10 @@ class LinearSystem:
                 break
             size = smaller
         return value
+
+    def _floor(self, constant: Floats, value: Floats) -> float:
+        """Return the size of a residual that may be rounding alone: to refine it brings nothing."""
+        return 2 * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
 
     def roughly(self, constant: Floats) -> Floats:
         """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller."""
@@ -170,19 +173,29 @@ class LinearSystem:
         """Return x (S,), where it is iterated for with a residual of that part of the constant."""
         return self._iteration(constant, rtol) if self._direct is None else self._direct(constant)
 
+    @property
+    def work(self) -> float:
+        """The multiplications of elimination within a band, where that is what is done; else 0."""
+        return self._band[1]
+
+    @cached_property
+    def _band(self) -> tuple[tuple[int, int], float]:
+        """How far transitions lead, and the multiplications of elimination if it pays, else 0."""
+        chain, within = self.transition, elimination.reach(self.transition)
+        work = 2.0 * chain.shape[0] * (within[0] + 1) * (sum(within) + 1)
+        narrow = sum(within) * chain.shape[0] <= MOST_FILL * chain.nnz
+        return within, work if narrow or work <= CHEAP else 0.0
+
     @cached_property
     def _direct(self) -> Solve | None:
         """The method that needs no iteration, where there is one that costs little."""
         chain, rate = self.transition, self.discount
         if self.order is not None:
             return elimination.substitution(chain, rate, self.order)
-        within = elimination.reach(chain)
-        if sum(within) * chain.shape[0] <= MOST_FILL * chain.nnz:
+        within, work = self._band
+        if work:
             return elimination.band(chain, rate, within)
-        states, quick = chain.shape[0], chain.nnz < COMPILED
-        if states <= DIRECT_STATES or (quick and states * within[0] * within[1] <= CHEAP):
-            return elimination.sparse(chain, rate)
-        return None
+        return elimination.sparse(chain, rate) if chain.shape[0] <= DIRECT_STATES else None
 
     def _iteration(self, constant: Floats, rtol: float) -> Floats:
         """BiCGSTAB, and for good something slower once that fails to converge."""
@@ -286,13 +299,7 @@ def _rows(chain: sp.csr_array) -> Any:
 def _bicgstab(
     chain: sp.csr_array, discount: float, constant: Floats, rtol: float, steps: int
 ) -> Floats | None:
-    if chain.nnz >= COMPILED or chain.shape[0] >= LONG:
-        value, room = np.empty(len(constant)), np.empty((6, len(constant)))
-        rows = _rows(chain)
-        failed = loops.bicgstab(rows, float(discount), constant, rtol, steps, value, room) < 0
-    else:
-        matrix = matrix_of(chain, discount)
-        inverse = sp.diags_array(1 / matrix.diagonal())
-        value, status = scipy.bicgstab(matrix, constant, rtol=rtol, maxiter=steps, M=inverse)
-        failed = status != 0
-    return None if failed or not np.all(np.isfinite(value)) else np.asarray(value)
+    value, room = np.empty(len(constant)), np.empty((6, len(constant)))
+    rows = _rows(chain)
+    failed = loops.bicgstab(rows, float(discount), constant, rtol, steps, value, room) < 0
+    return None if failed or not np.all(np.isfinite(value)) else value

@@ -13,7 +13,8 @@ bounds by MacQueen, J. Math. Anal. Appl. 14, 1966). A judging pass gives bounds 
 V* ≤ h + high w in which every rounding error is counted.
 
 Models of fewer than `COMPILED` transitions are swept in NumPy, as loading compiled code takes
-longer than solving them; larger ones in compiled loops, on two threads, which leave out pairs that
+longer than solving them; once it is loaded, compiled loops find the same, bit for bit. Larger ones
+are swept in compiled loops, on two threads, which leave out pairs that
 are proven to be beaten. With
 
     q(l) = r(l) + γ Σ_s' P(l, s') h(s'),   q(l) now ≤ q(l) then + γ ρ,
@@ -50,14 +51,19 @@ from exact_mdp.solvers.bounds.gains import (
     Gain,
     RoundingFacts,
     Weights,
+    added,
     gains,
     gamma,
     greedy,
+    loops_pay,
     rounding_facts,
 )
 from exact_mdp.solvers.solution import SolverError, Status
 
 bellman = later("exact_mdp.solvers.kernels.bellman")
+
+
+FIRST_SWEEPS, APART, LEAST = 12, 6, 1e-12  # after which to ask how fast errors fall, and to where
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,6 +163,30 @@ class Sweeps:
             raise ValueError("there is no policy yet")
         return self._follow(value, shift, self._pairs)
 
+    def settle(self, value: Floats, shift: float, goal: float, most: int) -> tuple[bool, float]:
+        """Follow the policy until the error within it is at most `goal`; 0 asks for all there is.
+
+        `value` (S,) changes in place. Returns whether `most` sweeps were enough, and the shift;
+        sweeps end where errors that go on falling as they do would miss the goal.
+        """
+        errors: list[float] = []
+        while len(errors) < most:
+            step, low, high = self.follow(value, shift)
+            error = (high - low) / 2
+            if goal == 0 and errors and not error < min(errors):
+                return True, shift
+            value += step
+            if self.uniform:
+                shift += self.mdp.discount * ((low + high) / 2)
+            if not error > goal:
+                return True, shift
+            errors.append(error)
+            if len(errors) >= FIRST_SWEEPS:
+                rate = (error / errors[-APART]) ** (1 / (APART - 1))
+                if error * rate ** (most - len(errors)) > max(goal, LEAST * errors[0]):
+                    break
+        return False, shift
+
     def relax(self, value: Floats, shift: float, *, backward: bool) -> float:
         """Improve `value` (S,) in place, each state by what those before it have become.
 
@@ -189,7 +219,7 @@ class Sweeps:
         _, matrix, reward, leak, margin = self._rows
         counts = np.diff(matrix.indptr)
         ahead = matrix.data * (value[matrix.indices] - np.repeat(value, counts))
-        flow = mdp.discount * np.add.reduceat(ahead, matrix.indptr[:-1])
+        flow = mdp.discount * added(ahead, counts)
         step = reward + (flow - leak * value) - shift * margin
         step[mdp.terminal] = 0.0
         ratio = (step / margin)[~mdp.terminal]
@@ -204,9 +234,10 @@ def finite(found: Found) -> Found:
 
 
 def sweeps_of(mdp: MDP, weights: Weights, *, strict: bool = False) -> Sweeps:
-    """Return the sweeps for a model of its size; the size alone decides."""
+    """Return the sweeps for a model; what they find depends on its size alone."""
     if mdp.n_transitions < COMPILED:
-        return Sweeps(mdp, weights, strict)
+        kind = LoadedSweeps if loops_pay(mdp.n_transitions) else Sweeps
+        return kind(mdp, weights, strict)
     return CompiledSweeps(mdp, weights, strict)
 
 
@@ -323,21 +354,21 @@ class CompiledSweeps(Sweeps):
         return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 
     def _judge(self, value: Floats, shift: float) -> Judged:
+        self._memory.move(value)
+        sizes = self._sizes(value)
+        tied = sizes.error if self.strict else sizes.noise
+        spare = self._memory.drop(shift) + tied
+        return self._judged(value, shift, sizes.value, spare, still=sizes.span == 0)
+
+    def _judged(
+        self, value: Floats, shift: float, size: float, spare: float, *, still: bool
+    ) -> Judged:
+        """Return the judging pass, for h = `value` (S,) of at most this `size`."""
         mdp, memory = self.mdp, self._memory
         step, pairs = np.empty(mdp.n_states), np.empty(mdp.n_states, dtype=np.int64)
-        memory.move(value)
-        sizes = self._sizes(value)
-        tied, still = sizes.error if self.strict else sizes.noise, sizes.span == 0
-        facts = bellman.Facts(
-            reward_error=self.facts.reward_error,
-            leak_error=self.facts.leak_error,
-            margin_error=self.weights.error,
-            merged=self.facts.merged,
-            tiny=TINY * (1 + sizes.value),
-            rounding=self._rounding,
-        )
+        facts = self._known._replace(tiny=TINY * (1 + size) * bool(size))
         what = (self.model, facts, memory.policy, value, shift, self.strict, still)
-        spare, most = memory.drop(shift) + tied, int(np.diff(mdp.pair_offsets).max())
+        most = self._widest
 
         def judge(first: int, last: int, extremes: Floats) -> None:
             room = np.empty((2, most))
@@ -354,6 +385,20 @@ class CompiledSweeps(Sweeps):
         step, policy = self._step, self._memory.policy
         found = self._blocks(2, bellman.follow, self.model, policy, value, shift, step)
         return step, float(found[:, 0].min()), float(found[:, 1].max())
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def settle(self, value: Floats, shift: float, goal: float, most: int) -> tuple[bool, float]:
+        """See `Sweeps.settle`."""
+        if self._pairs is None or len(self._ends) > 2:
+            return super().settle(value, shift, goal, most)
+        self._hold(self._pairs)
+        limits = bellman.Slow(FIRST_SWEEPS, APART, LEAST)
+        what = (shift, float(goal), most, limits, self.uniform, self._step, np.empty(most + 2))
+        done, shift = bellman.settle(self.model, self._memory.policy, value, *what)
+        return bool(done), float(shift)
+
+    def _hold(self, pairs: Integers) -> None:
+        """Have the rows of a policy side by side, as `improve` leaves them."""
 
     def _blocks(self, count: int, work: Callable[..., None], *what: Any) -> Floats:
         """Run `work` on all blocks of states; return what each left as its `count` extremes."""
@@ -395,6 +440,27 @@ class CompiledSweeps(Sweeps):
         return block_ends(self.mdp.transition.indptr[self.mdp.pair_offsets])
 
     @cached_property
+    def _known(self) -> Any:
+        """Rounding errors as the judging loop takes them."""
+        return bellman.Facts(
+            reward_error=self._reward_error,
+            leak_error=self.facts.leak_error,
+            margin_error=self.weights.error,
+            merged=self.facts.merged,
+            tiny=0.0,
+            rounding=self._rounding,
+        )
+
+    @cached_property
+    def _widest(self) -> int:
+        """The most pairs of a state."""
+        return int(np.diff(self.mdp.pair_offsets).max())
+
+    @cached_property
+    def _reward_error(self) -> Floats:
+        return self.facts.reward_error
+
+    @cached_property
     def _rounding(self) -> Floats:
         """γ(n + 8) of rows of n roundings."""
         return gamma(np.arange(self._greatest[2] + 1) + 8)
@@ -402,3 +468,32 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _step(self) -> Floats:
         return np.empty(self.mdp.n_states)
+
+
+class LoadedSweeps(CompiledSweeps):
+    """As `Sweeps`, bit for bit: every pass of a small model looks at all pairs."""
+
+    improve = Sweeps.improve
+
+    @cached_property
+    def _reward_error(self) -> Floats:
+        return self.facts.reward_errors(self.mdp, 0, self.mdp.n_pairs)
+
+    @cached_property
+    def _memory(self) -> Remembered:
+        found = Remembered.nothing(self.mdp, self.weights, self.facts)
+        found.policy.ceilings[:] = np.inf
+        return found
+
+    def _judge(self, value: Floats, shift: float) -> Judged:
+        low, high = float(value.min()), float(value.max())
+        return self._judged(value, shift, max(abs(low), abs(high)), 0.0, still=low == high)
+
+    def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
+        self._hold(pairs)
+        return super()._follow(value, shift, pairs)
+
+    def _hold(self, pairs: Integers) -> None:
+        if self._rows[0] is not pairs:
+            bellman.hold(self.model, pairs, self._memory.policy)
+            self._rows = (pairs,)

@@ -11,7 +11,9 @@ linear equations: with d = T_π V - V, V ← V + (I - γ P_π)⁻¹ d. Sweeps go
 the policy falls to a goal. Where the rate at which it falls says that they would take too many,
 what is missing is found from the equations, solved only roughly each time: d is computed anew from
 V, so that the errors of one correction are the next one's task (iterative refinement; Dembo,
-Eisenstat and Steihaug, SIAM J. Numer. Anal. 19, 1982, on how exactly to solve).
+Eisenstat and Steihaug, SIAM J. Numer. Anal. 19, 1982, on how exactly to solve). Where the equations
+are eliminated within a band, what that costs is known: as much is spent on passes over all pairs
+before the next policy is evaluated, as most policies on the way are soon improved upon.
 """
 
 from __future__ import annotations
@@ -38,9 +40,9 @@ from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, 
 
 RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20
-FIRST_SWEEPS = 12
 CORRECTIONS = 30
 MANY = 10_000
+PASS = 20_000  # operations in the time of the calls of one pass
 S = TypeVar("S")
 
 
@@ -210,10 +212,13 @@ class Iterate:
     shift: float = 0.0  # c, which is 0 but where a shift of all values is only a shift
     slow: bool = False  # Whether sweeps were found to be too slow for this model
     relaxed: bool = False  # Whether states were ever improved one by one, by `relax`
+    spent: float = 0.0  # Operations of passes over all pairs since the last correction
+    price: float = 0.0  # Operations of a correction
 
     def improve(self) -> Pass:
         """Return a pass over all pairs, whose policy is the one to `evaluate`."""
         self._centre()
+        self.spent += PASS + 2 * self.sweeps.mdp.n_transitions
         return self.sweeps.improve(self.value, self.shift)
 
     def judge(self, found: Pass) -> Judged:
@@ -264,7 +269,10 @@ class Iterate:
         if not self.slow and self._sweep(goal, most):
             return
         self.slow = True
+        if self.spent < self.price:
+            return  # more passes bring the policy on for less than it takes to evaluate it
         self._correct(goal)
+        self.spent = 0.0
         if self.sweeps.mdp.n_transitions >= COMPILED and goal > 0:
             # Good news is carried along the whole model, up and down, before the next policy.
             self.sweeps.relax(self.value, self.shift, backward=False)
@@ -272,25 +280,15 @@ class Iterate:
 
     def _sweep(self, goal: float, most: int) -> bool:
         """Follow the policy; return whether that came as close as asked for."""
-        errors: list[float] = []
-        while len(errors) < most:
-            step, low, high = self.sweeps.follow(self.value, self.shift)
-            error = (high - low) / 2
-            if goal == 0 and errors and not error < min(errors):
-                return True
-            self._move(step, (low + high) / 2)
-            if not error > goal:
-                return True
-            errors.append(error)
-            if _slow(errors, goal, most):
-                break
-        return False
+        done, self.shift = self.sweeps.settle(self.value, self.shift, goal, most)
+        return done
 
     def _correct(self, goal: float) -> None:
         pairs = self.sweeps.policy
         assert pairs is not None
         chain, _ = policy_chain(self.sweeps.mdp, pairs)
         system, error = LinearSystem(chain, self.sweeps.mdp.discount), np.inf
+        self.price = system.work
         kept, shift = self.value.copy(), self.shift
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
@@ -306,15 +304,6 @@ class Iterate:
                 self.shift += middle
                 step -= middle * self.sweeps.weights.margin[pairs]
             self.value += system.roughly(step)
-
-
-def _slow(errors: list[float], goal: float, most: int) -> bool:
-    """Return whether errors that go on falling as they do miss the goal within `most` sweeps."""
-    if len(errors) < FIRST_SWEEPS:
-        return False
-    rate = (errors[-1] / errors[-6]) ** (1 / 5)
-    goal = max(goal, 1e-12 * errors[0])
-    return bool(errors[-1] * rate ** (most - len(errors)) > goal)
 
 
 def conclude(

@@ -39,6 +39,14 @@ class Model(NamedTuple):
     discount: float
 
 
+class Slow(NamedTuple):
+    """When sweeps are too slow: see `solvers.bounds.sweeps`."""
+
+    first: int
+    apart: int
+    least: float
+
+
 class Facts(NamedTuple):
     """Rounding errors: of rewards (L,) or (0,), leaks and margins; `rounding[n]` is γ(n + 8).
 
@@ -119,6 +127,34 @@ def gains(
     for pair in range(first, last):
         begin, end, own = indptr[pair], indptr[pair + 1], value[pair_state[pair]]
         steps[pair], flow[pair] = added(begin, end, indices, data, value, own)
+
+
+@compiled
+def leaks(
+    first: int,
+    last: int,
+    offsets: Numbers,
+    weight: Floats,
+    discount: float,
+    whole_leak: float,
+    found: Floats,
+) -> float:
+    """Write 1 - γ Σ p of pairs first … last-1 into `found` (L,); return their greatest error.
+
+    `whole_leak` is 1 - γ; see `solvers.bounds.gains`.
+    """
+    worst = 0.0
+    for pair in range(first, last):
+        whole, rest = -(2.0**40), 0.0
+        for i in span(offsets[pair], offsets[pair + 1]):
+            scaled = np.rint(weight[i] * 2.0**40)
+            whole += scaled  # whole numbers below 2^53
+            rest += weight[i] - scaled * 2.0**-40
+        excess, terms = discount * (whole * 2.0**-40 + rest), offsets[pair + 1] - offsets[pair]
+        found[pair] = whole_leak - excess
+        error = 2 * UNIT * whole_leak + 8 * UNIT * abs(excess) + gamma(terms) * terms * 2.0**-40
+        worst = max(worst, error)
+    return worst
 
 
 @compiled
@@ -225,12 +261,12 @@ def judge(
 
     A pair is passed over where its ceiling proves that it is beaten, and that it does not set the
     upper bound: `spare` bounds -c m(l) and how far from the best a pair may be for a tie, `alike`
-    bounds m(l) / m(l') from below. The first pair that no other beats by more than rounding is
-    taken; `strict` counts the rounding of d alone. Where values are `still`, all of them the same,
-    transitions add nothing and are not read. `room` (2, K) is for the K pairs of a state at most.
+    bounds m(l) / m(l') from below; none is where ceilings are infinite. The first pair that no
+    other beats by more than rounding is taken; `strict` counts the rounding of d alone. Where
+    values are `still`, all of them the same, transitions add nothing and are not read. `room`
+    (2, K) is for the K pairs of a state at most.
     `extremes` (3,) are the least (d - error) / m of the pairs taken, the greatest (d + error) / m
-    of all, and the greatest noise; NaN where a number is beyond the range of floats. A ratio is
-    divided out only where it seems to be beyond the last, which is off by a rounding or two.
+    of all, and the greatest noise; NaN where a number is beyond the range of floats.
     """
     indptr, indices, data = model.indptr, model.indices, model.data
     reward, leak, margin, discount = model.reward, model.leak, model.margin, model.discount
@@ -275,8 +311,7 @@ def judge(
                 sound = False
             above = gain + error
             divisor = margin[pair] + (-margin_error if above > 0 else margin_error)
-            if above > high * divisor:
-                high = above / divisor
+            high = max(high, above / divisor)
             limit = max(limit, above * alike if above > 0 else above / alike)
             loudest = max(loudest, noise)
             shifted = gain - shift * margin[pair]
@@ -289,8 +324,7 @@ def judge(
         step[state], pairs[state] = best, chosen
         below = room[0, chosen - begin]
         divisor = margin[chosen] + (-margin_error if below > 0 else margin_error)
-        if -below < low * divisor:
-            low = -below / divisor
+        low = min(low, -below / divisor)
     extremes[0], extremes[1], extremes[2] = low, high, loudest
     if not sound:
         extremes[:] = np.nan
@@ -322,11 +356,52 @@ def follow(
         gain = policy.numbers[0, state] + (model.discount * ahead - policy.numbers[1, state] * own)
         gain -= shift * margin
         step[state] = gain
-        if gain < low * margin:
-            low = gain / margin
-        if gain > high * margin:
-            high = gain / margin
+        ratio = gain / margin
+        low, high = min(low, ratio), max(high, ratio)
     extremes[0], extremes[1] = low, high
+
+
+@compiled
+def settle(
+    model: Model,
+    policy: Known,
+    value: Floats,
+    shift: float,
+    goal: float,
+    most: int,
+    slow: Slow,
+    uniform: bool,
+    step: Floats,
+    errors: Floats,
+) -> tuple[bool, float]:
+    """As `solvers.bounds.sweeps.Sweeps.settle`, all in one call; `errors` (most + 2,) is room."""
+    states, extremes, least = len(value), errors[most:], np.inf
+    for count in range(most):
+        follow(0, states, model, policy, value, shift, step, extremes)
+        low, high = extremes[0], extremes[1]
+        error = (high - low) / 2
+        if goal == 0 and count and not error < least:
+            return True, shift
+        for state in range(states):
+            value[state] += step[state]
+        if uniform:
+            shift += model.discount * ((low + high) / 2)
+        if not error > goal:
+            return True, shift
+        errors[count], least = error, min(least, error)
+        if count + 1 >= slow.first:
+            rate = (error / errors[count + 1 - slow.apart]) ** (1 / (slow.apart - 1))
+            far = max(goal, slow.least * errors[0])
+            if error * rate ** (most - (count + 1)) > far:
+                return False, shift
+    return False, shift
+
+
+@compiled
+def hold(model: Model, pairs: Numbers, policy: Known) -> None:
+    """Put the rows of the `pairs` (S,) of a policy side by side."""
+    for state in range(len(pairs)):
+        copy_row(state, pairs[state], model, policy)
 
 
 @compiled

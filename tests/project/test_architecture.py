@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # Imports point one way: a package may import itself and those before it.
 LAYERS = ["mdp", "solvers", "analysis", "paper_repro"]
 # numba is imported by these modules alone, wherever in them.
-NUMBA_MODULES = ["solvers/kernels.py", "solvers/kernels/*.py"]
+NUMBA_MODULES = ["mdp/forms/compiling.py", "mdp/forms/rows.py", "solvers/kernels/*.py"]
 
 # Packages which are slow to import or optional, and the modules that may import them at their
 # top because their whole job is that package. Everywhere else they are taken with `later`.

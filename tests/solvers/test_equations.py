@@ -275,7 +275,8 @@ def test_a_chain_that_falls_apart_is_solved_without_large_factors() -> None:
     system = LinearSystem(chain, rate)
     constant = np.random.default_rng(6).random(10_000)
     found = system.solve(constant)
-    assert isinstance(vars(system)["_last_resort"], TooLarge)  # some 25 million entries, and more
+    made = vars(system).get("_last_resort")  # of some 25 million entries, and more
+    assert made is None or isinstance(made, TooLarge)
     assert found.error.max() < 1e-6 * np.abs(found.value).max()
     assert np.abs(constant + rate * (chain @ found.value) - found.value).max() < 1e-8
 

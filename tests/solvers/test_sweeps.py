@@ -2,16 +2,18 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction as F
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
-from large_models import garnet
+from large_models import garnet, gridworld
 from strategies import exact_gains, exact_values
 from workloads import queue
 
@@ -24,10 +26,18 @@ from exact_mdp.solvers import (
     ValueIteration,
     solve,
 )
+from exact_mdp.solvers.bounds import gains as gains_module
+from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
 from exact_mdp.solvers.bounds.gains import COMPILED, gains, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Judged, Sweeps, sweeps_of
+from exact_mdp.solvers.bounds.sweeps import (
+    CompiledSweeps,
+    Judged,
+    LoadedSweeps,
+    Sweeps,
+    sweeps_of,
+)
 from exact_mdp.solvers.dynamic.stopping import Iterate
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
@@ -294,6 +304,43 @@ def test_slow_chains_are_solved_by_their_equations(discount: float) -> None:
     assert one.error_bound <= 1e-6
     assert (np.abs(one.value - two.value) <= one.state_error + two.state_error).all()
     assert one.iterations < 60
+
+
+SMALL = [
+    lambda: queue(60).model(),
+    lambda: gridworld(6),
+    lambda: garnet(60, seed=31, discount="99/100"),
+    lambda: uneven(garnet(30, seed=32, ends=True), 32),
+    lambda: garnet(40, seed=33, discount=1, ends=True),
+]
+
+
+@pytest.mark.parametrize("make", SMALL)
+@pytest.mark.parametrize("solver", [*SOLVED, PolicyIteration()], ids=repr)
+def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
+    make: Callable[[], MDP], solver: Any
+) -> None:
+    found = []
+    for loaded in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            for module in (gains_module, sweeps_module):
+                patch.setattr(module, "loops_pay", lambda transitions, loaded=loaded: loaded)
+            mdp = make()
+            assert mdp.n_transitions < COMPILED
+            assert isinstance(sweeps_of(mdp, margin_weights(mdp)), LoadedSweeps) == loaded
+            one = solve(mdp, solver)
+        found.append((one.iterations, one.regret_bound, one.value.tobytes(), one.pairs.tobytes()))
+        found[-1] += (one.state_error.tobytes(),)
+    assert found[0] == found[1]
+
+
+def test_loops_are_loaded_once_numpy_has_taken_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gains_module, "LOOPS", "not loaded")
+    monkeypatch.setattr(gains_module, "_in_numpy", 0)
+    calls = 0
+    while not gains_module.loops_pay(1_000):
+        calls += 1
+    assert calls == pytest.approx(gains_module.LOADING / (1_000 + gains_module.CALLS), abs=1)
 
 
 def test_values_beyond_floats_are_noticed(mdp: MDP) -> None:
