@@ -27,6 +27,7 @@ from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.table import Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.completions import LearnedCompletions, counted
+from exact_mdp.paper_repro.readings.learner import LEARNERS
 from exact_mdp.paper_repro.readings.search import PAPER_READINGS, Averages, averages
 from exact_mdp.paper_repro.readings.training import (
     SETTINGS,
@@ -242,9 +243,24 @@ class Reading:
         return self._taught[label]
 
     @property
+    def power(self) -> float:
+        """How fast a falling step falls: 0.5 n^-power at the n-th update of an entry.
+
+        Where the end is not masked, values are four times as large, and n^-0.7 has not reached them
+        after 6,000 epochs: they still grow with four times as many, and those of n^-0.55 do not.
+        """
+        return 0.55 if self.training.get("bootstrap_end") else 0.7
+
+    @property
     def falling(self) -> Reading:
-        """The same, learned with a step that falls: 0.5 n^-0.7 at the n-th update."""
-        return self.taught("falling step", runs=self.varied, rate=Constant(0.5), rate_power=0.7)
+        """The same, learned with a falling step."""
+        step = {"rate": Constant(0.5), "rate_power": self.power}
+        return self.taught("falling step", runs=self.varied, **step)
+
+    @property
+    def learners(self) -> list[Reading]:
+        """The same with each other set of the learner's own settings that is tried."""
+        return [self.taught(each.label, runs=self.varied, **each.changes) for each in LEARNERS[1:]]
 
     def simulated(self, name: str) -> dict[str, float]:
         """Return the mean return of a policy by independent simulation, and its standard error.

@@ -41,7 +41,7 @@ from exact_mdp.paper_repro.reading import (
 from exact_mdp.paper_repro.readings.evidence import Evidence
 from exact_mdp.paper_repro.readings.findings import reading_study, weighed
 from exact_mdp.paper_repro.readings.search import searched
-from exact_mdp.paper_repro.report import agents, output, readings, tradeoffs
+from exact_mdp.paper_repro.report import agents, learner, output, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import counted, entry_of
 from exact_mdp.paper_repro.report.report import render, summary
@@ -125,6 +125,7 @@ def run(
                 claims,
                 reading,
                 others=_after(finished, others),
+                learners=reading.learners,
                 evidence=study.main,
                 progress=tick,
             )
@@ -143,6 +144,7 @@ def run(
         tables=all_tables(reading),
         figures=PICTURES,
         parts=[
+            learner.learner_part(judged, reading),
             readings.readings_part(study, reading),
             tradeoffs.tradeoffs_part(reading),
             agents.agents_part(),
@@ -167,7 +169,14 @@ def summarise(out: Path, *, quick: bool, scheduler: str | None = None) -> None:
     reading, folder = default(sizes, store), store.folder("readings")
     found, *_ = weighed(seed=SEED, out=folder, quick=quick, scheduler=scheduler, progress=True)
     others = _others(reading, sizes, found)
-    judged = judge(all_claims(), reading, others=others, evidence=found, progress=_say)
+    judged = judge(
+        all_claims(),
+        reading,
+        others=others,
+        learners=reading.learners,
+        evidence=found,
+        progress=_say,
+    )
     page = out / "summary.html"
     write_atomically(page, summary(judged, reading, found, _record(reading, sizes, quick)))
     click.echo(counted(judged))
@@ -191,7 +200,8 @@ def run_claims(
     folder = store.folder("readings")
     known = searched(folder and folder / "search")
     if quick or not any(claim.open for claim in claims) or not known:
-        return judge(claims, reading, others=_alike(reading, claims), progress=_say)
+        others, learners = _alike(reading, claims), [] if quick else reading.learners
+        return judge(claims, reading, others=others, learners=learners, progress=_say)
     found, *_ = weighed(seed=SEED, out=folder, scheduler=scheduler, progress=True)
     others = _others(reading, sizes, found)
     return judge(claims, reading, others=others, evidence=found, progress=_say)

@@ -129,6 +129,11 @@ class PaperClaim:
     learns: bool = False
 
     @property
+    def varies(self) -> bool:
+        """Whether the learner's own settings may decide it."""
+        return self.learns and not self.open
+
+    @property
     def places(self) -> list[str]:
         """The places that it is taken from, one by one."""
         return self.source.split(", ")
@@ -232,10 +237,16 @@ def event(count: int, total: int, why: str, *, limit: float = RARE, **details: A
     return Finding(
         verdict=verdict,
         why=why,
-        number=Estimated(value=share, standard_error=sqrt(share * (1 - share) / total)),
+        number=Estimated(value=share, standard_error=share_error(count, total)),
         shown=f"{share:.0%} of {total} (95 % interval {low:.0%} to {high:.0%})",
         details={"count": count, "runs": total, "interval": [low, high], **details},
     )
+
+
+def share_error(count: int, total: int) -> float:
+    """Return the standard error of a share, smoothed: it is not 0 where all runs are alike."""
+    share = (count + 0.5) / (total + 1)
+    return sqrt(share * (1 - share) / total)
 
 
 def usual(count: int, total: int, why: str, **details: Any) -> Finding:

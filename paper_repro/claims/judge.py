@@ -31,6 +31,9 @@ SCOPE_ONE_CHANGE = "readings tried (the default, and those with one change)"
 SCOPE_SUPPORTED = "readings tried (the default, those with one change, and the best supported)"
 
 
+SCOPE_LEARNER = "settings of the learner tried (the default, one change, and an earlier program's)"
+
+
 @dataclass(frozen=True, kw_only=True)
 class OtherReadings:
     """How many of the readings tried agree with a claim."""
@@ -97,12 +100,14 @@ def judge(
     reading: Reading,
     *,
     others: Iterable[Reading] = (),
+    learners: Iterable[Reading] = (),
     evidence: Evidence | None = None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> list[Judged]:
     """Work claims out under the default reading, and open ones under others too.
 
     With the evidence of all readings, claims about average returns are judged under all of them.
+    `learners` are readings with other settings of the learner, for the claims about learning.
     """
     known = {} if evidence is None else agreeing(evidence)
     findings = []
@@ -118,9 +123,19 @@ def judge(
         progress(other.label)
         for name, verdict in verdicts(other, again).items():
             seen[name].setdefault(other.label, Verdict(verdict))
+    varied = [claim for claim in claims if claim.varies]
+    for other in learners if varied else ():
+        progress(other.label)
+        for name, verdict in verdicts(other, varied).items():
+            seen[name][other.label] = Verdict(verdict)
     scope = SCOPE_ONE_CHANGE if evidence is None else SCOPE_SUPPORTED
+    scopes = {claim.id: SCOPE_LEARNER for claim in varied}
     return [
-        Judged(claim=claim, finding=finding, others=known.get(claim.id, _tally(tried, scope)))
+        Judged(
+            claim=claim,
+            finding=finding,
+            others=known.get(claim.id, _tally(tried, scopes.get(claim.id, scope))),
+        )
         for claim, finding, tried in zip(claims, findings, seen.values(), strict=True)
     ]
 

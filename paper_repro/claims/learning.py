@@ -8,16 +8,19 @@ in general by whether most runs here do so.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.analysis.learning.curves import EXPERIMENTS as POINT
 from exact_mdp.analysis.learning.outcomes import CANDIDATES, Outcomes, share_interval
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims.claim import (
     Claims,
@@ -25,6 +28,7 @@ from exact_mdp.paper_repro.claims.claim import (
     Verdict,
     event,
     plotted,
+    share_error,
     statement,
     undecided,
     usual,
@@ -236,6 +240,74 @@ def _same_but_first(reading: Reading) -> Finding:
     )
 
 
+@CLAIMS.add("learning.together", "Section 4.1, Figure 10", "event", learns=True)
+def _all_at_once(reading: Reading) -> Finding:
+    """All that is told of the two runs at once: their numbers of policies, where these differ, the
+    three actions in 0000, the agreement elsewhere, and the stated actions."""
+    held, kept, parts = np.array(True), [], shown_together(reading)
+    for name, each in parts.items():
+        held = held & each
+        kept.append(f"{name} {each.mean():.1%}, with all before {100 * held.mean():.2g} %")
+    alike = float(np.prod([each.mean() for each in parts.values()]))
+    found = event(int(np.diag(held).sum()), len(held), "")
+    return replace(
+        found,
+        why=f"{found.shown} draws of one run each; {int(held.sum()):,} of all {held.size:,} pairs: "
+        f"{'; '.join(kept)}. Were these parts independent, it would be {100 * alike:.1g} %",
+        details={**found.details, "pairs": int(held.sum()), "all_pairs": held.size},
+    )
+
+
+def shown_together(reading: Reading) -> dict[str, NDArray[np.bool_]]:
+    """Return by what is told of the two runs (R, R) the pairs, one of each schedule, that show it.
+
+    In the order of the text; of a run the policies of its last 100 episodes count.
+    """
+    runs = {schedule: reading.learned(schedule).runs for schedule in SETTINGS}
+    last = {s: [run.policies[np.unique(run.last)] for run in each] for s, each in runs.items()}
+    first, second = (_of_each(each) for each in last.values())
+    final, other = (reading.learned(schedule).final for schedule in SETTINGS)
+    three = 0
+    for start in reported.STARTS:
+        three |= 1 << NUMBER[start]
+    numbers = [
+        np.array([len(each) == UNIQUE_POLICIES[schedule] for each in listed])
+        for schedule, listed in last.items()
+    ]
+
+    def both(one: NDArray[np.bool_], two: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.asarray(one[:, None] & two[None, :])
+
+    return {
+        "three and two policies": both(*numbers),
+        "each run's differ in 0000 alone": both(first.alone, second.alone),
+        "a1, a2 and a3 there": (first.starts[:, None] | second.starts[None, :]) == three,
+        "the final ones differ there": final[:, None, 0] != other[None, :, 0],
+        "and agree elsewhere": (final[:, None, 1:] == other[None, :, 1:]).all(axis=2),
+        "supportive with anger": both(first.angry, second.angry),
+        "1100, 1000 and 0100 as stated": both(first.stated, second.stated),
+    }
+
+
+class _Ends(NamedTuple):
+    """What the last policies of each run do."""
+
+    starts: Integers  # (R,) the actions in 0000, as bits
+    alone: NDArray[np.bool_]  # (R,) whether they differ in 0000 alone
+    angry: NDArray[np.bool_]  # (R,) whether all are supportive wherever there is anger
+    stated: NDArray[np.bool_]  # (R,) whether all have the stated actions, in either order
+
+
+def _of_each(last: Sequence[Numbers]) -> _Ends:
+    places = [int(status, 2) for status in ANGRY]
+    return _Ends(
+        starts=np.array([np.bitwise_or.reduce(1 << each[:, 0].astype(int)) for each in last]),
+        alone=np.array([bool((each[:, 1:] == each[0, 1:]).all()) for each in last]),
+        angry=np.array([bool((each[:, places] == NUMBER["supportive"]).all()) for each in last]),
+        stated=np.array([all(reported.states(policy) for policy in each) for each in last]),
+    )
+
+
 def _outcomes(reading: Reading) -> list[Outcomes]:
     return [reading.learned(schedule).outcomes for schedule in SETTINGS]
 
@@ -286,10 +358,11 @@ def _unsettled(reading: Reading) -> Finding:
     found = statement(
         high < SETTLED,
         f"with the paper's constant learning rate {_shares(reading, kept)}, over "
-        f"{int(kept.sum())} runs; with a step of 0.5 n^-0.7, {_shares(reading, fallen)}, over "
-        f"{total}: {kind} action. Model, chance and exploration are the same. "
+        f"{int(kept.sum())} runs; with a step of 0.5 n^-{reading.power:g} "
+        f"{_shares(reading, fallen)}, over {total}: {kind} action. Model, chance and "
+        "exploration are the same. "
         f"What is learned of non-directive less directive in 0000: {gaps}",
-        Estimated(value=settled / total, standard_error=_error(settled, total)),
+        Estimated(value=settled / total, standard_error=share_error(settled, total)),
         f"{settled} of {total} runs settle when the step falls",
         constant_step=kept.tolist(),
         falling_step=fallen.tolist(),
@@ -320,9 +393,3 @@ def optimal_first(reading: Reading) -> set[int]:
     pairs = reading.mdp.pairs_of(reading.mdp.start[0][0])
     best = reading.certificate.optimal_pairs
     return {int(reading.mdp.pair_action[pair]) for pair in pairs if best[pair]}
-
-
-def _error(count: int, total: int) -> float:
-    """Return the standard error of a share, smoothed so that it is not 0 where all are alike."""
-    share = (count + 0.5) / (total + 1)
-    return sqrt(share * (1 - share) / total)
