@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from exact_mdp.analysis.learning.outcomes import share_interval
-from exact_mdp.analysis.plots.style import BLUE, INK, LINES, axes_or_new, level, plain_text
+from exact_mdp.analysis.plots.style import BLUE, HATCHES, INK, LINES, axes_or_new, level, plain_text
 from exact_mdp.mdp.table import Floats
 
 if TYPE_CHECKING:
@@ -227,6 +228,7 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
         shares = np.array(counts) / each.runs
         low, high = np.array([share_interval(count, each.runs) for count in counts]).T
         colour = INK[number % len(INK)]
+        hatch = HATCHES[2 * (number % 3)]
         ax.bar(
             many + (number - (len(found) - 1) / 2) * width,
             shares,
@@ -236,11 +238,13 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
             color=colour,
             alpha=0.55,
             edgecolor="black",
+            hatch=hatch,
+            label=label,
             linewidth=0.6,
             error_kw={"elinewidth": 0.8, "capsize": 2},
         )
-        ax.plot([], [], color=colour, marker="s", linestyle="", label=label)
     ax.set(xlabel="policies greedy in the last episodes", ylabel="share of runs")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.legend()
     return ax
 

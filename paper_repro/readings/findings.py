@@ -27,7 +27,6 @@ from exact_mdp.analysis.readings import (
     IDENTIFIED,
     OptionSupport,
     ReadingSpace,
-    option_label,
 )
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers
@@ -59,6 +58,7 @@ from exact_mdp.paper_repro.readings.training import (
     learning,
     to_train,
 )
+from exact_mdp.paper_repro.readings.wording import changes, said, title
 
 special = later("scipy.special")
 QUICK = {"sampled": 6, "trained": 5, "seeds": 20, "judged": 2}
@@ -170,7 +170,7 @@ def sentences(
     main = next(iter(found.values()))
     return [
         *_fit(main, found[ALIKE]),
-        *_options(main.support, "reading", found.get(WITHOUT_RANDOM)),
+        *_options(main.support, "", found.get(WITHOUT_RANDOM)),
         *_options(main.completion_support(), "the policy's"),
         *_variants(found),
         *_together(main, joints),
@@ -212,7 +212,7 @@ def _fit(found: Evidence, alike: Evidence) -> Iterator[Sentence]:
     ratio, default = np.exp(found.marginal[first] - found.marginal[[second, 0]]).tolist()
     yield Sentence(
         "fit",
-        f"No single reading wins: the best supported one ({space.label(first)}) has "
+        f"No single reading wins: the best supported one ({changes(space, first)}) has "
         f"{found.weights[first]:.1%} of the weight and is {ratio:.2f} times as likely as the "
         f"second; {len(found.credible())} of {len(space):,} readings are needed for 95 % of the "
         f"weight, and the weights are as spread as {found.effective_number:.0f} equal ones.",
@@ -234,14 +234,14 @@ def _options(
     for name, verdict in _best(listed).items():
         options = [each for each in listed if each.reading == name]
         best = min(options, key=lambda each: each.log10_against)
-        weights = ", ".join(f"{option_label(each.option)} {each.weight:.1%}" for each in options)
-        out = [option_label(each.option) for each in options if each.verdict == "excluded"]
+        weights = ", ".join(f"{said(name, each.option)} {each.weight:.1%}" for each in options)
+        out = [said(name, each.option) for each in options if each.verdict == "excluded"]
         also = f"; excluded: {', '.join(out)}" if out and len(out) < len(options) - 1 else ""
-        title = f"{what} {name.replace('_', ' ')}"
+        about = f"{what} {title(name)}".strip()
         if best.verdict == "not identified":
-            text = f"{title} is not identified ({weights}){also}."
+            text = f"{about} is not identified ({weights}){also}."
         else:
-            text = f"{title}: {option_label(best.option)} is {best.verdict} ({weights}){also}."
+            text = f"{about}: {said(name, best.option)} is {best.verdict} ({weights}){also}."
             if others.get(name, verdict) != verdict:
                 wholly = " wholly" if others[name] == "not identified" else ""
                 text += (
@@ -256,7 +256,7 @@ def _best(support: Sequence[OptionSupport]) -> dict[str, str]:
     return {
         each.reading: each.verdict
         if each.verdict == "not identified"
-        else f"{each.verdict} {option_label(each.option)}"
+        else f"{each.verdict} {said(each.reading, each.option)}"
         for each in support
         if each.log10_against == 0
     }
@@ -275,7 +275,7 @@ def _variants(found: Mapping[str, Evidence]) -> Iterator[Sentence]:
             )
     for name, other in list(found.items())[1:]:
         changed = [
-            f"{reading.replace('_', ' ')} (now {verdict})"
+            f"“{title(reading)}” (now {verdict})"
             for reading, verdict in _best(other.support).items()
             if verdict != best[reading]
         ]
@@ -309,7 +309,7 @@ def _together(found: Evidence, joints: Mapping[int, Sequence[Joint]]) -> Iterato
             yield Sentence(
                 "cannot hold together",
                 f"{start}under no reading: {listed}. At best {each.score:.1f} standard deviations "
-                f"({found.search.space.label(each.reading)}).",
+                f"({changes(found.search.space, each.reading)}).",
             )
 
 
@@ -325,7 +325,7 @@ def _optimal(search: ReadingSearch) -> Iterator[Sentence]:
             f"policies do not: its least regret is {least:.3f} points of return"
         )
     filled = reported.told(search.completions[int(completion)])
-    yield Sentence("optimal", f"{told} ({search.space.label(int(reading))}; {filled}).")
+    yield Sentence("optimal", f"{told} ({changes(search.space, int(reading))}; {filled}).")
     for status, action in reported.STATED.items():
         others = dict.fromkeys((action, reported.STATED["0100"], reported.STATED["1000"]))
         counts = [f"{o} under {int(search.optimal_under(status, o).sum()):,}" for o in others]
@@ -375,6 +375,6 @@ def _learning(found: Evidence, learned: LearningEvidence) -> Iterator[Sentence]:
         "learning",
         f"These counts make the trained readings differ by a factor of {apart:.1f} at most, "
         f"sampling included. With them, the best supported of the trained readings "
-        f"({found.search.space.label(int(numbers[0]))}) has {weights[0]:.1%} of their weight; "
+        f"({changes(found.search.space, int(numbers[0]))}) has {weights[0]:.1%} of their weight; "
         f"readings that were not trained hold {left:.0%} by the returns alone.",
     )

@@ -41,6 +41,7 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
 from exact_mdp.paper_repro.readings.evidence import EXPERIMENTS, Evidence
 from exact_mdp.paper_repro.readings.search import ReadingSearch
+from exact_mdp.paper_repro.readings.wording import changes
 from exact_mdp.paper_repro.reported import FINAL, STARTS
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.bounds.gains import UNIT
@@ -116,7 +117,7 @@ def under_reading(search: ReadingSearch, reading: int, completion: int) -> Polic
     regrets = search.regret[reading]
     return PolicyUnderReading(
         completion=completion,
-        label=search.space.label(reading),
+        label=changes(search.space, reading),
         mdp=mdp,
         audit=check(mdp, named[FINAL]),
         evaluations=found,

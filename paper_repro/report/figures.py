@@ -121,7 +121,7 @@ PICTURES = Pictures()
 
 @PICTURES.add("trial_flow")
 def _trials(reading: Reading) -> Figure:
-    figure, ax = plt.subplots(figsize=(9.5, 3.3))
+    figure, ax = plt.subplots(figsize=(7.4, 3.1))
     flows = {
         label: trial_flow(reading.mdp, reading.policies[name], reading.scenario.trials)
         for name, label in (("optimal", "optimal policy"), ("random", "random actions"))
@@ -313,11 +313,6 @@ def choice_losses(reading: Reading) -> Floats:
 def _unique(reading: Reading) -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 3.6))
     plot_distinct({shown: reading.learned(name).outcomes for name, shown in SHOWN.items()}, ax=ax)
-    for bars, hatch in zip(ax.containers[1::2], ("", "//"), strict=True):
-        for bar in bars:
-            bar.set_hatch(hatch)
-    ax.set_xticks(range(1, round(ax.get_xlim()[1])))
-    ax.legend(handles=ax.containers[1::2], labels=list(SHOWN.values()), frameon=False)
     ax.set_title("Policies that are greedy in the last 100 episodes of a run")
     return figure
 

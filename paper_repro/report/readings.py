@@ -41,10 +41,10 @@ from exact_mdp.paper_repro.readings.evidence import (
 from exact_mdp.paper_repro.readings.findings import ReadingStudy, method
 from exact_mdp.paper_repro.readings.reported_policy import cost_by_status
 from exact_mdp.paper_repro.readings.training import SETTINGS
+from exact_mdp.paper_repro.readings.wording import changes, said, title
 from exact_mdp.paper_repro.report.figures import Pictures
 from exact_mdp.paper_repro.report.report import Part
 from exact_mdp.paper_repro.report.tables import Table
-from exact_mdp.paper_repro.report.wording import changes, said, title
 from exact_mdp.paper_repro.reported import (
     AVERAGE_RETURN,
     COMPLETIONS,

@@ -28,10 +28,10 @@ from exact_mdp.paper_repro.claims.policies import optimal_actions
 from exact_mdp.paper_repro.reading import Reading
 from exact_mdp.paper_repro.readings.evidence import Evidence
 from exact_mdp.paper_repro.readings.search import ReadingSearch
+from exact_mdp.paper_repro.readings.wording import options_of
 from exact_mdp.paper_repro.report.figures import Picture
 from exact_mdp.paper_repro.report.output import cells, counted, counts
 from exact_mdp.paper_repro.report.tables import Table
-from exact_mdp.paper_repro.report.wording import options_of
 from exact_mdp.paper_repro.reported import (
     ANGRY,
     COMPLETIONS,

@@ -17,6 +17,7 @@ from reading_cases import small_search
 from exact_mdp.analysis.plots import plot_influence, plot_return_distribution, style
 from exact_mdp.mdp import Scenario
 from exact_mdp.paper_repro.reading import QUICK, Reading, default
+from exact_mdp.paper_repro.readings.wording import changes
 from exact_mdp.paper_repro.report.drawings import (
     Average,
     combinations,
@@ -26,7 +27,6 @@ from exact_mdp.paper_repro.report.drawings import (
 )
 from exact_mdp.paper_repro.report.figures import PICTURES
 from exact_mdp.paper_repro.report.readings import _broken, _changed
-from exact_mdp.paper_repro.report.wording import changes
 from exact_mdp.paper_repro.reported import ACTIONS, STATUSES
 from exact_mdp.solvers import return_distribution
 

@@ -172,7 +172,8 @@ def test_sentences_say_what_the_numbers_say() -> None:
     assert f"{len(study.main.credible())} of 96 readings are needed" in text
     best = {o.reading: o for o in study.main.support if o.log10_against == 0}
     if best["tasks"].verdict != "not identified":
-        assert f"Reading tasks: [3] is {best['tasks'].verdict}" in text
+        told = "Tasks of an experiment: one task of 3 subtasks is"
+        assert f"{told} {best['tasks'].verdict}" in text
     count = int(study.search.optimal_under("0100", "directive").sum())
     assert f"directive under {count} of 96 readings" in text
     assert "In 0100 the text states non-directive. Optimal there," in text
@@ -202,7 +203,7 @@ def test_the_ranking_figure_marks_the_reported_averages() -> None:
     (ranking,) = (picture for picture in PICTURES if picture.name == "reading_ranking")
     figure = ranking.draw(small_study())
     lines = {
-        float(line.get_xdata()[0]) for line in figure.axes[0].lines if len(line.get_xdata()) == 2
+        float(line.get_xdata()[0]) for line in figure.axes[1].lines if len(line.get_xdata()) == 2
     }
     assert set(reported.AVERAGE_RETURN.values()) <= lines
     plt.close(figure)

@@ -31,6 +31,7 @@ from exact_mdp.paper_repro.reading import QUICK, Reading, changed, default
 from exact_mdp.paper_repro.readings.evidence import evidence
 from exact_mdp.paper_repro.readings.reported_policy import ranked, sums
 from exact_mdp.paper_repro.readings.search import PAPER_READINGS
+from exact_mdp.paper_repro.readings.wording import changes, options_of, said, title
 from exact_mdp.paper_repro.report import agents, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import counted, counts, number
@@ -45,7 +46,6 @@ from exact_mdp.paper_repro.report.report import (
     summary,
 )
 from exact_mdp.paper_repro.report.tables import all_tables
-from exact_mdp.paper_repro.report.wording import changes, options_of, said, title
 from exact_mdp.paper_repro.reported import ANGRY, FIGURES, FINAL, PAPER, PLACES, STATED
 from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
 

@@ -8,25 +8,25 @@ from pathlib import Path
 from exact_mdp.analysis.readings import ReadingSpace, option_label
 from exact_mdp.mdp import Scenario
 
-WORDS = tomllib.loads((Path(__file__).parent / "readings.toml").read_text("utf-8"))
+WORDS = tomllib.loads((Path(__file__).parent / "wording.toml").read_text("utf-8"))
 
 
 def title(name: str) -> str:
-    """Return what a reading is about.
+    """Return what a reading is about; a status, or "respectively", is itself.
 
-    >>> title("skip_onset")
-    'New statuses on a skip'
+    >>> title("skip_onset"), title("0101")
+    ('New statuses on a skip', '0101')
     """
-    return str(WORDS[name]["title"])
+    return str(WORDS[name]["title"]) if name in WORDS else name
 
 
 def said(name: str, option: object) -> str:
-    """Return what an option of a reading says.
+    """Return what an option of a reading says; the action itself where `name` is a status.
 
-    >>> said("tasks", (3, 1))
-    'a task of 3 subtasks, one of 1'
+    >>> said("tasks", (3, 1)), said("0101", "none")
+    ('a task of 3 subtasks, one of 1', 'none')
     """
-    return str(WORDS[name][option_label(option)])
+    return str(WORDS[name][option_label(option)]) if name in WORDS else option_label(option)
 
 
 def changes(space: ReadingSpace, number: int) -> str:
@@ -36,7 +36,7 @@ def changes(space: ReadingSpace, number: int) -> str:
         for name, option in space.settings(number).items()
         if option != space.options[name][0]
     ]
-    return ", ".join(found) or "nothing: the default reading"
+    return ", ".join(found) or "the default"
 
 
 def options_of(scenario: Scenario) -> dict[str, str]:
