@@ -22,9 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
 from math import inf, lcm
-from operator import mul
 from typing import Any
 
 import numpy as np
@@ -32,7 +30,6 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.exact import (
-    BellmanRows,
     bellman_rows,
     fingerprint,
     per_step,
@@ -48,6 +45,7 @@ from exact_mdp.solvers.proof.endless import (
     malformed,
     optimal_infinite,
 )
+from exact_mdp.solvers.proof.equations import equation_violations
 from exact_mdp.solvers.proof.margins import alike, falling, gains, others, undecided
 
 
@@ -138,7 +136,7 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
             for s in np.unique(mdp.pair_state[open_pairs[differ]]).tolist()
         ]
         kept = np.unique(first)
-        wrong += _equations(
+        wrong += equation_violations(
             bellman_rows(mdp, kept), replace(found, optimal_pairs=found.optimal_pairs[kept])
         )
     choices = np.add.reduceat(found.optimal_pairs.astype(np.int64), mdp.pair_offsets[:-1])
@@ -196,7 +194,7 @@ def _without_end(found: ExactClaims, claims: EndlessClaims, mdp: MDP, pairs: Int
         for s in np.flatnonzero(infinite).tolist()
         if found.numerator[s]
     ]
-    wrong += _equations(equations, replace(found, optimal_pairs=optimal))
+    wrong += equation_violations(equations, replace(found, optimal_pairs=optimal))
 
     def value(state: int) -> Fraction:
         return Fraction(found.numerator[state], found.denominator[found.group[state]])
@@ -244,72 +242,6 @@ def one_solution(mdp: MDP, rank: Integers | None, weight: Sequence[int] | None) 
     falls_always = np.maximum.reduceat(after, first) < rank[state]
     proven = falls[open_pairs].all() and (rank[live] > 0).all()
     return bool(proven and (falls_always[open_pairs].all() or (slack >= 0).all()))
-
-
-def _equations(rows: BellmanRows, found: ExactClaims) -> list[str]:
-    """Check the values, what is optimal and by how much, in integers over one denominator each."""
-    wrong = []
-    numerator, group, below = found.numerator, found.group.tolist(), found.denominator
-    pairs, offsets = rows.pair_offsets.tolist(), rows.offsets.tolist()
-    following, weight = rows.next.tolist(), rows.weight.tolist()
-    constant, scale = rows.constant.tolist(), rows.scale.tolist()
-    terminal, optimal = rows.terminal.tolist(), found.optimal_pairs.tolist()
-    left = np.flatnonzero(~_repeated(rows, found))
-    order = left[np.argsort(found.group[left], kind="stable")]
-    fresh = np.flatnonzero(np.diff(found.group[order], append=-1)) + 1
-    for first, last in pairwise([0, *fresh.tolist()]):
-        states = order[first:last].tolist()
-        own = below[group[states[0]]]
-        needed = {t for s in states for t in following[offsets[pairs[s]] : offsets[pairs[s + 1]]]}
-        units = {g: below[g] for g in {group[t] for t in needed}}
-        unit = max(own, *units.values()) if units else own
-        for divisor in (own, *units.values()):
-            unit = lcm(unit, divisor) if unit % divisor else unit
-        times = {g: unit // divisor for g, divisor in units.items()}
-        value = {t: numerator[t] * times[group[t]] for t in needed}
-        more = unit // own
-        for s in states:
-            here = numerator[s] * more * scale[s]
-            losses = []  # V - Q of each pair, times scale and unit
-            for l in range(pairs[s], pairs[s + 1]):
-                part = slice(offsets[l], offsets[l + 1])
-                later = sum(map(mul, weight[part], map(value.__getitem__, following[part])))
-                losses.append(here - constant[l] * unit - later)
-            if terminal[s]:
-                losses = [0] * len(losses)
-            if min(losses) != 0:
-                wrong.append(f"the value of state {s} does not solve the Bellman equation")
-            if [loss == 0 for loss in losses] != optimal[pairs[s] : pairs[s + 1]]:
-                wrong.append(f"the optimal actions of state {s} are not those of the model")
-            least = min((loss for loss in losses if loss > 0), default=None)
-            gap, below_gap = found.gap[s], found.gap_scale[s]
-            claimed = None if gap is None else gap * more * scale[s]
-            if claimed != (None if least is None else least * below_gap) or below_gap <= 0:
-                wrong.append(f"the gap of state {s} is not that of the model")
-    return wrong
-
-
-def _repeated(rows: BellmanRows, found: ExactClaims) -> NDArray[np.bool_]:
-    """Return (S,) True for states whose one pair leads to one state for nothing, of equal value.
-
-    Their equation is that of the two values; a claim of more than these is left to others.
-    """
-    first, optimal = rows.pair_offsets[:-1], found.optimal_pairs
-    alone = (np.diff(rows.pair_offsets) == 1) & (np.diff(rows.offsets)[first] == 1)
-    states = np.flatnonzero(alone & (rows.constant[first] == 0) & ~rows.terminal & optimal[first])
-    entries = rows.offsets[first[states]]
-    kept = (rows.weight[entries] == rows.scale[states]).astype(bool)
-    states, after = states[kept], rows.next[entries][kept]
-    kept = found.group[states] == found.group[after]
-    states, after = states[kept], after[kept]
-    numerator, gap, below = found.numerator, found.gap, found.gap_scale
-    same = [
-        numerator[s] == numerator[t] and gap[s] is None and below[s] > 0
-        for s, t in zip(states.tolist(), after.tolist(), strict=True)
-    ]
-    repeated = np.zeros(len(first), dtype=bool)
-    repeated[states[np.array(same, dtype=bool)]] = True
-    return repeated
 
 
 def bounded_violations(found: BoundedClaims, mdp: MDP) -> list[str]:

@@ -11,17 +11,21 @@ the same outcomes, as those that stand for one mean action, are one pair.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
+from operator import truediv
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 
 UNIT, TINY, SLACK = 2.0**-53, 2.0**-1000, 1 + 2.0**-20
 CHUNK = 2**21
+LARGE, MIX = 2**61 - 1, np.uint64(0x9E3779B97F4A7C15)  # of a hash
+LONG = 1000  # bits from which on division needs the leading digits alone
 
 
 class Claims(Protocol):
@@ -60,9 +64,11 @@ def undecided(mdp: MDP, found: Claims) -> Integers:
     if mdp.n_pairs == mdp.n_states:
         return np.arange(mdp.n_pairs)
     below = [found.denominator[group] for group in found.group.tolist()]
-    value = np.array([quotient(a, b) for a, b in zip(found.numerator, below, strict=True)])
-    claimed = zip(found.gap, found.gap_scale, below, strict=True)
-    gap = np.array([np.inf if a is None else quotient(a, scale * b) for a, scale, b in claimed])
+    value = np.array(_quotients(found.numerator, below))
+    gap = np.full(mdp.n_states, np.inf)
+    some = [state for state, number in enumerate(found.gap) if number is not None]
+    tops = [number for number in found.gap if number is not None]
+    gap[some] = _quotients(tops, [found.gap_scale[s] * below[s] for s in some])
     state = mdp.pair_state
     with np.errstate(all="ignore"):
         gain, error = _about(mdp, value, earning=True)
@@ -79,35 +85,74 @@ def others(mdp: MDP, decided: NDArray[np.bool_]) -> Integers:
 
 
 def alike(mdp: MDP, pairs: Integers) -> Integers:
-    """Return (K,) for each of these rising pairs the first with the same state and outcomes."""
-    table, found = mdp.table, pairs.copy()
-    state = mdp.pair_state[pairs]
-    of_pair, before, seen = len(table.gain) == table.pairs, -1, dict[object, int]()
-    for k in np.flatnonzero(np.bincount(state)[state] > 1).tolist():
-        if state[k] != before:
-            before, seen = state[k], {}
-        pair = int(pairs[k])
-        here = slice(int(table.offsets[pair]), int(table.offsets[pair + 1]))
-        own = slice(pair, pair + 1)
-        parts = (
-            table.next[here],
-            table.weight[here],
-            table.gain[own if of_pair else here],
-            table.denominator[own],
-            table.gain_denominator[own],
-        )
-        content = [tuple(a.tolist()) if a.dtype == object else a.tobytes() for a in parts]
-        found[k] = seen.setdefault(tuple(content), pair)
+    """Return (K,) for each of these rising pairs the first with the same state and outcomes.
+
+    Pairs of one hash are compared number by number.
+    """
+    table, found, state = mdp.table, pairs.copy(), mdp.pair_state[pairs]
+    places = np.flatnonzero(np.bincount(state)[state] > 1)
+    if not len(places):
+        return found
+    of_pair = len(table.gain) == table.pairs
+    of_pairs = [table.denominator, table.gain_denominator, *([table.gain] if of_pair else [])]
+    of_outcomes = [table.next, table.weight, *([] if of_pair else [table.gain])]
+    chosen, state = pairs[places], state[places]
+    begin, lengths = table.offsets[chosen], np.diff(table.offsets)[chosen]
+    entries = spans(begin, begin + lengths)
+    starts = np.cumsum(lengths) - lengths
+    place = (np.arange(len(entries)) - np.repeat(starts, lengths)).astype(np.uint64)
+    mixed = _mixed([part[entries] for part in of_outcomes]) * (2 * place + 1)
+    code = np.add.reduceat(mixed, starts) + _mixed([part[chosen] for part in of_pairs])
+    order = np.lexsort((chosen, lengths, code, state))
+    fresh = np.ones(len(order), dtype=bool)
+    for key in (state, code, lengths):
+        fresh[1:] &= key[order][1:] == key[order][:-1]
+    fresh[0] = False
+    first = order[np.maximum.accumulate(np.where(fresh, 0, np.arange(len(order))))]
+    copies = order[fresh]
+    model = first[fresh]
+    same = np.ones(len(copies), dtype=bool)
+    for part in of_pairs:
+        same &= _same(part[chosen[copies]], part[chosen[model]])
+    inner = np.cumsum(lengths[copies]) - lengths[copies]
+    left, right = (spans(begin[x], begin[x] + lengths[x]) for x in (copies, model))
+    for part in of_outcomes:
+        if len(copies):
+            same &= np.logical_and.reduceat(_same(part[left], part[right]), inner)
+    found[places[copies[same]]] = chosen[model[same]]
     return found
+
+
+def _mixed(parts: Sequence[Numbers]) -> NDArray[np.uint64]:
+    """Return a hash of numbers that stand side by side in some arrays."""
+    found = np.zeros(len(parts[0]), dtype=np.uint64)
+    for part in parts:
+        plain = part % LARGE if part.dtype == object else part
+        bits = plain.astype(np.int64) if plain.dtype.kind in "iuO" else plain
+        found = (found ^ np.ascontiguousarray(bits).view(np.uint64)) * MIX
+        found ^= found >> np.uint64(29)
+    return found
+
+
+def _same(left: Numbers, right: Numbers) -> NDArray[np.bool_]:
+    return np.asarray(left == right, dtype=bool)
 
 
 def falling(mdp: MDP, weight: Numbers) -> NDArray[np.bool_]:
     """Return (L,) the pairs of which floats prove w > γ P w."""
     largest = max(1, *(abs(int(number)) for number in weight))
-    value = np.array([quotient(int(number), largest) for number in weight])
+    value = np.array(_quotients([int(number) for number in weight], [largest] * len(weight)))
     with np.errstate(all="ignore"):
         gain, error = _about(mdp, value, earning=False)
         return np.asarray(-gain - error > 0)
+
+
+def _quotients(tops: Sequence[int], bottoms: Sequence[int]) -> list[float]:
+    """Return `quotient` of each two numbers."""
+    if max(bottoms, default=0).bit_length() < LONG > max(tops, default=0).bit_length():
+        with suppress(OverflowError, ZeroDivisionError):
+            return list(map(truediv, tops, bottoms))
+    return list(map(quotient, tops, bottoms))
 
 
 def quotient(top: int, bottom: int) -> float:

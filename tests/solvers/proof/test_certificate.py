@@ -26,6 +26,8 @@ from exact_mdp.solvers.proof.margins import alike, gains, undecided
 PROOF = Path(__file__).parents[3] / "solvers" / "proof"
 MARGINS = "exact_mdp.solvers.proof.margins"
 ENDLESS = "exact_mdp.solvers.proof.endless"
+EQUATIONS = "exact_mdp.solvers.proof.equations"
+LOSSES = "exact_mdp.solvers.proof.losses"
 
 
 def check(found: Certificate, mdp: MDP) -> None:
@@ -483,7 +485,14 @@ def test_settings_that_do_not_belong() -> None:
 
 
 @pytest.mark.parametrize(
-    "part, borrows", [("checker", {MARGINS, ENDLESS}), ("margins", set()), ("endless", set())]
+    "part, borrows",
+    [
+        ("checker", {MARGINS, ENDLESS, EQUATIONS}),
+        ("equations", {MARGINS, LOSSES}),
+        ("losses", set()),
+        ("margins", set()),
+        ("endless", set()),
+    ],
 )
 def test_the_checker_can_be_read_in_one_sitting_and_imports_no_solver(
     part: str, borrows: set[str]

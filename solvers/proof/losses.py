@@ -1,0 +1,98 @@
+"""What pairs lose against values of a common denominator, exactly, for many pairs at once.
+
+    loss(l) = scale(s) V(s) - constant(l) - Σ weight(i) V(next(i)),   all of it times one unit
+
+V times the unit is an integer, written as V_0 + 2³² V_1 + 2⁶⁴ V_2 + …, where all digits but the
+last are not negative. Sums over a row are formed digit by digit in 64-bit integers, which hold them
+as long as scale(s) and the weights of a row add up to less than 2³⁰; then digits above 2³² are
+carried over (Knuth, The Art of Computer Programming, volume 2, 1997, section 4.3.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from exact_mdp.mdp.exact import BellmanRows, row_sums
+from exact_mdp.mdp.table import Integers, magnitude, spans
+
+WIDTH, MASK = 32, 2**32 - 1  # bits of a digit
+SMALL = 2**29  # a scale, or weights of a row added up, at most
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Losses:
+    """Losses of K pairs, digit by digit; the last digit carries the sign.
+
+    Attributes
+    ----------
+    digits : (Q, K) int64
+    negative, nothing : (K,) bool
+    """
+
+    digits: Integers
+    negative: NDArray[np.bool_]
+    nothing: NDArray[np.bool_]
+
+    def numbers(self, places: Integers) -> list[int]:
+        """Return the losses of some pairs as Python integers."""
+        data = np.ascontiguousarray(self.digits[:, places].T.astype("<u4")).tobytes()
+        size = 4 * len(self.digits)
+        return [
+            int.from_bytes(data[first : first + size], "little", signed=True)
+            for first in range(0, len(data), size)
+        ]
+
+
+def short_rows(rows: BellmanRows) -> bool:
+    """Return whether sums over all rows fit, digit by digit."""
+    if object in (rows.scale.dtype, rows.weight.dtype):
+        return False
+    flow = row_sums(rows.weight, rows.offsets)
+    return magnitude(rows.scale) < SMALL and magnitude(flow) < SMALL
+
+
+def losses(rows: BellmanRows, pairs: Integers, value: Sequence[int], unit: int) -> Losses:
+    """Return what some pairs (K,) lose, for values (S,) that are times `unit`.
+
+    `rows` are short ones (`short_rows`), and so are values and constants that are read.
+    """
+    lengths = rows.offsets[pairs + 1] - rows.offsets[pairs]
+    entries = spans(rows.offsets[pairs], rows.offsets[pairs + 1])
+    after, own = rows.next[entries], rows.pair_state[pairs]
+    constant = rows.constant[pairs]
+    earning = np.flatnonzero(constant != 0)
+    earned = [number * unit for number in constant[earning].tolist()]
+    known, place = np.unique(np.concatenate([own, after]), return_inverse=True)
+    numbers = [*map(value.__getitem__, known.tolist()), *earned]
+    longest = max((max(numbers), -min(numbers)), default=0).bit_length()
+    count = longest // WIDTH + 1
+    digits = _digits(numbers, count)
+    of_state, of_earned = digits[:, : len(known)], digits[:, len(known) :]
+    found = np.empty((count + 1, len(pairs)), dtype=np.int64)
+    found[:-1] = of_state[:, place[: len(own)]] * rows.scale[own]
+    found[:-1, earning] -= of_earned
+    filled = lengths > 0
+    if len(entries):
+        ahead = of_state[:, place[len(own) :]] * rows.weight[entries]
+        begin = (np.cumsum(lengths) - lengths)[filled]
+        found[:-1, filled] -= np.add.reduceat(ahead, begin, axis=1)
+    found[-1] = 0
+    for low, high in pairwise(found):
+        high += low >> WIDTH
+        low &= MASK
+    negative = found[-1] < 0
+    return Losses(digits=found, negative=negative, nothing=~found.any(axis=0))
+
+
+def _digits(numbers: Sequence[int], count: int) -> Integers:
+    """Return (Q, N) the digits of integers; the last one of each has its sign."""
+    size = 4 * count
+    data = b"".join([number.to_bytes(size, "little", signed=True) for number in numbers])
+    found = np.frombuffer(data, dtype="<u4").reshape(-1, count).T.astype(np.int64)
+    found[-1] = found[-1].astype(np.uint32).view(np.int32)
+    return found
