@@ -30,6 +30,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
 csgraph = later("scipy.sparse.csgraph")
+kernel = later("exact_mdp.solvers.kernels.graph")
 Mask = NDArray[np.bool_]
 
 
@@ -55,9 +56,10 @@ class Graph:
     @cached_property
     def _into(self) -> tuple[Numbers, Numbers]:
         """Each state's incoming pairs: offsets (S+1,), and pairs."""
-        pairs = np.repeat(np.arange(len(self.pair_state)), np.diff(self.offsets))
-        order = np.argsort(self.next, kind="stable")
-        return np.searchsorted(self.next[order], np.arange(self.states + 1)), pairs[order]
+        shape = (len(self.pair_state), self.states)
+        ones = np.ones(len(self.next), dtype=np.int8)
+        turned = sp.csr_array((ones, self.next, self.offsets), shape).tocsc()
+        return turned.indptr, turned.indices
 
     def every(self, states: Mask) -> Mask:
         """Return (L,) True for pairs that lead nowhere but to some states (S,)."""
@@ -85,17 +87,12 @@ class Graph:
 
     def _spread(self, first: Mask, pairs: Mask, waiting: Integers) -> Integers:
         """Return when a state joins: once that many of its pairs may lead to those before."""
-        (before, into), left, waiting = self._into, pairs.copy(), waiting.copy()
-        rank = np.where(first, 0, -1)
-        frontier, reached = np.flatnonzero(first), 0
-        while len(frontier):
-            found = into[spans(before[frontier], before[frontier + 1])]
-            found = np.unique(found[left[found]])
-            left[found] = False
-            states, times = np.unique(self.pair_state[found], return_counts=True)
-            waiting[states] -= times
-            frontier, reached = states[(waiting[states] <= 0) & (rank[states] < 0)], reached + 1
-            rank[frontier] = reached
+        before, into = self._into
+        rank, queue = np.where(first, 0, -1), np.empty(self.states, dtype=np.int64)
+        chosen = np.flatnonzero(first)
+        queue[: len(chosen)] = chosen
+        owner, left = self.pair_state, pairs.copy()
+        kernel.spread(before, into, owner, left, waiting.copy(), rank, queue, len(chosen))
         return rank
 
     def rounds(self, target: Mask, pairs: Mask) -> Integers:
