@@ -2,15 +2,17 @@
 
 Claims are those of an exact certificate: V(s) = numerator[s] / denominator[group[s]], which pairs
 attain it, and by how much the next best pair is worse. Groups whose denominators have a short
-common multiple are checked together (`solvers.proof.losses`), long numbers state by state.
+common multiple are judged together (`solvers.proof.losses`), long numbers pair by pair.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from math import lcm
 from operator import mul
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,59 +22,76 @@ from exact_mdp.mdp.table import Integers, spans
 from exact_mdp.solvers.proof.losses import losses, short_rows
 from exact_mdp.solvers.proof.margins import Claims
 
-SHORT = 768  # bits of a common denominator, for states to be checked together
+SHORT = 768  # bits of a common denominator, for states to be judged together
+
+
+class Values(Protocol):
+    """Exact values V(s) = numerator[s] / denominator[group[s]]."""
+
+    @property
+    def numerator(self) -> Sequence[int]:
+        """One for each state."""
+
+    @property
+    def group(self) -> Integers:
+        """(S,) the place of each state's denominator."""
+
+    @property
+    def denominator(self) -> Sequence[int]:
+        """Each positive."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """What some pairs (K,) lose against the values of their states (N,).
+
+    Attributes
+    ----------
+    states : (N,) int64
+    pairs, first : (K,) and (N,) int64
+        Pairs of states[n] begin at first[n] in `pairs`.
+    nothing, negative : (K,) bool
+        Where V(s) - Q(l) is 0, and below 0.
+    least : {int: (int, int)}
+        The least loss above 0 of a state, a / (b · denominator of the state), as (a, b).
+    """
+
+    states: Integers
+    pairs: Integers
+    first: Integers
+    nothing: NDArray[np.bool_]
+    negative: NDArray[np.bool_]
+    least: dict[int, tuple[int, int]]
 
 
 def equation_violations(rows: BellmanRows, found: Claims) -> list[str]:
     """Return which equations, optimal pairs (L,) and gaps are not as claimed, in words."""
-    wrong = [
-        f"the gap of state {state} is not that of the model"
-        for state, below in enumerate(found.gap_scale)
-        if below <= 0
-    ]
-    left = np.flatnonzero(~_repeated(rows, found))
-    short, listed = short_rows(rows), None
-    for states, unit, groups in _blocks(rows, found, left):
-        if short and unit.bit_length() <= SHORT:
-            wrong += _together(rows, found, states, unit, groups)
-        else:
-            listed = listed or _Listed(rows, found)
-            wrong += _one_by_one(listed, found, states, unit, groups)
-    return wrong
-
-
-def _blocks(
-    rows: BellmanRows, found: Claims, left: Integers
-) -> Iterator[tuple[Integers, int, list[int]]]:
-    """Yield states, a common multiple of the denominators that they need, and these groups."""
-    group, below = found.group, found.denominator
-    first, last = rows.pair_offsets[left], rows.pair_offsets[left + 1]
-    begin, end = rows.offsets[first], rows.offsets[last]
-    count = len(below)
-    met = np.repeat(group[left], end - begin) * count + group[rows.next[spans(begin, end)]]
-    own, after = np.divmod(np.unique(np.concatenate([met, group[left] * (count + 1)])), count)
-    order = left[np.argsort(group[left], kind="stable")]
-    starts = np.flatnonzero(np.diff(own, prepend=-1))
-    cuts = np.searchsorted(group[order], [*own[starts].tolist(), count])
-    waiting: list[Integers] = []
-    unit, members = 1, set[int]()
-    for (begun, ended), (low, high) in zip(
-        pairwise([*starts.tolist(), len(own)]), pairwise(cuts.tolist()), strict=True
-    ):
-        needed = after[begun:ended].tolist()
-        shared = lcm(*[below[g] for g in needed])
-        both = lcm(unit, shared) if shared.bit_length() <= SHORT else shared
-        if both.bit_length() > SHORT:
-            if shared.bit_length() > SHORT:
-                yield order[low:high], shared, needed
-                continue
-            yield np.concatenate(waiting), unit, list(members)
-            waiting, both, members = [], shared, set()
-        unit = both
-        members.update(needed)
-        waiting.append(order[low:high])
-    if waiting:
-        yield np.concatenate(waiting), unit, list(members)
+    gap, below = found.gap, found.gap_scale
+    gaps = {state for state, number in enumerate(below) if number <= 0}
+    wrong = list[str]()
+    asked = ~(_repeated(rows, found) | rows.terminal)
+    over = rows.terminal[rows.pair_state]
+    gaps.update(s for s in np.flatnonzero(rows.terminal).tolist() if gap[s] is not None)
+    marked = np.logical_and.reduceat(found.optimal_pairs | ~over, rows.pair_offsets[:-1])
+    unmarked = np.flatnonzero(~marked).tolist()
+    for block in judged(rows, found, np.flatnonzero(asked[rows.pair_state])):
+        states, least = block.states, block.least
+        solved = np.logical_or.reduceat(block.nothing, block.first)
+        solved &= ~np.logical_or.reduceat(block.negative, block.first)
+        wrong += [
+            f"the value of state {s} does not solve the Bellman equation"
+            for s in states[~solved].tolist()
+        ]
+        same = block.nothing == found.optimal_pairs[block.pairs]
+        unmarked += states[~np.logical_and.reduceat(same, block.first)].tolist()
+        claimed = {state for state in states.tolist() if gap[state] is not None}
+        gaps |= claimed ^ least.keys()
+        for state in claimed & least.keys():
+            loss, over_all = least[state]
+            if gap[state] * over_all != loss * below[state]:
+                gaps.add(state)
+    wrong += [f"the optimal actions of state {s} are not those of the model" for s in unmarked]
+    return wrong + [f"the gap of state {s} is not that of the model" for s in sorted(gaps)]
 
 
 def _repeated(rows: BellmanRows, found: Claims) -> NDArray[np.bool_]:
@@ -98,92 +117,117 @@ def _repeated(rows: BellmanRows, found: Claims) -> NDArray[np.bool_]:
     return repeated
 
 
-def _together(
-    rows: BellmanRows, found: Claims, states: Integers, unit: int, groups: list[int]
-) -> list[str]:
-    """Check states by arrays; `groups` are those whose denominators divide the unit."""
-    first, last = rows.pair_offsets[states], rows.pair_offsets[states + 1]
-    pairs = spans(first, last)
-    times = {g: unit // found.denominator[g] for g in groups}
-    value = _Scaled(found, times)
-    lost = losses(rows, pairs, value, unit)
-    over = np.repeat(rows.terminal[states], last - first)
-    begin = np.cumsum(last - first) - (last - first)
-    nothing = lost.nothing | over
-    solved = np.logical_or.reduceat(nothing, begin)
-    solved &= ~np.logical_or.reduceat(lost.negative & ~over, begin)
-    marked = np.logical_and.reduceat(nothing == found.optimal_pairs[pairs], begin)
-    wrong = [
-        f"the value of state {s} does not solve the Bellman equation"
-        for s in states[~solved].tolist()
-    ] + [
-        f"the optimal actions of state {s} are not those of the model"
-        for s in states[~marked].tolist()
-    ]
-    worse = np.flatnonzero(~nothing & ~lost.negative)
-    least = dict[int, int]()
-    owner = np.repeat(states, last - first)[worse].tolist()
-    for state, loss in zip(owner, lost.numbers(worse), strict=True):
-        if loss < least.get(state, loss + 1):
-            least[state] = loss
-    gap, below = found.gap, found.gap_scale
-    claimed = {state for state in states.tolist() if gap[state] is not None}
-    wrong_gaps = claimed ^ least.keys()
-    for state in claimed & least.keys():
-        here = times[int(found.group[state])] * int(rows.scale[state])
-        if gap[state] * here != least[state] * below[state]:
-            wrong_gaps.add(state)
-    return wrong + [f"the gap of state {s} is not that of the model" for s in sorted(wrong_gaps)]
+def judged(rows: BellmanRows, values: Values, pairs: Integers) -> Iterator[Judged]:
+    """Yield what pairs (K,), rising numbers, lose against the values, some states at a time."""
+    if not len(pairs):
+        return
+    state = rows.pair_state[pairs]
+    short, listed = short_rows(rows), None
+    for places, unit, groups in _blocks(rows, values, pairs, state):
+        chosen, own = pairs[places], state[places]
+        first = np.flatnonzero(np.diff(own, prepend=-1))
+        times = {g: unit // values.denominator[g] for g in groups}
+        value = _Scaled(values, times)
+        if short and unit.bit_length() <= SHORT:
+            lost = losses(rows, chosen, value, unit)
+            nothing, negative = lost.nothing, lost.negative
+            worse = np.flatnonzero(~(nothing | negative))
+            numbers = zip(own[worse].tolist(), lost.numbers(worse), strict=True)
+        else:
+            listed = listed or _Listed(rows)
+            lost_by = listed.losses(chosen.tolist(), own.tolist(), value, unit)
+            nothing = np.array([loss == 0 for loss in lost_by])
+            negative = np.array([loss < 0 for loss in lost_by])
+            numbers = zip(own.tolist(), lost_by, strict=True)
+        least = dict[int, int]()
+        for s, loss in numbers:
+            if 0 < loss < least.get(s, loss + 1):
+                least[s] = loss
+        yield Judged(
+            states=own[first],
+            pairs=chosen,
+            first=first,
+            nothing=nothing,
+            negative=negative,
+            least={
+                s: (loss, times[value.group[s]] * int(rows.scale[s])) for s, loss in least.items()
+            },
+        )
+
+
+def _blocks(
+    rows: BellmanRows, values: Values, pairs: Integers, state: Integers
+) -> Iterator[tuple[Integers, int, list[int]]]:
+    """Yield places of pairs, a common multiple of denominators that they need, and these groups.
+
+    Pairs of a state are in one block, those of a denominator too.
+    """
+    group, below = values.group, values.denominator
+    begin, end = rows.offsets[pairs], rows.offsets[pairs + 1]
+    own, count = group[state], len(below)
+    met = np.repeat(own, end - begin) * count + group[rows.next[spans(begin, end)]]
+    of, needed = np.divmod(_distinct(np.concatenate([met, own * (count + 1)]), count**2), count)
+    order = np.argsort(own, kind="stable")
+    starts = np.flatnonzero(np.diff(of, prepend=-1))
+    cuts = np.searchsorted(own[order], [*of[starts].tolist(), count]).tolist()
+    listed, ends = needed.tolist(), [*starts.tolist(), len(of)]
+    waiting: list[Integers] = []
+    unit, members = 1, set[int]()
+    for n, (low, high) in enumerate(pairwise(cuts)):
+        groups = listed[ends[n] : ends[n + 1]]
+        shared = lcm(*map(below.__getitem__, groups))
+        if shared.bit_length() > SHORT:
+            yield order[low:high], shared, groups
+            continue
+        both = lcm(unit, shared)
+        if both.bit_length() > SHORT:
+            yield np.concatenate(waiting), unit, list(members)
+            waiting, both, members = [], shared, set()
+        unit = both
+        members.update(groups)
+        waiting.append(order[low:high])
+    if waiting:
+        yield np.concatenate(waiting), unit, list(members)
+
+
+def _distinct(numbers: Integers, limit: int) -> Integers:
+    """Return the numbers that occur, of those below the limit, in rising order."""
+    if limit > 4 * len(numbers):
+        return np.unique(numbers)
+    seen = np.zeros(limit, dtype=bool)
+    seen[numbers] = True
+    return np.flatnonzero(seen)
 
 
 class _Scaled:
-    """Claimed values times a unit, by state."""
+    """Values times a unit, by state."""
 
-    def __init__(self, found: Claims, times: dict[int, int]) -> None:
-        self.numerator, self.group, self.times = found.numerator, found.group.tolist(), times
+    def __init__(self, values: Values, times: dict[int, int]) -> None:
+        self.numerator, self.group, self.times = values.numerator, values.group.tolist(), times
 
     def __getitem__(self, state: int) -> int:
         return self.numerator[state] * self.times[self.group[state]]
 
 
-def _one_by_one(
-    rows: _Listed, found: Claims, states: Integers, unit: int, groups: list[int]
-) -> list[str]:
-    """Check states pair by pair; `groups` are those whose denominators divide the unit."""
-    wrong = list[str]()
-    pairs, offsets, following, weight = rows.pairs, rows.offsets, rows.next, rows.weight
-    times = {g: unit // found.denominator[g] for g in groups}
-    inside = states.tolist()
-    known = {t for s in inside for t in following[offsets[pairs[s]] : offsets[pairs[s + 1]]]}
-    scaled = _Scaled(found, times)
-    value = {t: scaled[t] for t in known}
-    for s in inside:
-        first, last = pairs[s], pairs[s + 1]
-        more = times[scaled.group[s]]
-        here = found.numerator[s] * more * rows.scale[s]
-        losses = []  # V - Q of each pair, times scale and unit
-        for l in range(first, last):
+class _Listed:
+    """Equations in Python's own integers."""
+
+    def __init__(self, rows: BellmanRows) -> None:
+        self.offsets, self.next, self.weight = (
+            each.tolist() for each in (rows.offsets, rows.next, rows.weight)
+        )
+        self.constant, self.scale = rows.constant.tolist(), rows.scale.tolist()
+
+    def losses(self, pairs: list[int], states: list[int], scaled: _Scaled, unit: int) -> list[int]:
+        """Return V - Q of each pair, times the scale of its state and the unit."""
+        offsets, following, weight = self.offsets, self.next, self.weight
+        known = {t for l in pairs for t in following[offsets[l] : offsets[l + 1]]}
+        value = {t: scaled[t] for t in known}
+        found, before, here = list[int](), -1, 0
+        for l, s in zip(pairs, states, strict=True):
+            if s != before:
+                before, here = s, scaled[s] * self.scale[s]
             part = slice(offsets[l], offsets[l + 1])
             later = sum(map(mul, weight[part], map(value.__getitem__, following[part])))
-            losses.append(here - rows.constant[l] * unit - later)
-        if rows.terminal[s]:
-            losses = [0] * len(losses)
-        if min(losses) != 0:
-            wrong.append(f"the value of state {s} does not solve the Bellman equation")
-        if [loss == 0 for loss in losses] != rows.optimal[first:last]:
-            wrong.append(f"the optimal actions of state {s} are not those of the model")
-        least, gap = min((loss for loss in losses if loss > 0), default=None), found.gap[s]
-        claimed = None if gap is None else gap * more * rows.scale[s]
-        if claimed != (None if least is None else least * found.gap_scale[s]):
-            wrong.append(f"the gap of state {s} is not that of the model")
-    return wrong
-
-
-class _Listed:
-    """Equations in Python's own integers, and which pairs are claimed to be optimal."""
-
-    def __init__(self, rows: BellmanRows, found: Claims) -> None:
-        self.pairs, self.offsets = rows.pair_offsets.tolist(), rows.offsets.tolist()
-        self.next, self.weight = rows.next.tolist(), rows.weight.tolist()
-        self.constant, self.scale = rows.constant.tolist(), rows.scale.tolist()
-        self.terminal, self.optimal = rows.terminal.tolist(), found.optimal_pairs.tolist()
+            found.append(here - self.constant[l] * unit - later)
+        return found
