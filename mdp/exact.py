@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from hashlib import sha256
 from itertools import pairwise
 from math import fsum
@@ -80,12 +81,12 @@ class BellmanRows:
     next: Numbers
     weight: Numbers
 
-    @property
+    @cached_property
     def pair_state(self) -> Integers:
         """(L,) the state of each pair."""
         return np.repeat(np.arange(len(self.scale)), np.diff(self.pair_offsets))
 
-    @property
+    @cached_property
     def pair(self) -> Integers:
         """(M,) the pair of each transition."""
         return np.repeat(np.arange(len(self.constant)), np.diff(self.offsets))
@@ -112,7 +113,7 @@ def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
     """Return the Bellman equations of a model in integers.
 
     With `pairs`, (K,) rising numbers with one of each state at least, they are those of these
-    pairs, over the scale that these need.
+    pairs, over the scale that these need. Those of all pairs are made once for each model.
 
     Examples
     --------
@@ -123,8 +124,19 @@ def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
     >>> rows.scale.tolist(), rows.constant.tolist(), rows.weight.tolist()
     ([30, 10], [5, 0], [9, 18, 9])
     """
+    if pairs is None or len(pairs) == model.n_pairs:
+        if model not in _ROWS:
+            _ROWS[model] = _bellman_rows(model, None)
+        return _ROWS[model]
+    return _bellman_rows(model, pairs)
+
+
+_ROWS: WeakKeyDictionary[MDP, BellmanRows] = WeakKeyDictionary()
+
+
+def _bellman_rows(model: MDP, pairs: Integers | None) -> BellmanRows:
     table, pair_offsets, pair_state = model.table, model.pair_offsets, model.pair_state
-    if pairs is not None and len(pairs) < model.n_pairs:
+    if pairs is not None:
         table, pair_state = table.of_pairs(pairs), pair_state[pairs]
         pair_offsets = np.searchsorted(pairs, pair_offsets)
     offsets, following, weight, denominator = merged(table)
@@ -270,6 +282,15 @@ def fingerprint(model: MDP) -> str:
     >>> fingerprint(half) == fingerprint(same)
     True
     """
+    if model not in _HASHES:
+        _HASHES[model] = _fingerprint(model)
+    return _HASHES[model]
+
+
+_HASHES: WeakKeyDictionary[MDP, str] = WeakKeyDictionary()
+
+
+def _fingerprint(model: MDP) -> str:
     digest = sha256(b"exact-mdp model 1\n")
     start = sorted((state, weight) for state, weight in model.start if weight)
     digest.update(f"{model.n_states} {model.n_pairs} {_text(model.discount_exact)}\n".encode())

@@ -17,7 +17,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, OutcomeTable, ones, over_groups
+from exact_mdp.mdp.table import Integers, OutcomeTable, integers, ones, over_groups
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,9 +75,9 @@ def derived(
     else:
         gain, below = (part[pairs] for part in mdp.table.expected_gain_exact())
     extra = [*(state for state, _ in rests), size]
-    more, under = over_groups(
-        [*(worth for _, worth in rests), Fraction(0)], np.arange(len(extra) + 1)
-    )
+    worths = [*(worth for _, worth in rests), Fraction(0)]
+    more = integers(worth.numerator for worth in worths)
+    under = integers(worth.denominator for worth in worths)
     offsets, following = table.offsets, label[table.next]
     order = np.lexsort((following, table.pair))
     one = np.ones(len(extra), dtype=table.weight.dtype)

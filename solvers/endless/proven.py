@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, fingerprint, per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, spans
+from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.endless.means import surplus
@@ -30,6 +30,7 @@ from exact_mdp.solvers.endless.merged import ending_policy, lifted, without_losi
 from exact_mdp.solvers.endless.structure import Structure, finite, refusal, structure
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.endless import EndlessClaims, optimal_infinite
+from exact_mdp.solvers.proof.equations import judged
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.solution import SolverError
 
@@ -48,6 +49,14 @@ class _Optimum:
         return Fraction(
             self.values.numerator[state], self.values.denominator[self.values.group[state]]
         )
+
+
+class _Known(NamedTuple):
+    """Exact values, as `solvers.proof.equations` reads them."""
+
+    numerator: list[int]
+    group: Integers
+    denominator: list[int]
 
 
 def certify_total(mdp: MDP) -> Certificate:
@@ -180,10 +189,11 @@ def _certificate(
     values, label = best.values, whole.label
     rows = bellman_rows(found.mdp)
     denominator = [*values.denominator, 1]
-    numerator = [values.numerator[state] for state in label.tolist()]
+    labels = label.tolist()
+    numerator = [*map(values.numerator.__getitem__, labels)]
     group = values.group[label]
-    gap: list[int | None] = [values.gap[state] for state in label.tolist()]
-    gap_scale = [values.gap_scale[state] for state in label.tolist()]
+    gap: list[int | None] = [*map(values.gap.__getitem__, labels)]
+    gap_scale = [*map(values.gap_scale.__getitem__, labels)]
     optimal = np.zeros(mdp.n_pairs, dtype=bool)
     own = (whole.source >= 0) & (whole.source < mdp.n_pairs)
     optimal[whole.source[own & best.optimal]] = True
@@ -202,19 +212,11 @@ def _certificate(
     some = np.flatnonzero(apart[mdp.pair_state] & found.kept & ~found.inside)
     for state in np.flatnonzero(apart).tolist():
         gap[state], gap_scale[state] = None, 1
-    value_of = [flint.fmpq(0)] * mdp.n_states
-    for state in {*mdp.pair_state[some].tolist(), *_successors(found.graph, some)}:
-        value_of[state] = flint.fmpq(numerator[state], denominator[group[state]])
-    least: dict[int, Any] = {}
-    gains = zip(some.tolist(), surplus(rows, value_of, some), strict=True) if len(some) else ()
-    for pair, gain in gains:
-        state = int(mdp.pair_state[pair])
-        optimal[pair] = gain == 0
-        if gain != 0 and (state not in least or -gain < least[state]):
-            least[state] = -gain
-    for state, number in least.items():
-        scaled = number * denominator[group[state]]
-        gap[state], gap_scale[state] = int(scaled.p), int(scaled.q)
+    known = _Known(numerator, group, denominator)
+    for block in judged(rows, known, some):
+        optimal[block.pairs] = block.nothing
+        for state, (loss, over) in block.least.items():
+            gap[state], gap_scale[state] = loss, over
     infinite = (found.sign != 0)[mdp.pair_state]
     optimal[infinite] = optimal_infinite(proof, rows)[infinite]
     reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
@@ -233,11 +235,6 @@ def _certificate(
         endless=proof,
         mdp=mdp,
     )
-
-
-def _successors(graph: Graph, pairs: Integers) -> list[int]:
-    found: list[int] = graph.next[spans(graph.offsets[pairs], graph.offsets[pairs + 1])].tolist()
-    return found
 
 
 def _start_value(

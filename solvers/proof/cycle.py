@@ -87,6 +87,7 @@ class RightSides:
 
     def __init__(self, rows: BellmanRows) -> None:
         self.rows, pivot = _without_waiting(rows)
+        self.pivots = pivot
         self.pivot: list[int] = pivot.tolist()
         self.factor: list[int] = _factor(self.rows, pivot).tolist()
         waits = np.asarray(pivot != rows.scale[rows.pair_state])

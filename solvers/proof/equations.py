@@ -7,7 +7,7 @@ common multiple are judged together (`solvers.proof.losses`), long numbers pair 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import lcm
@@ -122,20 +122,19 @@ def judged(rows: BellmanRows, values: Values, pairs: Integers) -> Iterator[Judge
     if not len(pairs):
         return
     state = rows.pair_state[pairs]
-    short, listed = short_rows(rows), None
+    short, listed, group = short_rows(rows), None, values.group.tolist()
     for places, unit, groups in _blocks(rows, values, pairs, state):
         chosen, own = pairs[places], state[places]
         first = np.flatnonzero(np.diff(own, prepend=-1))
-        times = {g: unit // values.denominator[g] for g in groups}
-        value = _Scaled(values, times)
+        scaled = _Scaled(values, group, unit, groups)
         if short and unit.bit_length() <= SHORT:
-            lost = losses(rows, chosen, value, unit)
+            lost = losses(rows, chosen, scaled, unit)
             nothing, negative = lost.nothing, lost.negative
             worse = np.flatnonzero(~(nothing | negative))
             numbers = zip(own[worse].tolist(), lost.numbers(worse), strict=True)
         else:
             listed = listed or _Listed(rows)
-            lost_by = listed.losses(chosen.tolist(), own.tolist(), value, unit)
+            lost_by = listed.losses(chosen.tolist(), own.tolist(), scaled, unit)
             nothing = np.array([loss == 0 for loss in lost_by])
             negative = np.array([loss < 0 for loss in lost_by])
             numbers = zip(own.tolist(), lost_by, strict=True)
@@ -143,15 +142,14 @@ def judged(rows: BellmanRows, values: Values, pairs: Integers) -> Iterator[Judge
         for s, loss in numbers:
             if 0 < loss < least.get(s, loss + 1):
                 least[s] = loss
+        times = scaled.times
         yield Judged(
             states=own[first],
             pairs=chosen,
             first=first,
             nothing=nothing,
             negative=negative,
-            least={
-                s: (loss, times[value.group[s]] * int(rows.scale[s])) for s, loss in least.items()
-            },
+            least={s: (loss, times[group[s]] * int(rows.scale[s])) for s, loss in least.items()},
         )
 
 
@@ -200,13 +198,15 @@ def _distinct(numbers: Integers, limit: int) -> Integers:
 
 
 class _Scaled:
-    """Values times a unit, by state."""
+    """Values times a unit."""
 
-    def __init__(self, values: Values, times: dict[int, int]) -> None:
-        self.numerator, self.group, self.times = values.numerator, values.group.tolist(), times
+    def __init__(self, values: Values, group: list[int], unit: int, groups: list[int]) -> None:
+        self.numerator, self.group = values.numerator, group
+        self.times = {g: unit // values.denominator[g] for g in groups}
 
-    def __getitem__(self, state: int) -> int:
-        return self.numerator[state] * self.times[self.group[state]]
+    def __call__(self, states: Iterable[int]) -> list[int]:
+        numerator, group, times = self.numerator, self.group, self.times
+        return [numerator[state] * times[group[state]] for state in states]
 
 
 class _Listed:
@@ -222,11 +222,12 @@ class _Listed:
         """Return V - Q of each pair, times the scale of its state and the unit."""
         offsets, following, weight = self.offsets, self.next, self.weight
         known = {t for l in pairs for t in following[offsets[l] : offsets[l + 1]]}
-        value = {t: scaled[t] for t in known}
+        known.update(states)
+        value = dict(zip(known, scaled(known), strict=True))
         found, before, here = list[int](), -1, 0
         for l, s in zip(pairs, states, strict=True):
             if s != before:
-                before, here = s, scaled[s] * self.scale[s]
+                before, here = s, value[s] * self.scale[s]
             part = slice(offsets[l], offsets[l + 1])
             later = sum(map(mul, weight[part], map(value.__getitem__, following[part])))
             found.append(here - self.constant[l] * unit - later)

@@ -34,16 +34,21 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.table import Integers, magnitude, spans
+from exact_mdp.mdp.table import Floats, Integers, magnitude, spans
 from exact_mdp.solvers.proof.cycle import CHUNK, LARGEST, Cycle, Product, RightSides, endless
+from exact_mdp.solvers.proof.equations import judged
+from exact_mdp.solvers.proof.margins import quotient
 from exact_mdp.solvers.proof.stages import Kind, stages
 
 if TYPE_CHECKING:
     from flint import fmpz
 
 flint = later("flint")
+order = later("exact_mdp.solvers.kernels.order")
+compiling = later("exact_mdp.solvers.kernels.compiling")
 SHORT = 2**31  # numbers of which two products add up to a 64-bit integer
 NONE = np.iinfo(np.int64).max
+MANY = 32  # states with a choice from which on floats choose first
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +75,14 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
     """
     if not positive and (same := _same_everywhere(rows)) is not None:
         return same
-    solver = _Solver(rows)
+    found = _solved(rows, positive, guess=True) or _solved(rows, positive, guess=False)
+    assert found is not None
+    return found
+
+
+def _solved(rows: BellmanRows, positive: bool, *, guess: bool) -> ExactValues | None:
+    """Return the values; None where pairs that floats were left to choose are not the best ones."""
+    solver = _Solver(rows, guess=guess)
     if positive:
         solver.require_leaving()
     for stage in stages(rows):
@@ -80,7 +92,7 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
             solver.chain(stage.states)
         else:
             solver.induction(stage.states)
-    return ExactValues(
+    found = ExactValues(
         numerator=_emptied(solver.value),
         group=np.array(solver.group, dtype=np.int64),
         denominator=_emptied(solver.denominator),
@@ -88,6 +100,14 @@ def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
         gap=_emptied(solver.gap),
         gap_scale=_emptied(solver.gap_scale),
     )
+    state = rows.pair_state
+    for block in judged(rows, found, np.flatnonzero((solver.best >= 0)[state])):
+        if block.negative.any():
+            return None
+        found.optimal[block.pairs] = block.nothing
+        for own, (loss, over) in block.least.items():
+            found.gap[own], found.gap_scale[own] = loss, over
+    return found
 
 
 def _same_everywhere(rows: BellmanRows) -> ExactValues | None:
@@ -137,8 +157,11 @@ class _Choice(NamedTuple):
 class _Solver:
     """What is settled so far: values over the denominators of their groups."""
 
-    def __init__(self, rows: BellmanRows) -> None:
+    def __init__(self, rows: BellmanRows, *, guess: bool) -> None:
         self.sides = RightSides(rows)
+        self.best = np.full(len(rows.scale), -1)  # pairs that floats chose, to be judged at last
+        live = ~rows.terminal[rows.pair_state]
+        self._guessing = guess and bool((self.sides.pivots[live] > 0).all())
         self.pair_offsets: list[int] = rows.pair_offsets.tolist()
         self.value: list[Any] = [0] * len(rows.scale)
         self.group = [0] * len(rows.scale)
@@ -179,31 +202,43 @@ class _Solver:
     def chain(self, states: Integers) -> None:
         """Settle states one after the other, each after those that it leads to."""
         constant, offsets, following, weight = self._listed
-        value, group, denominator = self.value, self.group, self.denominator
+        value, group, denominator, first_pair = *self._settled, self.pair_offsets
+        pivots, factors, follows = self.sides.pivot, self.sides.factor, self._follows
+        best = self._chosen(states)
         for state in states.tolist():
-            if (after := self._follows[state]) >= 0:
+            if (after := follows[state]) >= 0:
                 value[state], group[state] = value[after], group[after]
                 continue
-            first, last = self.pair_offsets[state], self.pair_offsets[state + 1]
-            groups = {group[t] for t in following[offsets[first] : offsets[last]]} or {0}
+            first, last = first_pair[state], first_pair[state + 1]
+            if best is not None and last - first > 1:
+                first = best[state]
+                last = first + 1
+            begin, end = offsets[first], offsets[last]
+            met = {group[t] for t in following[begin:end] if value[t]} or {0}
             shared: int | None
             known: Any = value
-            if len(groups) == 1:
-                shared = groups.pop()
+            if len(met) == 1:
+                (shared,) = met
                 base: int = denominator[shared]
             else:
-                shared, found = self._largest(groups)
+                shared, found = self._largest(met)
                 base = int(found)
-                known = self._scaled(following[offsets[first] : offsets[last]], base)
-            rest = []
-            for pair in range(first, last):
-                part = slice(offsets[pair], offsets[pair + 1])
-                ahead = map(mul, weight[part], map(known.__getitem__, following[part]))
-                rest.append(sum(ahead, constant[pair] * base))
-            if len(rest) == 1:
-                factor = self.sides.factor[first]
-                number, times = rest[0] // factor, self.sides.pivot[first] // factor
+                known = self._scaled(following[begin:end], base)
+            if last - first == 1:
+                number = sum(
+                    map(mul, weight[begin:end], map(known.__getitem__, following[begin:end])),
+                    constant[first] * base,
+                )
+                factor, times = factors[first], pivots[first]
+                if factor != 1:
+                    number, times = number // factor, times // factor
+                rest = [number]
             else:
+                rest = []
+                for pair in range(first, last):
+                    part = slice(offsets[pair], offsets[pair + 1])
+                    ahead = map(mul, weight[part], map(known.__getitem__, following[part]))
+                    rest.append(sum(ahead, constant[pair] * base))
                 choice = self._choice(state, rest)
                 number, times = choice.worth, choice.pivot
             if times != 1:
@@ -223,6 +258,48 @@ class _Solver:
                 if shared == len(denominator):
                     denominator.append(below)
             group[state] = shared
+
+    @property
+    def _settled(self) -> tuple[list[Any], list[int], list[Any]]:
+        return self.value, self.group, self.denominator
+
+    def _chosen(self, states: Integers) -> list[int] | None:
+        """Return the pairs that floats choose, by state; None where few have a choice."""
+        rows = self.sides.rows
+        choosing = states[np.diff(rows.pair_offsets)[states] > 1]
+        if not self._guessing or len(choosing) < MANY:
+            return None
+        about, (matrix, constant, pivot) = self._about, self._floats
+        if not np.isfinite(pivot).all():
+            return None
+        inside = np.zeros(len(about), dtype=bool)
+        inside[states] = True
+        begin, end = rows.pair_offsets[states], rows.pair_offsets[states + 1]
+        ahead = rows.next[spans(rows.offsets[begin], rows.offsets[end])]
+        for state in np.unique(ahead[np.isnan(about[ahead]) & ~inside[ahead]]).tolist():
+            below = self.denominator[self.group[state]]
+            about[state] = quotient(int(self.value[state]), int(below))
+        best = np.empty(len(about), dtype=np.int64)
+        order.best_pairs(states, rows.pair_offsets, matrix, constant, pivot, about, best)
+        self.best[choosing] = best[choosing]
+        found: list[int] = best.tolist()
+        return found
+
+    @cached_property
+    def _about(self) -> Floats:
+        """(S,) values in floats, of the states that were needed."""
+        return np.where(self.sides.rows.terminal, 0.0, np.nan)
+
+    @cached_property
+    def _floats(self) -> tuple[Any, Floats, Floats]:
+        """Transitions, constants and pivots."""
+        rows = self.sides.rows
+        with np.errstate(over="ignore"):
+            weight, constant, pivot = (
+                np.asarray(each).astype(np.float64)
+                for each in (rows.weight, rows.constant, self.sides.pivots)
+            )
+        return compiling.Rows(rows.offsets, rows.next, weight), constant, pivot
 
     def _losses(self, choice: _Choice, number: Any, times: int) -> tuple[list[Any], int]:
         """Return what each pair loses against V(s) = number / times, over a scale."""

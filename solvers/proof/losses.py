@@ -10,7 +10,7 @@ carried over (Knuth, The Art of Computer Programming, volume 2, 1997, section 4.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -56,10 +56,12 @@ def short_rows(rows: BellmanRows) -> bool:
     return magnitude(rows.scale) < SMALL and magnitude(flow) < SMALL
 
 
-def losses(rows: BellmanRows, pairs: Integers, value: Sequence[int], unit: int) -> Losses:
-    """Return what some pairs (K,) lose, for values (S,) that are times `unit`.
+def losses(
+    rows: BellmanRows, pairs: Integers, scaled: Callable[[list[int]], list[int]], unit: int
+) -> Losses:
+    """Return what some pairs (K,) lose, for `scaled` values of states, which are times `unit`.
 
-    `rows` are short ones (`short_rows`), and so are values and constants that are read.
+    `rows` are short ones (`short_rows`).
     """
     lengths = rows.offsets[pairs + 1] - rows.offsets[pairs]
     entries = spans(rows.offsets[pairs], rows.offsets[pairs + 1])
@@ -67,18 +69,20 @@ def losses(rows: BellmanRows, pairs: Integers, value: Sequence[int], unit: int) 
     constant = rows.constant[pairs]
     earning = np.flatnonzero(constant != 0)
     earned = [number * unit for number in constant[earning].tolist()]
-    known, place = np.unique(np.concatenate([own, after]), return_inverse=True)
-    numbers = [*map(value.__getitem__, known.tolist()), *earned]
+    needed = np.zeros(len(rows.scale), dtype=bool)
+    needed[own] = needed[after] = True
+    known, place = np.flatnonzero(needed), np.cumsum(needed) - 1
+    numbers = scaled(known.tolist()) + earned
     longest = max((max(numbers), -min(numbers)), default=0).bit_length()
     count = longest // WIDTH + 1
     digits = _digits(numbers, count)
     of_state, of_earned = digits[:, : len(known)], digits[:, len(known) :]
     found = np.empty((count + 1, len(pairs)), dtype=np.int64)
-    found[:-1] = of_state[:, place[: len(own)]] * rows.scale[own]
+    found[:-1] = of_state[:, place[own]] * rows.scale[own]
     found[:-1, earning] -= of_earned
     filled = lengths > 0
     if len(entries):
-        ahead = of_state[:, place[len(own) :]] * rows.weight[entries]
+        ahead = of_state[:, place[after]] * rows.weight[entries]
         begin = (np.cumsum(lengths) - lengths)[filled]
         found[:-1, filled] -= np.add.reduceat(ahead, begin, axis=1)
     found[-1] = 0
@@ -86,7 +90,9 @@ def losses(rows: BellmanRows, pairs: Integers, value: Sequence[int], unit: int) 
         high += low >> WIDTH
         low &= MASK
     negative = found[-1] < 0
-    return Losses(digits=found, negative=negative, nothing=~found.any(axis=0))
+    return Losses(
+        digits=found, negative=negative, nothing=np.equal(np.bitwise_or.reduce(found, axis=0), 0)
+    )
 
 
 def _digits(numbers: Sequence[int], count: int) -> Integers:
