@@ -32,6 +32,8 @@ from exact_mdp.mdp.table import Integers, Numbers, spans
 csgraph = later("scipy.sparse.csgraph")
 Mask = NDArray[np.bool_]
 SHOWN = 4
+# Rounds of peeling by arrays; then states go one by one, if few joined in each and few are left.
+FIRST, NARROW, MANY = 8, 64, 200_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,6 +193,9 @@ def _termination(mdp: MDP) -> Termination:
     rank = np.where(mdp.terminal, 0, -1)
     frontier, reached = np.flatnonzero(mdp.terminal), 0
     while len(frontier):
+        if reached == FIRST and matrix.nnz < MANY and (rank >= 0).sum() < FIRST * NARROW:
+            rank = _peeled(mdp, before, predecessors, staying, left, rank, frontier)
+            break
         into = np.unique(predecessors[spans(before[frontier], before[frontier + 1])])
         into = into[staying[into]]
         staying[into] = False
@@ -205,6 +210,34 @@ def _termination(mdp: MDP) -> Termination:
     first = np.where(staying, np.arange(mdp.n_pairs), mdp.n_pairs)
     chosen[trapped] = np.minimum.reduceat(first, mdp.pair_offsets[:-1])[trapped]
     return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
+
+
+def _peeled(
+    mdp: MDP,
+    before: Numbers,
+    predecessors: Numbers,
+    staying: Mask,
+    left: Integers,
+    rank: Integers,
+    frontier: Integers,
+) -> Integers:
+    """Return the ranks from a round on, state by state: rounds of a few states take less that way.
+
+    Pairs that reach a ranked state are struck from `staying`.
+    """
+    begins, into, owner = before.tolist(), predecessors.tolist(), mdp.pair_state.tolist()
+    waiting, ranks, stays, queue = left.tolist(), rank.tolist(), staying.tolist(), frontier.tolist()
+    for state in queue:  # it grows on the way
+        for pair in into[begins[state] : begins[state + 1]]:
+            if stays[pair]:
+                stays[pair] = False
+                own = owner[pair]
+                waiting[own] -= 1
+                if not waiting[own] and ranks[own] < 0:
+                    ranks[own] = ranks[state] + 1
+                    queue.append(own)
+    staying[:] = stays
+    return np.array(ranks)
 
 
 def require_termination(mdp: MDP) -> None:

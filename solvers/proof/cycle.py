@@ -119,11 +119,13 @@ class RightSides:
             return Product((columns + shift).tolist(), matrix, ())
         columns, place = np.unique(following, return_inverse=True)
         if len(lengths) * (len(columns) + 1) > FILLED * (len(weight) + len(lengths)):
-            split = np.cumsum(lengths)[:-1]
-            weights = [part.tolist() for part in np.split(weight, split)]
-            targets = [part.tolist() for part in np.split(following, split)]
-            listed = zip(constant.tolist(), weights, targets, strict=True)
-            return Product(columns.tolist(), None, list(listed))
+            ends = [0, *np.cumsum(lengths).tolist()]
+            weights, targets = weight.tolist(), following.tolist()
+            listed = [
+                (number, weights[first:last], targets[first:last])
+                for number, (first, last) in zip(constant.tolist(), pairwise(ends), strict=True)
+            ]
+            return Product(columns.tolist(), None, listed)
         shape = (len(lengths), len(columns) + 1)
         dense = np.zeros(shape, dtype=np.int64 if small else object)
         dense[np.repeat(np.arange(len(lengths)), lengths), place] = weight
@@ -244,7 +246,7 @@ class Cycle:
             value, before = np.zeros(len(policy), dtype=object), 2 * units + longest
             while True:
                 gain = gains(value)
-                left = max(int(number).bit_length() for number in gain[policy])
+                left = magnitude(gain[policy]).bit_length()
                 if left <= PRECISE:
                     break
                 low = left - 60

@@ -3,6 +3,7 @@
 from fractions import Fraction as F
 from itertools import product
 from math import gcd, lcm
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +14,14 @@ from large_models import gridworld
 from strategies import Rows, model_of, models
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.exact import bellman_rows, fingerprint
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.solvers import certify
 from exact_mdp.solvers.proof import exact
 from exact_mdp.solvers.proof import linear as exact_linear
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.cycle import Cycle, RightSides
 from exact_mdp.solvers.proof.linear import Equations
+from exact_mdp.solvers.proof.losses import losses, short_rows
 from exact_mdp.solvers.proof.rationals import fraction, fractions, primes_of
 from exact_mdp.solvers.proof.stages import Kind, stages
 
@@ -351,3 +353,58 @@ def test_scenarios_without_cycles_need_no_linear_equations(monkeypatch: pytest.M
     monkeypatch.setattr("exact_mdp.solvers.proof.cycle.Cycle.values", None)
     assert certify(Scenario.load("yuan2025").compile()).unique
     assert bellman_rows(gridworld(2)).scale.tolist() == [1000, 1000, 1000, 100]
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 3),
+            st.lists(st.tuples(st.integers(0, 3), st.integers(1, 2**20)), min_size=1, max_size=3),
+            st.integers(-(2**70), 2**70),
+        ),
+        min_size=4,
+        max_size=8,
+    ),
+    st.lists(st.integers(-(2**100), 2**100), min_size=4, max_size=4),
+    st.integers(1, 2**40),
+    st.integers(1, 2**20),
+)
+def test_losses_by_digits_are_those_of_fractions(
+    pairs: list[Any], value: list[int], unit: int, scale: int
+) -> None:
+    """Carries, signs and numbers of several digits; each state has a pair."""
+    pairs = sorted([(s, [(0, 1)], 0) for s in range(4)] + pairs, key=lambda pair: pair[0])
+    lengths = [len(row) for _, row, _ in pairs]
+    rows = BellmanRows(
+        pair_offsets=np.searchsorted([s for s, _, _ in pairs], np.arange(5)),
+        terminal=np.zeros(4, dtype=bool),
+        scale=np.full(4, scale),
+        constant=np.array([c for _, _, c in pairs], dtype=object),
+        offsets=np.concatenate([[0], np.cumsum(lengths)]),
+        next=np.array([t for _, row, _ in pairs for t, _ in row]),
+        weight=np.array([w for _, row, _ in pairs for _, w in row]),
+    )
+    wanted = [
+        scale * value[s] - c * unit - sum(w * value[t] for t, w in row) for s, row, c in pairs
+    ]
+    every = np.arange(len(pairs))
+    found = losses(rows, every, lambda states: [value[s] for s in states], unit)
+    assert short_rows(rows)
+    assert found.numbers(every) == wanted
+    assert found.negative.tolist() == [x < 0 for x in wanted]
+    assert found.nothing.tolist() == [x == 0 for x in wanted]
+
+
+def test_what_floats_cannot_tell_apart_is_chosen_exactly() -> None:
+    """Forty states in a row, each with two actions that differ by less than any rounding."""
+    size, more = 40, F(1, 2**90)
+    rows: list[Any] = [
+        (s, a, [(1, s + 1, 1 + more * a if s % 2 else 1 + more * (1 - a))])
+        for s in range(size)
+        for a in (0, 1)
+    ]
+    found = certify(MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])]))
+    assert found.start_value == size * (1 + more)
+    assert found.policy[:-1].tolist() == [s % 2 for s in range(size)]
+    assert set(found.gaps[:-1]) == {more}
+    assert found.violations() == []
