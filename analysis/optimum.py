@@ -12,7 +12,6 @@ either serves.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -25,6 +24,7 @@ from exact_mdp.mdp.chain import is_acyclic, reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.solution import warn_of_precision
 from exact_mdp.solvers.solver import Criterion, is_average
 
 if TYPE_CHECKING:
@@ -163,13 +163,15 @@ def optimum(
     try:
         solution = solvers.solve(model, solver, criterion=criterion)
         if tol is not None and solution.error_bound > tol:
-            _warn(f"the error bound is {solution.error_bound:.2g}, above the tolerance {tol:g}")
+            warn_of_precision(
+                f"the error bound is {solution.error_bound:.2g}, above the tolerance {tol:g}"
+            )
         if not certify:
             return Optimum(mdp=model, method=solution.method, solution=solution, certificate=None)
     except solvers.SolverError as error:
         if not certify:
             raise
-        _warn(f"{error} (the exact values stand)")
+        warn_of_precision(f"{error} (the exact values stand)")
     certificate = solvers.certify(model, criterion=criterion)
     if faults := certificate.violations():
         raise Contradiction(f"the certificate does not hold: {faults[0]}")
@@ -198,7 +200,3 @@ def _solver(mdp: MDP, method: str, tol: float | None, *, average: bool) -> solve
         raise ModelError(f"the tolerance is {tol}", where="tol", fix="choose a positive number")
     kind = solvers.SOLVERS[method]
     return kind(**{"tol": tol} if tol is not None and hasattr(kind, "tol") else {})
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, solvers.PrecisionWarning, stacklevel=3)

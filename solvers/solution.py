@@ -7,6 +7,8 @@ sound in floating point) and `Estimated` (a sample mean and its standard error).
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 pandas = later("pandas")
+
+OWN = (__name__.partition(".")[0], "numpy")  # whose decorators stand between two calls
 
 
 class Claim(StrEnum):
@@ -66,6 +70,14 @@ class Status(StrEnum):
 
 class PrecisionWarning(UserWarning):
     """The tolerance asked for is beyond double precision; the error bound says what was reached."""
+
+
+def warn_of_precision(message: str) -> None:
+    """Issue a PrecisionWarning at the line that called this package."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals["__name__"].partition(".")[0] in OWN:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, PrecisionWarning, stacklevel=level)
 
 
 class SolverError(RuntimeError):

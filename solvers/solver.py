@@ -8,7 +8,6 @@ problems do; its answer is the answer.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -34,7 +33,7 @@ from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.endless.total import solve_total
-from exact_mdp.solvers.solution import PrecisionWarning, Solution, Status
+from exact_mdp.solvers.solution import Solution, Status, warn_of_precision
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
@@ -197,8 +196,8 @@ def solve(
     Raises
     ------
     ModelError
-        For an unknown name, or a `tol` that the solver does not take; at discount 1 where the best
-        policy goes on for ever and its total swings (`solvers.endless.structure`).
+        For an unknown name, or a `tol` that the solver does not take; at discount 1 where a total
+        has no limit, or no policy has the best one, as `certify` says.
     SolverError
         Where a solver reaches a limit: of iterations, or of double precision.
 
@@ -320,7 +319,7 @@ def _within(solution: Solution, tol: float | None) -> Solution:
     if tol is None or solution.error_bound <= tol:
         return solution
     message = f"the error bound is {solution.error_bound:.2g}: {Status.PRECISION}"
-    warnings.warn(message, PrecisionWarning, stacklevel=3)
+    warn_of_precision(message)
     return replace(solution, status=Status.PRECISION)
 
 

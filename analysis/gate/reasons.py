@@ -21,9 +21,7 @@ max_a Q, is set beside the value of its greedy policy there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
-from math import inf
 
 import numpy as np
 
@@ -36,7 +34,7 @@ from exact_mdp.mdp.policies.arrays import by_time, rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.solution import Bounded, Certified, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -214,16 +212,9 @@ def pair_values(mdp: MDP, policy: Policy, table: Numbers) -> Floats:
 def _floats(values: Numbers) -> Floats:
     """Return numbers of any type as floats, infinite where they are beyond these."""
     if values.dtype == object:
-        return np.array([_float(value) for value in values], dtype=np.float64)
+        return np.array([in_float(value) for value in values], dtype=np.float64)
     with np.errstate(over="ignore"):
         return values.astype(np.float64)
-
-
-def _float(value: float | Fraction) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return inf if value > 0 else -inf
 
 
 def q_error(mdp: MDP, said: Floats, optimal: Floats, used: Floats) -> QError | None:

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,7 +36,7 @@ from exact_mdp.mdp.parametric.row_change import pieces, row_change
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.solvers import solve
-from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -168,22 +167,8 @@ class Gradient(Pictured):
         return pandas.DataFrame(rows)
 
 
-def floating(number: Fraction | float) -> float:
-    """Return a number as a float; an infinite one where it is beyond the range of floats.
-
-    Examples
-    --------
-    >>> floating(Fraction(1, 4)), floating(Fraction(-(10**400)))
-    (0.25, -inf)
-    """
-    try:
-        return float(number)
-    except OverflowError:
-        return inf if number > 0 else -inf
-
-
 def _float(number: Slope | None) -> float:
-    return np.nan if number is None else floating(number.value)
+    return np.nan if number is None else in_float(number.value)
 
 
 def gradient(
@@ -288,7 +273,7 @@ def _derivative(
     slope, start = each.value, Fraction(passed.start.value)
     if slope is None or not start:
         return each
-    return replace(each, elasticity=floating(Fraction(slope.value) * parameter.value / start))
+    return replace(each, elasticity=in_float(Fraction(slope.value) * parameter.value / start))
 
 
 def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, Number]]:

@@ -16,7 +16,6 @@ policy ends, whose values `bounds` proves.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -40,7 +39,7 @@ from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.endless.derived import derived
 from exact_mdp.solvers.endless.graph import Graph
-from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
 
 cvxpy = later("cvxpy")
 
@@ -128,7 +127,7 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
     )
     if not met:
         message = f"the error bound is {solution.error_bound:.2g}: {solution.status}"
-        warnings.warn(message, PrecisionWarning, stacklevel=3)
+        warn_of_precision(message)
     return solution
 
 

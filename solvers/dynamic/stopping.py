@@ -18,7 +18,6 @@ before the next policy is evaluated, as most policies on the way are soon improv
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -36,7 +35,7 @@ from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.bounds.sweeps import Judged, Pass, Sweeps, sweeps_of
 from exact_mdp.solvers.dynamic.known import values_of
-from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20
@@ -336,7 +335,7 @@ def conclude(
     )
     if status is Status.PRECISION:
         message = f"the error bound is {solution.error_bound:.2g}: {status}"
-        warnings.warn(message, PrecisionWarning, stacklevel=5)
+        warn_of_precision(message)
     if status is Status.ITERATION_LIMIT:
         detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
         raise SolverError(status, detail, solution)

@@ -18,7 +18,10 @@ longer a matter of each state by itself (a policy does better to mix the phases)
 refused by name.
 
 A model with a goal follows other rules: outside the goal nothing can be stayed in. A run that never
-arrives is worth `unreached`, +∞ or -∞, in the numbers that are maximised.
+arrives is worth `unreached`, +∞ or -∞, in the numbers that are maximised. Where that is -∞, and a
+component of positive mean can be left for the goal for sure, going round often enough beforehand
+earns more than any number: the least upper bound is +∞, and no policy attains it. Other states may
+have it; a model that begins in one is refused by name.
 
 Sources: de Alfaro, Formal Verification of Probabilistic Systems, 1997, chapters 3 and 5; Bertsekas
 and Tsitsiklis, Mathematics of Operations Research 16, 1991; Baier, Bertrand, Dubslaff, Gburek and
@@ -98,8 +101,8 @@ class Structure:
     tilted : dict of Tilted by rest
         In the other rests nothing is earned, and staying is worth 0; with a goal it is not allowed.
     core, losing : (C,) int64
-        The components where +∞ is earned, and where all is lost; none where a goal or a drift
-        decides that.
+        The components where +∞ is earned, and where all is lost; none where a drift decides that,
+        or, of the latter, a goal.
     given_up : (S,) int64
         The round in which states of -∞ were given up, see `Graph.rounds`.
     missing : (S,) bool
@@ -166,18 +169,17 @@ def structure(mdp: MDP) -> Structure:
     quiet, still = graph.end_components(inside & (rewards == 0))
     best, both = _best_means(components, rewards, quiet)
     worth = np.append(best, -1)[label]  # the sign of each state's component
-    settled = over | (worth == 0) if goal is None else over
+    settled = over | (worth >= 0) if goal is None else over
+    given_up = graph.rounds(settled, every)
+    safe, drift = given_up == 0, None
+    win = graph.distance((worth > 0) & safe, every & graph.every(safe)) >= 0
+    sign = np.where(win & safe, 1, np.where(safe, 0, -1))
     if goal is not None:
-        if (bad := (worth > 0) & (graph.rounds(over, every) == 0)).any():
+        if (bad := (sign > 0) & (mdp.start_distribution > 0)).any():
             raise refusal(
                 mdp, bad, "no policy has the best value: costs fall without end before the goal"
             )
-        worth = np.full_like(worth, -1)
-    given_up = graph.rounds((worth > 0) | settled, every)
-    safe, drift = given_up == 0, None
-    win = graph.distance(worth > 0, every & graph.every(safe)) >= 0
-    sign = np.where(win & safe, 1, np.where(safe, 0, -1))
-    if ((graph.distance(worth > 0, every) >= 0) & (sign < 1)).any():
+    elif ((graph.distance(worth > 0, every) >= 0) & (sign < 1)).any():
         drift = certify_average(mdp)
         sign = np.array([(each > 0) - (each < 0) for each in drift.gain])
         _check_drift(mdp, graph, sign, drift.gain)
@@ -199,7 +201,7 @@ def structure(mdp: MDP) -> Structure:
         rest=np.where(sign == 0, rest, -1),
         inside=moved & kept,
         tilted=tilted,
-        core=np.flatnonzero((best > 0) & (of_sign > 0)) if plain else none,
+        core=np.flatnonzero((best > 0) & (of_sign > 0)) if drift is None else none,
         losing=np.flatnonzero(of_sign < 0) if plain else none,
         given_up=np.where(sign < 0, given_up, 0),
         missing=np.zeros(mdp.n_states, dtype=bool),

@@ -61,10 +61,10 @@ def certify(
     Parameters
     ----------
     model : MDP or Scenario
-        Any finite model with discount below 1, or with discount 1 where every policy ends.
+        Any finite model. At discount 1 values may be infinite, and policies may never end.
     bounded : bool
         Prove floats that the values lie between, at once for a million states, instead of the
-        values themselves.
+        values themselves. At discount 1 every policy has to end.
     tol : float, optional
         Only with `bounded`: the greatest `error_bound` to accept.
     solution : Solution, optional
@@ -80,9 +80,10 @@ def certify(
     Raises
     ------
     ModelError
-        Where values are not unique: at discount 1, a policy that never ends; rows of floats on a
-        cycle that sum to more than 1, too much for the discount. Where a cycle has too many states
-        to be solved exactly.
+        At discount 1: where rewards cancel for ever and the total swings, and that may be best;
+        where +∞ and -∞ come together with a mean of 0, or in the start; where the start's costs can
+        fall without end before a goal. For rows of floats on a cycle that sum to more than 1, too
+        much for the discount. Where a cycle has too many states to be solved exactly.
     SolverError
         Only with `bounded`: where double precision does not suffice.
 
@@ -104,6 +105,12 @@ def certify(
             "bounds prove a total reward, not an average",
             where="certify",
             fix='leave out bounded=True; solve(model, criterion="average") bounds its error',
+        )
+    if bounded and endless(mdp):
+        raise ModelError(
+            "bounds that a checker reads need every policy to end, and one does not",
+            where="certify, at discount 1",
+            fix="leave out bounded=True: the proof is exact; solve() gives floats with bounds",
         )
     if bounded:
         return _bounded(mdp, tol, solution)

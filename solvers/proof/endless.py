@@ -26,9 +26,10 @@ reward g says by its sign which it is: for all pairs g ≥ P g, with equality on
 and, in finite states, the pair leads to such states only; equations both for the policy's pairs in
 infinite states.
 
-With a goal, no h is needed: a run is worth `unreached` exactly where it never leaves states other
-than the goal. Where that is -∞, rank 0 is the goal, and w is not needed either. Where it is +∞, the
-order has to fall along all pairs of finite states.
+With a goal, a run is worth `unreached` exactly where it never leaves states other than the goal,
+and this needs no h. Where that is -∞, rank 0 is the goal, and w is not needed either; a value of +∞
+is no policy's, but that of going round as above as often as one likes, and on to the goal for sure.
+Where it is +∞, the order has to fall along all pairs of finite states.
 
 Sources: Puterman, Markov Decision Processes, 1994, sections 7.2 and 10.2 (g, V and w are the first
 terms of a Laurent series); de Alfaro, Formal Verification of Probabilistic Systems, 1997; for
@@ -179,13 +180,21 @@ class _Check:
         if (rows.slack() != 0).any():
             wrong.append("a row does not sum to 1")
         if goal is not None and (
-            claims.drift or sign[goal].any() or (sign == (-1 if missing > 0 else 1)).any()
+            claims.drift
+            or sign[goal].any()
+            or (missing > 0 and (sign < 0).any())
+            or (missing == 0 and (sign > 0).any())
         ):
             wrong.append("a goal leaves no room for such an infinite value")
         least, most = np.minimum.reduceat(after, first), np.maximum.reduceat(after, first)
         leaving = (own == 0) & ((least != 0) | (most != 0))
-        if claims.drift is None and (((own < 1) & (most > 0)) | (leaving & (least >= 0))).any():
+        unsafe = leaving & (least >= 0)
+        if missing != -inf:  # otherwise a run that may miss the goal is worth -∞ all the same
+            unsafe |= (own < 1) & (most > 0)
+        if claims.drift is None and unsafe.any():
             wrong.append("a pair leads to +∞ from a state that is not worth it")
+        if goal is not None and missing == -inf and ((sign > 0) & ~self._arriving(goal)).any():
+            wrong.append("nothing shows that the goal is reached from a state of +∞")
         # Where the order may fall among states of the same sign, and where it stays for sure.
         order = np.where(after == own[rows.pair], claims.order[rows.next], FAR)
         low, high = np.minimum.reduceat(order, first), np.maximum.reduceat(order, first)
@@ -216,7 +225,7 @@ class _Check:
         if missing == -inf and self.mdp.goal is not None:
             nothing &= self.mdp.goal
         rising = np.ones(len(sign), dtype=bool)
-        if missing == 0:
+        if missing < inf:
             asked = np.zeros(len(rows.constant), dtype=bool)
             asked[pairs] = stays & (sign > 0)
             rising = self._sloping(asked, 1)[pairs]
@@ -228,6 +237,23 @@ class _Check:
             f"nothing shows that the policy attains the value of state {state}"
             for state in np.flatnonzero(shown & ~holds).tolist()
         ]
+
+    def _arriving(self, goal: Mask) -> Mask:
+        """Return (S,) True where some policy reaches the goal with probability 1.
+
+        The greatest set in which the goal can be reached along pairs that do not leave the set.
+        """
+        rows, found = self.rows, np.ones(len(goal), dtype=bool)
+        first = rows.offsets[:-1]
+        while True:
+            inside = np.logical_and.reduceat(found[rows.next], first)
+            near, size = goal.copy(), -1
+            while size != (size := int(near.sum())):
+                some = inside & np.logical_or.reduceat(near[rows.next], first)
+                near[rows.pair_state[some]] = True
+            if (near == found).all():
+                return found
+            found = near
 
     def _vanishing(self, part: BellmanRows, resting: Mask) -> Mask:
         """Return (S,) True for states of rank 0, never left, where E V(X_n) vanishes."""

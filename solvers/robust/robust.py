@@ -13,7 +13,6 @@ help (after Kaufman and Schaefer, INFORMS Journal on Computing 25, 2013), until 
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
@@ -32,7 +31,7 @@ from exact_mdp.solvers.bounds.linear import DIRECT_STATES, LinearSystem
 from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, check_counts
 from exact_mdp.solvers.robust.bounds import Game, Margins, RobustBounds, margins, robust_bounds
 from exact_mdp.solvers.robust.sets import Ambiguity, blocks_of, inner
-from exact_mdp.solvers.solution import Bounded, Claim, PrecisionWarning, SolverError, Status
+from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, warn_of_precision
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -263,7 +262,7 @@ def solve_robust(
     )
     if status is Status.PRECISION:
         message = f"the error bound is {solution.error_bound:.2g}: {status}"
-        warnings.warn(message, PrecisionWarning, stacklevel=2)
+        warn_of_precision(message)
     return solution
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from math import inf, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar, Literal, overload
@@ -32,7 +31,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError
+from exact_mdp.solvers.solution import Bounded, Claim, SolverError, in_float
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution, times
@@ -283,7 +282,7 @@ class Evaluation(Pictured):
             distribution = return_distribution(self.mdp, self.chain)
         except ModelError as error:
             return error.what
-        return {share: _rounded(distribution.quantile(share)) for share in QUANTILES}
+        return {share: in_float(distribution.quantile(share)) for share in QUANTILES}
 
     # ---- visits ------------------------------------------------------------------------------
 
@@ -367,14 +366,6 @@ def _known(make: Callable[[], Bounded]) -> Bounded:
         return make()
     except SolverError:
         return UNKNOWN
-
-
-def _rounded(number: Fraction | float) -> float:
-    """Return the nearest float; infinite beyond their range."""
-    try:
-        return float(number)
-    except OverflowError:
-        return inf if number > 0 else -inf
 
 
 @overload

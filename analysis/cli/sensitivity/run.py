@@ -36,6 +36,8 @@ def sensitivity(
     facts = {
         "model": loaded.loaded.name,
         "analysis": kind,
+        "question": loaded.head["question"],
+        "start": loaded.head["start"],
         "perception": f"{seen}, which the policy held fixed acts on" if seen else None,
     }
     if options.get("out") is not None:

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -138,7 +139,7 @@ def endless_violations(
     for state in np.flatnonzero((sign == 0) & (claims.rank == 0) & ~over).tolist():
         if not missing and numerators[state].degree() >= 0:
             yield f"the policy stays in state {state}, which is worth more or less than 0"
-    if not missing:
+    if missing < inf:
         yield from _unearned(mdp, rows, sign, proof.gains, stays)
 
 
