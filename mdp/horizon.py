@@ -31,6 +31,28 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.validate import Flags, Parts, counted
 
 
+def by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
+    """Return (N, L) what pairs of `model.within(N)` have, by time and pair of the model itself.
+
+    A terminal state keeps its first pair, with the number 1.
+    """
+    rows = _kept(model, model.pair_offsets, model.terminal)
+    found = np.zeros((steps, model.n_pairs))
+    found[:, model.pair_offsets[:-1][model.terminal]] = 1.0
+    found[:, rows] = weights[: steps * len(rows)].reshape(steps, len(rows))
+    return found
+
+
+def _kept(model: Parts, offsets: Integers, terminal: Flags) -> Integers:
+    """Return the pairs that each time but the last has.
+
+    A terminal state stays one, whatever the time, and needs no more than one action.
+    """
+    kept = ~terminal[model.pair_state]
+    kept[offsets[:-1][terminal]] = True
+    return np.flatnonzero(kept[: offsets[_in_columns(model, terminal).regular]])
+
+
 def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags) -> dict[str, Any]:
     """Return the parts that change where episodes stop after N steps; see `MDP.within`.
 
@@ -45,10 +67,7 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
             fix="unroll the model that it was made from, or name that column differently",
         )
     table, first, known = model.table, offsets, model.component_table
-    # A terminal state stays one, whatever the time, and needs no more than one action.
-    kept = ~terminal[model.pair_state]
-    kept[first[:-1][terminal]] = True
-    rows = np.flatnonzero(kept[: first[own]])
+    rows = _kept(model, offsets, terminal)
     lengths = np.diff(table.offsets)[rows]
     _check_size(model, own, count, int(lengths.sum()))
     chosen = spans(table.offsets[rows], table.offsets[rows + 1])

@@ -80,9 +80,12 @@ def check(
     interval = _interval_of(**settings)
     _check_needed(needed, picture, **settings)
     asked = given(policy=learned, **rest)
+    # An interval needs the counts, which a model of episodes that stop has not.
+    counted = settings["confidence"] is not None and asked.steps is not None
     audit = gate.check(
-        asked.mdp,
+        asked.asked if counted else asked.mdp,
         asked.policy,
+        horizon=asked.steps if counted else None,
         max_regret=max_regret,
         max_relative_regret=max_relative_regret,
         exact_values=True if certify else None,

@@ -125,6 +125,11 @@ class Given:
         return self.loaded.mdp
 
     @property
+    def asked(self) -> MDP:
+        """The model of the question, of episodes that go on whatever the horizon."""
+        return self.endless.mdp if self.question is None else self.question(self.endless.mdp)
+
+    @property
     def policy(self) -> Policy:
         """The policy of a command that takes one."""
         assert self.taken is not None

@@ -272,6 +272,12 @@ class Audit(Pictured):
         limit = self.max_regret or Fraction(0)
         if max_regret is not None:
             limit = limit_of("max_regret", max_regret)
+        if self.mdp.observations is None and self.interval is not None:
+            raise ModelError(
+                "plans are for episodes without a horizon",
+                where="needed",
+                fix="leave out the horizon (--horizon, horizon=), or --needed",
+            )
         share: object = Fraction(19, 20) if self.interval is None else self.interval.confidence
         found: Needed = needed_of.needed(
             self.mdp,
@@ -610,7 +616,7 @@ def check(
             where="confidence",
             fix="give max_regret, without a relative limit, limits on totals or an average reward",
         )
-    mdp = mdp_of(model)
+    endless = mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon)
     limits: dict[str, Any] = {
@@ -677,7 +683,7 @@ def check(
             result = audit(True)
     if evidence is None:
         return result
-    found = evidence.interval(mdp, chain, confidence_of(confidence))
+    found = evidence.interval(endless, chain, confidence_of(confidence), horizon)
     return replace(result, interval=found, evidence=evidence)
 
 

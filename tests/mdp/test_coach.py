@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from functools import cache
+from math import lcm
 
 import numpy as np
 import pytest
@@ -163,6 +164,76 @@ def test_two_hundred_thousand_states_keep_their_bound() -> None:
         best = max(worth(model, found.value, state, action) for action in range(20))
         assert abs(best - F(found.value[state])) <= most
         assert best - worth(model, found.value, state, int(found.choice[state])) <= 2 * most
+
+
+GRAIN = 2**32  # values are rounded to this part of a unit, and sums of them are whole numbers
+
+
+def gains(model: Coach, value: np.ndarray, choice: np.ndarray) -> tuple[Fraction, Fraction]:
+    """Return the greatest Q(s, a) - V(s), and the least of the actions chosen: of every row, exact.
+
+    Values are rounded to 1 / GRAIN; all else is in whole numbers below 2^62.
+    """
+    shape = (model.n_users, len(STEPS), len(BEHAVIOURS), model.n_memory)
+    v, chosen = np.rint(value * GRAIN).astype(np.int64).reshape(shape), choice.reshape(shape)
+    rate, memory, biggest = model.numbers["discount"], model.memory, int(np.abs(v).max())
+    high, low, largest = F(-1), F(1), 0
+    for user, step, action in np.ndindex(*shape[:2], model.n_actions):
+        letter, earned = "abcdeghjk"[step], model.rewards()[step]
+        there = ["abcdeghjk".index(each) for each in STEPS[letter][0]]
+        kinds = zip(memory.effect[action], memory.waited, memory.price[action], strict=True)
+        members: dict[tuple[int, ...], list[int]] = {}
+        for m, kind in enumerate(kinds):
+            members.setdefault(tuple(map(int, kind)), []).append(m)
+        for (effect, waited, price), alike in members.items():
+            asked = model.asked[action]
+            effect *= model.responds(user)
+            chances = model._chances(user, step, asked, effect, waited)
+            bottom, m = lcm(*(chance.denominator for chance in chances)), np.array(alike)
+            ahead = sum(
+                int(chance * bottom)
+                * v[user, to, b, (memory.stayed if to == step else memory.moved)[action, m]]
+                for b, (chance, to) in enumerate(zip(chances, there, strict=True))
+            )
+            for b in range(len(BEHAVIOURS)):
+                gain = earned - model.prices(user)[price] - model.repeat * (asked == b)
+                whole = lcm(gain.denominator, rate.denominator * bottom)
+                own, share = int(gain * whole) * GRAIN, int(rate * whole / bottom)
+                largest = max(largest, abs(own) + (share * bottom + whole) * biggest)
+                found = own + share * ahead - whole * v[user, step, b, m]
+                high = max(high, F(int(found.max()), whole * GRAIN))
+                mine = found[chosen[user, step, b, m] == action]
+                low = min(low, F(int(mine.min()), whole * GRAIN)) if len(mine) else low
+    assert largest < 2**62
+    return high, low
+
+
+def test_the_proof_is_that_of_single_rows() -> None:
+    """In the smallest model with every rule: rows one by one, in fractions."""
+    model = Coach(levels=3, ignored=2, repeated=2)
+    rng = np.random.default_rng(0)
+    value = rng.integers(0, 100 * GRAIN, size=model.n_states) / GRAIN
+    choice = rng.integers(0, 20, size=model.n_states)
+    high, low = gains(model, value, choice)
+    some = rng.integers(0, model.n_states, 60).tolist()
+    for state in some:
+        each = [worth(model, value, state, action) - F(value[state]) for action in range(20)]
+        assert low <= each[choice[state]]
+        assert max(each) <= high
+    value[some[0]] -= 500  # one bad state is found, and what it gains
+    worst = max(worth(model, value, some[0], action) for action in range(20)) - F(value[some[0]])
+    assert gains(model, value, choice)[0] == worst
+
+
+@pytest.mark.slow
+def test_two_hundred_thousand_states_are_proven_row_by_row() -> None:
+    """Q - V ≤ h for all 4,147,200 rows gives V* ≤ V + h / (1 - γ); of the choices, V^π likewise."""
+    model = Coach.full(waited=2, prompted=2, ignored=2, repeated=2)
+    found = solve(model)
+    high, low = gains(model, found.value, found.choice)
+    ahead = 1 / (1 - model.numbers["discount"])
+    assert (high - low) * ahead + F(2, GRAIN) <= F(1, 10**6)
+    assert high * ahead <= F(found.error_bound) + F(1, 10**9)
 
 
 def worth(model: Coach, value: np.ndarray, state: int, action: int) -> Fraction:

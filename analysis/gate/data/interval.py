@@ -91,8 +91,13 @@ class Evidence(Protocol):
 
     by: str
 
-    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> RegretInterval:
-        """Return the interval for a policy of a model with counts."""
+    def interval(
+        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
+    ) -> RegretInterval:
+        """Return the interval for a policy of a model with counts, or of episodes that stop.
+
+        With a horizon `chain` is the policy in `mdp.within(horizon)`.
+        """
 
 
 def confidence_of(given: object) -> Fraction:
@@ -122,8 +127,8 @@ def observations_of(mdp: MDP) -> Integers:
         raise ModelError(
             "the model has no counts, so that nothing tells how much it knows",
             where="confidence",
-            fix="estimate it from records: MDP.from_transitions, or exact-mdp data; a horizon, a "
-            "question or changed rows leave the counts behind",
+            fix="estimate it from records: MDP.from_transitions, or exact-mdp data; a question or "
+            "changed rows leave the counts behind, and so does within(N) (give horizon=N)",
         )
     return mdp.observations
 

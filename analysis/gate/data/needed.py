@@ -37,9 +37,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import observations_of
 from exact_mdp.analysis.gate.data.posterior import Probability
-from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
+from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.analysis.sensitivity.psa.intervals import share_of, wilson
 from exact_mdp.mdp.lazy import later

@@ -20,7 +20,7 @@ return in its range, in both bounds. One that stops in a state that no record le
 over there, as the model has it: such episodes are counted, and the assumptions name the states.
 
 The regret needs the optimum, too. No trajectory shows it: V* is bounded by the sets of
-`analysis.gate.data.robust` at half the doubt, and V^π by its trajectories at the other half.
+`analysis.gate.data.bounds` at half the doubt, and V^π by its trajectories at the other half.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ import numpy as np
 
 from exact_mdp.analysis.gate.data.bootstrap import Episodes
 from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, observations_of
-from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
+from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.analysis.sensitivity.draws.blocks import whole_number
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.horizon import by_time
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -104,7 +105,9 @@ class OffPolicy:
     progress: bool = False
     by: ClassVar[str] = "off-policy"
 
-    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> RegretInterval:
+    def interval(
+        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
+    ) -> RegretInterval:
         """Return the interval; raises ModelError without records, or where they do not fit."""
         if self.records is None:
             raise ModelError(
@@ -116,16 +119,17 @@ class OffPolicy:
         draws = whole_number(self.n, "draws", 2)
         robust = Robust(rewards=self.rewards, returns=self.returns)
         sets = RowSets.of(mdp, doubt / 2, self.rewards)
-        bounds = RobustBounds(sets=sets, own=chain.weights, returns=robust.range(mdp))
+        bounds = robust.bounds(mdp, sets, chain, horizon)
         behaviour = self._behaviour(mdp)
-        ratio = _ratios(mdp, chain.weights, behaviour)
+        own = chain.weights[None] if horizon is None else by_time(mdp, chain.weights, horizon)
+        ratio = np.stack([_ratios(mdp, each, behaviour) for each in own])
         if (refuted := (behaviour <= 0) & (observations_of(mdp) > 0)).any():
             raise ModelError(
                 "the behaviour never does what was recorded",
                 where=mdp.where(int(np.flatnonzero(refuted)[0])),
                 fix="state the policy that chose the recorded actions, or leave it to be estimated",
             )
-        seen = _trajectories(mdp, ratio, self.records, self.columns)
+        seen = _trajectories(mdp, ratio, self.records, self.columns, horizon)
         lowest, highest = bounds.range
         whole = seen.returns[~seen.cut]
         if len(whole) and not lowest <= whole.min() <= whole.max() <= highest:
@@ -270,9 +274,16 @@ def _bernstein(sample: Floats, most: float, doubt: float, n: int) -> float:
 
 
 def _trajectories(
-    mdp: MDP, ratio: Floats, records: Any, columns: Mapping[str, str] | None
+    mdp: MDP,
+    ratio: Floats,
+    records: Any,
+    columns: Mapping[str, str] | None,
+    horizon: int | None,
 ) -> _Trajectories:
-    """Return what the episodes of records weigh and earn, read in chunks."""
+    """Return what the episodes of records weigh and earn, read in chunks, up to the horizon.
+
+    `ratio` (1, L), or (N, L) by time.
+    """
     record = transitions.record_of(records, columns)
     pair_of = np.full((mdp.n_states, mdp.n_actions), -1)
     pair_of[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
@@ -311,16 +322,22 @@ def _trajectories(
                 where=mdp.space.label(int(new[never][0])),
                 fix="make the model without start=, or audit by robust sets or the posterior",
             )
-        total[named] += np.add.reduceat(sign * mdp.discount**times * reward, first)
-        weight[named] *= np.multiply.reduceat(ratio[pair], first)
+        within = np.full(len(times), True) if horizon is None else times < horizon
+        factor = np.where(within, ratio[np.minimum(times, len(ratio) - 1), pair], 1.0)
+        earned = np.where(within, sign * mdp.discount**times * reward, 0.0)
+        total[named] += np.add.reduceat(earned, first)
+        weight[named] *= np.multiply.reduceat(factor, first)
         steps[named] += length
         last = np.append(last, np.zeros(more, np.int64))
         last[named] = np.append(states, [-2, -1])[keys[first + length - 1, 2]]
         end[named] = over[last[named]]
     if not len(weight):
         raise ModelError("no transitions", where=record.where, fix="give at least one row")
-    within = last < mdp.n_states - len(mdp.space.extra)
-    taken = int((end & (last >= 0) & within).sum())
+    regular = last < mdp.n_states - len(mdp.space.extra)
+    taken = int((end & (last >= 0) & regular).sum())
+    if horizon is not None:
+        end |= steps >= horizon
+        steps = np.minimum(steps, horizon)
     return _Trajectories(weight=weight, returns=total, steps=steps, cut=~end, entered=taken)
 
 

@@ -42,6 +42,7 @@ from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded, whole_nu
 from exact_mdp.analysis.sensitivity.psa.intervals import quantiles, share_of, wilson
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.horizon import by_time
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.randomness import RNG, seed_of
@@ -138,7 +139,9 @@ class Posterior:
     progress: bool = False
     by: ClassVar[str] = "posterior"
 
-    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> PosteriorInterval:
+    def interval(
+        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
+    ) -> PosteriorInterval:
         """Return the interval; raises ModelError without counts, for a bad prior or number."""
         if (unknown := transitions.cut_off(mdp)).any():
             raise ModelError(
@@ -149,13 +152,15 @@ class Posterior:
             )
         prior, seed = _prior(self.prior), seed_of(self.rng)
         count = whole_number(self.n, "draws", 2)
-        model = _Model.of(mdp, chain.weights, prior)
+        own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
+        model = _Model.of(mdp, own, prior)
         pieces, _ = seeded(seed, count, BLOCK)
         key = {
             "model": fingerprint(mdp),
             "counts": digest(observations_of(mdp).astype(np.float64)),
             "episodes": mdp.episodes,
-            "policy": digest(chain.weights),
+            "policy": digest(own),
+            "horizon": horizon,
             "prior": prior,
             "seed": seed,
             "draws_per_file": BLOCK,
@@ -223,7 +228,7 @@ class _Model:
     pair_offsets: Integers
     start: Floats
     start_weight: Floats | None  # (S,) Dirichlet parameters, where the start is from records
-    own: Floats  # (L,) the policy
+    own: Floats  # (L,) the policy; (N, L) with a horizon
     first: Integers  # (S,) the pairs of the estimated optimum
     over: Integers  # states where all is over
     transition: Floats  # (L, S) rows that are certain; the others are 0
@@ -302,6 +307,8 @@ class _Model:
     def regret(self, rows: Floats, reward: Floats, start: Floats) -> Floats:
         """Return (D,) the regret at the start in each of the models drawn."""
         first = self.pair_offsets[:-1]
+        if self.own.ndim == 2:
+            return self.staged(rows, reward, start)
         state = np.repeat(np.arange(len(first)), np.diff(self.pair_offsets))
         draw = np.arange(len(rows))[:, None]
         chosen = np.tile(self.first, (len(rows), 1))
@@ -321,6 +328,19 @@ class _Model:
         own = self.value(mixed, np.add.reduceat(reward * self.own, first, axis=1))
         lost = np.einsum("ds,ds->d", value - own, start)
         return np.where(lost > noise[:, 0], lost, 0.0)
+
+    def staged(self, rows: Floats, reward: Floats, start: Floats) -> Floats:
+        """Return the same of episodes that stop after N steps, by backward induction."""
+        first = self.pair_offsets[:-1]
+        best = own = np.zeros((len(rows), len(first)))
+        for taken in self.own[::-1]:
+            ahead = np.einsum("dls,dsv->dlv", rows, np.stack([best, own], axis=2))
+            worth = reward[:, :, None] + self.discount * ahead
+            best = np.maximum.reduceat(worth[:, :, 0], first, axis=1)
+            own = np.add.reduceat(worth[:, :, 1] * taken, first, axis=1)
+        noise = ROUNDED * (np.abs(best).max(axis=1) + np.abs(reward).max(axis=1))
+        lost = np.einsum("ds,ds->d", best - own, start)
+        return np.where(lost > noise, lost, 0.0)
 
     def value(self, rows: Floats, reward: Floats) -> Floats:
         """Return (D, S) the values of chains (D, S, S) with rewards (D, S)."""

@@ -1,47 +1,18 @@
-"""Regret bounded for every model that the records allow, distribution-free.
+"""An interval of the regret that holds for every model that the records allow, distribution-free.
 
-The sets of `analysis.gate.data.sets` hold all rows at once with the stated confidence, and so do
-bounds that hold for every model P within them. Values come from four robust solves (Iyengar,
-Mathematics of Operations Research 30, 2005; Nilim and El Ghaoui, Operations Research 53, 2005):
-
-    L^π ≤ V^π ≤ U^π,      L* ≤ V* ≤ U*,      hence  V* - V^π ≤ U* - L^π.
-
-That difference lets nature choose one model for the optimum and another for the policy. Under one
-and the same P, the regret D = V* - V^π is the optimum of a model whose rewards are the advantages
-of the policy's own values (the performance difference lemma: Kakade and Langford, ICML 2002):
-
-    D(s) = max over pairs l of s of  A_P(l) + γ P_l D,      A_P(l) = Q^π(l) - V^π(s).
-
-An action that the policy takes for certain has advantage 0 in every model, so that what is unsure
-about both sides cancels. With c between U^π and L^π, h half their distance and π(l) the policy's
-probability of l,
-
-    A_P(l) = (1 - π(l)) (r_l + γ P_l c) - Σ_{k ≠ l} π(k) (r_k + γ P_k c) + γ (P_l - P_π) (V^π - c),
-
-and the last term is at most γ Σ |P_l - P_π| h: h at the shares that were seen, and what a row may
-move by (Pinsker: Σ |q - p| ≤ √(2 KL)) times the largest h. With the first terms each at its worst,
-this bounds D by dynamic programming from above, and from below likewise; in every state the better
-of this bound and that by two separate models is taken.
-
-States in which episodes were cut off, and which no record leaves, may be worth whatever rewards
-allow, to the optimum and to the policy, so that they may cost the whole range.
-
-Every bound is that of a monotone operator T, a contraction where γ < 1: T v ≤ v + e gives
-v + e / (1 - γ) as an upper bound, whatever v is, and policy iteration finds a good v. At discount 1
-T is applied to a range that the user states, and keeps it valid however often.
+Of the sets of `analysis.gate.data.sets` the two ends are those of `analysis.gate.data.bounds`; of
+episodes that stop after N steps those of `analysis.gate.data.stages`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 
+from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import (
     Ends,
     RegretInterval,
@@ -50,20 +21,13 @@ from exact_mdp.analysis.gate.data.interval import (
     of_process,
     range_of,
 )
-from exact_mdp.analysis.gate.data.sets import Given, Rows, RowSets
+from exact_mdp.analysis.gate.data.sets import Given, RowSets
+from exact_mdp.analysis.gate.data.stages import staged
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.horizon import by_time
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT
-from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-IMPROVEMENTS = 50
-SWEEPS = 1000
-ENDING = 1e-6
-FIXED_POINTS = ("own_low", "own_high", "best_low", "best_high", "most_regret", "least_regret")
-SMALL = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,10 +58,15 @@ class Robust:
     returns: Ends | None = None
     by: ClassVar[str] = "robust"
 
-    def interval(self, mdp: MDP, chain: PolicyChain, confidence: Fraction) -> RegretInterval:
-        """Return the interval; raises ModelError without counts or a range that is needed."""
+    def interval(
+        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
+    ) -> RegretInterval:
+        """Return the interval; raises ModelError without counts or a range that is needed.
+
+        With a horizon `chain` is the policy in `mdp.within(horizon)`.
+        """
         sets = RowSets.of(mdp, float(1 - confidence), self.rewards)
-        found = RobustBounds(sets=sets, own=chain.weights, returns=self.range(mdp))
+        found = self.bounds(mdp, sets, chain, horizon)
         low, high = found.regret
         return RegretInterval(
             low=low,
@@ -111,6 +80,20 @@ class Robust:
             },
             claim=Claim.BOUNDED,
         )
+
+    def bounds(
+        self, mdp: MDP, sets: RowSets, chain: PolicyChain, horizon: int | None
+    ) -> RobustBounds:
+        """Return the bounds within the sets."""
+        if horizon is None:
+            return RobustBounds(sets=sets, own=chain.weights, returns=self.range(mdp))
+        if self.returns is not None:
+            raise ModelError(
+                "with a horizon rewards bound what totals can be",
+                where="returns",
+                fix="leave it out (--returns, returns=)",
+            )
+        return staged(sets, by_time(mdp, chain.weights, horizon))
 
     def range(self, mdp: MDP) -> Ends | None:
         """Return where total rewards lie, of rewards even where the model is one of costs."""
@@ -160,274 +143,3 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
             where=mdp.where(int(pair[first])),
             fix="state a range that holds all totals (--returns LOW,HIGH, returns=(low, high))",
         )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
-    """An operator at some values: a bound of what it gives (S,), and its linear piece there."""
-
-    bound: Floats
-    piece: Callable[[], tuple[sp.csr_array, Floats]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RobustBounds:
-    """Values and regret of a policy for every model within sets of rows.
-
-    Attributes
-    ----------
-    sets : RowSets
-    own : (L,)
-        The policy's probabilities of pairs.
-    returns : (float, float), optional
-        Where total rewards lie.
-    near : {name: (S,)}
-        Values of like sets, `found` of theirs: where the search for fixed points begins.
-    small : float
-        Steps of that part of the range are not worth another one; bounds hold wherever it ends.
-    """
-
-    sets: RowSets
-    own: Floats
-    returns: Ends | None = None
-    near: Mapping[str, Floats] = field(default_factory=dict)
-    small: float = SMALL
-
-    @property
-    def found(self) -> dict[str, Floats]:
-        """What was worked out so far, by name."""
-        return {name: vars(self)[name] for name in FIXED_POINTS if name in vars(self)}
-
-    @property
-    def mdp(self) -> MDP:
-        """The model of rewards."""
-        return self.sets.mdp
-
-    @cached_property
-    def range(self) -> Ends:
-        """Where the values of all states lie."""
-        rate = self.mdp.discount_exact
-        if self.returns is not None:
-            return self.returns
-        if rate == 1:
-            raise ModelError(
-                "at discount 1 the records alone do not say how long an episode may go on",
-                where="returns",
-                fix="state where total rewards lie: returns=(low, high), --returns LOW,HIGH; or "
-                "choose a discount below 1",
-            )
-        certain = self.mdp.reward[self.sets.counted == 0]
-        least = min(0.0, self.sets.rewards[0], *certain) / float(1 - rate)
-        most = max(0.0, self.sets.rewards[1], *certain) / float(1 - rate)
-        return least * SLACK, most * SLACK
-
-    @cached_property
-    def own_low(self) -> Floats:
-        """(S,) lower bounds of V^π."""
-        return self._settled(self._under_policy(False), 0, near="own_low")
-
-    @cached_property
-    def own_high(self) -> Floats:
-        """(S,) upper bounds of V^π."""
-        return self._settled(self._under_policy(True), 1, near="own_high")
-
-    @cached_property
-    def best_low(self) -> Floats:
-        """(S,) lower bounds of V*."""
-        return self._settled(self._optimum(False), 0, near="best_low")
-
-    @cached_property
-    def best_high(self) -> Floats:
-        """(S,) upper bounds of V*."""
-        return self._settled(self._optimum(True), 1, near="best_high")
-
-    def at_start(self, mdp: MDP, whose: str) -> Ends:
-        """Return the bounds of a value at the start, in the sense of the model given."""
-        best = whose == "best"
-        low = self.sets.at_start(self.best_low if best else self.own_low, most=False)
-        high = self.sets.at_start(self.best_high if best else self.own_high, most=True)
-        return (low, high) if mdp.sense == "max" else (-high, -low)
-
-    @property
-    def regret(self) -> Ends:
-        """Bounds of the regret at the start."""
-        return self.regret_end(most=False), self.regret_end(most=True)
-
-    def regret_end(self, *, most: bool) -> float:
-        """Return one of these bounds, at about half the work."""
-        if most:
-            return self.sets.at_start(self.most_regret, most=True)
-        return max(self.sets.at_start(self.least_regret, most=False), 0.0)
-
-    @cached_property
-    def most_regret(self) -> Floats:
-        """(S,) upper bounds of V* - V^π."""
-        apart = np.maximum(self.best_high - self.own_low, 0.0)
-        return self._settled(self._joint(True), 1, apart, near="most_regret")
-
-    @cached_property
-    def least_regret(self) -> Floats:
-        """(S,) lower bounds of V* - V^π."""
-        apart = np.maximum(self.best_low - self.own_high, 0.0)
-        return self._settled(self._joint(False), 0, apart, near="least_regret")
-
-    @property
-    def own_visits(self) -> Floats:
-        """(L,) expected visits of each pair by the policy, if the shares are those seen."""
-        chain = sp.csr_array(self._mixing @ self.mdp.transition)
-        return np.asarray(self._visits(chain)[self.mdp.pair_state] * self.own)
-
-    def visits(self, *, most: bool) -> Floats:
-        """(S,) the same of the choices, and of the rows, that make one of the regret's bounds."""
-        value = self.most_regret if most else self.least_regret
-        return self._visits(self._joint(most)(value).piece()[0])
-
-    def _visits(self, chain: sp.csr_array) -> Floats:
-        """(S,) visits from the start; at discount 1 of the episodes that the chance 1e-6 ends."""
-        rate = min(self.mdp.discount, 1 - ENDING)
-        begun = self.mdp.start_distribution
-        return np.asarray(LinearSystem(sp.csr_array(chain.T), rate).approximate(begun))
-
-    # ---- operators -------------------------------------------------------------------------------
-
-    def _unknown(self, step: Callable[[Floats], Step], worth: float) -> Callable[[Floats], Step]:
-        """Return an operator that takes states of which nobody knows what follows for `worth`."""
-        unknown = self.sets.unknown
-        if not unknown.any():
-            return step
-
-        def told(value: Floats) -> Step:
-            found = step(value)
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                laws, constant = found.piece()
-                kept = laws.multiply((~unknown).astype(np.float64).reshape(-1, 1))
-                return sp.csr_array(kept), np.where(unknown, worth, constant)
-
-            return Step(bound=np.where(unknown, worth, found.bound), piece=piece)
-
-        return told
-
-    def _under_policy(self, most: bool) -> Callable[[Floats], Step]:
-        mixing = self._mixing
-
-        def step(value: Floats) -> Step:
-            rows = self.sets.worth(value, most=most)
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                laws, reward = rows.chosen
-                return sp.csr_array(mixing @ laws), np.asarray(mixing @ reward)
-
-            return Step(bound=mixing @ rows.bound, piece=piece)
-
-        return self._unknown(step, self.range[most])
-
-    def _optimum(self, most: bool) -> Callable[[Floats], Step]:
-        def step(value: Floats) -> Step:
-            rows = self.sets.worth(value, most=most)
-            taken = self._best(rows.bound)
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                laws, reward = rows.chosen
-                return laws[taken], reward[taken]
-
-            return Step(bound=rows.bound[taken], piece=piece)
-
-        return self._unknown(step, self.range[most])
-
-    def _joint(self, most: bool) -> Callable[[Floats], Step]:
-        """Return the operator of D: no action gains more than with a model for each side."""
-        best, own = (self.best_high, self.own_low) if most else (self.best_low, self.own_high)
-        apart = self.sets.worth(best, most=most).bound - own[self.mdp.pair_state]
-        advantage = self._advantages[most]
-        choose = np.minimum if most else np.maximum
-
-        def step(value: Floats) -> Step:
-            rows: Rows = self.sets.worth(value, most=most, rewards=False)
-            joint = advantage + rows.bound
-            bound = choose(joint, apart)
-            taken = self._best(bound)
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                laws, _ = rows.chosen
-                alone = (joint == bound)[taken].astype(np.float64)
-                constant = np.where(alone, advantage[taken], apart[taken])
-                return sp.csr_array(laws[taken].multiply(alone.reshape(-1, 1))), constant
-
-            return Step(bound=bound[taken], piece=piece)
-
-        return self._unknown(step, self.range[1] - self.range[0] if most else 0.0)
-
-    @cached_property
-    def _advantages(self) -> tuple[Floats, Floats]:
-        """(L,) and (L,) bounds of A_P(l) in every model P of the sets."""
-        mdp, own, mixing, rate = self.mdp, self.own, self._mixing, self.mdp.discount
-        low, high = self.own_low, self.own_high
-        middle = (low + high) / 2
-        half = np.maximum(high - middle, middle - low)
-        least = self.sets.worth(middle, most=False).bound
-        most = self.sets.worth(middle, most=True).bound
-        moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
-        state = mdp.pair_state
-        apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
-        others = (mixing @ moved)[state] - own * moved
-        coupled = rate * (apart + (1 - own) * moved + others) * SLACK
-        size = np.maximum(np.abs(least), np.abs(most))
-        doubt = 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
-        found = []
-        for mine, theirs, sign in ((least, most, -1), (most, least, 1)):
-            rest = (mixing @ theirs)[state] - own * theirs
-            free = (1 - own) * mine - rest + sign * (coupled + doubt)
-            found.append(np.where(own == 1, 0.0, free))
-        return found[0], found[1]
-
-    @cached_property
-    def _mixing(self) -> sp.csr_array:
-        """(S, L) the policy."""
-        mdp = self.mdp
-        return sp.csr_array((self.own, np.arange(mdp.n_pairs), mdp.pair_offsets))
-
-    def _best(self, worth: Floats) -> Integers:
-        """Return (S,) the best pair of each state."""
-        first, state = self.mdp.pair_offsets[:-1], self.mdp.pair_state
-        best = np.maximum.reduceat(worth, first)
-        number = np.where(worth == best[state], np.arange(len(worth)), len(worth))
-        return np.minimum.reduceat(number, first)
-
-    # ---- fixed points ----------------------------------------------------------------------------
-
-    def _settled(
-        self,
-        step: Callable[[Floats], Step],
-        side: int,
-        first: Floats | None = None,
-        *,
-        near: str,
-    ) -> Floats:
-        """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
-
-        `first` (S,) are such bounds, the ends of the range unless given; `near` is the name of the
-        values to begin with.
-        """
-        sign, take = (1, np.minimum) if side else (-1, np.maximum)
-        known = np.full(self.mdp.n_states, self.range[side]) if first is None else first
-        rate, left = self.mdp.discount, float(1 - self.mdp.discount_exact)
-        scale = self.small * (self.range[1] - self.range[0])
-        if not left:
-            for _ in range(SWEEPS):
-                value = take(known, step(known).bound)
-                if np.abs(value - known).max() <= scale:
-                    break
-                known = value
-            return value
-        value = self.near.get(near, known)
-        for _ in range(IMPROVEMENTS):
-            found = step(value)
-            over = max(float((sign * (found.bound - value)).max()), 0.0) / left * SLACK
-            known = take(known, value + sign * (over + 4 * UNIT * (np.abs(value) + over)))
-            chain, constant = found.piece()
-            target = LinearSystem(chain, rate).approximate(constant)
-            if np.abs(target - value).max() <= scale:
-                break
-            value = target
-        return np.asarray(known)

@@ -114,7 +114,7 @@ def test_what_more_records_decide(folder: Path, tmp_path: Path) -> None:
         (["--picture", "x.svg"], "--picture draws --needed"),
         (["--confidence", "0.9"], "nothing says where rewards lie"),
         (["--confidence=.9", "--rewards=0,1", "--by=off-policy", "--records=none.csv"], "none.csv"),
-        (["--confidence", "0.9", "--horizon", "3"], "no counts"),
+        (["--confidence=.9", "--rewards=0,1", "--horizon=3", "--needed"], "without a horizon"),
         (["--confidence", "0.9", "--max-relative-regret", "1"], "total regret alone"),
     ],
 )
@@ -170,3 +170,14 @@ def test_the_page_runs(
         for line in block.splitlines():
             assert main(shlex.split(line)[1:]) == 0, line
     assert "True (0.0, 0.0)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("by", ["robust", "posterior", "off-policy"])
+def test_a_horizon_leaves_no_counts_behind(by: str, folder: Path) -> None:
+    more = ["--draws=50"] if by == "posterior" else ["--rewards=0,1"]
+    more += [f"--records={folder / 'records.csv'}"] * (by == "off-policy")
+    words = ("check", folder / "model.npz", "always:a", f"--by={by}", "--confidence=0.95", *more)
+    alone, one = (run(*words, *late, "--json").result for late in ([], ["--horizon=1"]))
+    assert one["horizon"] == 1
+    assert one["regret_interval"][1] <= alone["regret_interval"][1] + 1e-3
+    assert one["regret_interval"][0] <= one["regret"] <= one["regret_interval"][1]

@@ -20,13 +20,16 @@ from scipy import integrate, optimize, stats
 from exact_mdp.analysis import check
 from exact_mdp.analysis.gate.check import Audit
 from exact_mdp.analysis.gate.data.bootstrap import Episodes
+from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import Evidence
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy, mean_at_least
 from exact_mdp.analysis.gate.data.posterior import Posterior, PosteriorInterval, _Model
-from exact_mdp.analysis.gate.data.robust import Robust, RobustBounds
+from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import RowSets
+from exact_mdp.analysis.gate.data.stages import staged
 from exact_mdp.analysis.sensitivity.psa.intervals import wilson
 from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.horizon import by_time
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -454,6 +457,137 @@ def test_at_discount_1_a_range_of_returns_is_needed() -> None:
         check(mdp, POLICY, confidence=0.95, by=Robust(rewards=(0, 1), returns=(0, 0.5)))
 
 
+# ---- episodes that stop --------------------------------------------------------------------------
+
+STAGES = np.array([[0, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0]])  # actions (N, S), by time
+
+
+def by_stage(rows: np.ndarray, reward: np.ndarray, rate: float, own: np.ndarray) -> np.ndarray:
+    """Return V* and V^π (2, S) at time 0: rows (S, A, S), rewards (S, A), actions (N, S)."""
+    value = np.zeros((2, len(rows)))
+    for actions in own[::-1]:
+        worth = reward[None] + rate * np.einsum("sat,vt->vsa", rows, value)
+        value = np.stack([worth[0].max(axis=1), worth[1][np.arange(len(rows)), actions]])
+    return value
+
+
+def within_truth() -> float:
+    rows = np.concatenate([ROWS, np.eye(4)[[3]][:, None].repeat(2, axis=1)])
+    reward = np.concatenate([CHANCES, np.zeros((1, 2))])
+    best, own = by_stage(rows, reward, RATE, STAGES)[:, 0]
+    return float(best - own)
+
+
+def staged_policy(mdp: MDP) -> PolicyLike:
+    """Return STAGES as a policy of `mdp.within(3)`."""
+    within = mdp.within(3)
+    actions = np.zeros(within.n_states, dtype=int)
+    for state in range(within.n_states):
+        at = within.space.as_dict(state)
+        if "time" in at and int(at["time"]) < 3 and str(at["state"]).isdecimal():
+            actions[state] = STAGES[int(at["time"]), int(at["state"])]
+    return actions
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_intervals_of_episodes_that_stop_hold_the_truth(kind: str) -> None:
+    found, lost = 0, within_truth()
+    for seed in range(25):
+        frame = recorded(np.random.default_rng([8, seed]), 300)
+        mdp = MDP.from_transitions(frame, discount="9/10")
+        policy = staged_policy(mdp)
+        by = KINDS[kind](frame, seed)
+        audit = check(mdp, policy, horizon=3, confidence=0.95, by=by, exact_values=False)
+        assert audit.interval is not None
+        found += audit.interval.low <= lost <= audit.interval.high
+        if not seed:
+            point = float(audit.value.value)
+            assert audit.interval.low <= point <= audit.interval.high
+    assert float(wilson(found, 25)[1]) >= float(LEVEL)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10**6), st.integers(20, 3000), st.booleans())
+def test_no_model_of_the_sets_has_another_regret_within_a_horizon(
+    seed: int, episodes: int, undiscounted: bool
+) -> None:
+    rng, rate = np.random.default_rng(seed), 1.0 if undiscounted else RATE
+    mdp = MDP.from_transitions(recorded(rng, episodes), 1 if undiscounted else "9/10")
+    if mdp.n_states != 4 or mdp.n_pairs != 7:  # every pair was seen
+        return
+    own = STAGES[rng.permutation(3)]
+    weights = np.zeros((3, mdp.n_pairs))
+    for time, actions in enumerate(own):
+        for state in range(4):
+            weights[time, mdp.pair(state, actions[state] if state < 3 else 0)] = 1
+    sets = RowSets.of(mdp, 0.05, (0, 1))
+    low, high = staged(sets, weights).regret
+    models = [edge(sets, rng.dirichlet(np.full(4, 0.1), size=7), rng.random(7) < 0.5)]
+    if not undiscounted:
+        models += [worst(rng, sets, weights[0], sign) for sign in (1, -1)]
+    for rows, reward in models:
+        full = np.zeros((4, 2, 4))
+        earned = np.full((4, 2), -np.inf)
+        full[mdp.pair_state, mdp.pair_action] = rows
+        earned[mdp.pair_state, mdp.pair_action] = reward
+        best, mine = by_stage(full, earned, rate, own)
+        assert low - 1e-7 <= (best - mine) @ mdp.start_distribution <= high + 1e-7
+
+
+def test_with_ever_more_records_it_is_the_regret_within_the_horizon() -> None:
+    mdp = MDP.from_transitions(recorded(np.random.default_rng(1), 300), discount=1)
+    policy = staged_policy(mdp)
+    audit = check(mdp, policy, horizon=3, confidence=0.95, by=Robust(rewards=(0, 1)))
+    sets = RowSets.of(mdp, 0.05, (0, 1))
+    sets = sets.with_more(np.where(sets.counted > 0, 1e14, 0.0))
+    found = staged(sets, by_time(mdp, audit.chain.weights, 3)).regret
+    wanted = float(audit.value.value)
+    assert found == (pytest.approx(wanted, abs=1e-4), pytest.approx(wanted, abs=1e-4))
+    with pytest.raises(ModelError, match="without a horizon"):
+        audit.needed(5)
+    long = check(mdp, policy=POLICY, horizon=300, confidence=0.95, by=Posterior(n=20))
+    assert long.interval is not None
+    other = check(mdp, POLICY, confidence=0.95, by=Posterior(n=20)).interval
+    assert other is not None
+    assert long.interval.high == pytest.approx(other.high, rel=1e-6)  # all are over by then
+
+
+def test_a_draw_is_solved_within_the_horizon() -> None:
+    mdp = MDP.from_transitions(recorded(np.random.default_rng(2), 60), discount="9/10")
+    policy = staged_policy(mdp)
+    own = by_time(mdp, PolicyChain.of(mdp.within(3), policy).weights, 3)
+    model = _Model.of(mdp, own, 1.0)
+    rows, reward, start = model.drawn(np.random.default_rng(0), 5)
+    found = model.regret(rows, reward, start)
+    for draw in range(5):
+        drawn = MDP.from_pairs(
+            mdp.pair_state, mdp.pair_action, rows[draw], reward[draw], "9/10",
+            start=dict(enumerate(start[draw])),
+        )  # fmt: skip
+        table = np.zeros((3, 4, 2))
+        for time, actions in enumerate(STAGES):
+            table[time, np.arange(4), actions] = 1
+        lost = check(drawn, table, horizon=3, kind="policy", exact_values=False).value.value
+        assert found[draw] == pytest.approx(float(lost), abs=1e-8)
+
+
+def test_trajectories_count_up_to_the_horizon() -> None:
+    rows = [(1, "a", "x", 1, "b"), (1, "b", "y", 2, "a"), (1, "a", "y", 4, None)]
+    rows += [(2, "a", "x", 8, "b"), (2, "b", "x", 16, None), (3, "a", "y", 32, "b")]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    by = OffPolicy(records=frame, behaviour="random", rewards=(0, 32), n=10)
+    found = check(mdp, "always:x", horizon=1, confidence=0.95, by=by).interval
+    assert found is not None
+    # One step: x has weight 2 in the first two episodes, which earn 1 and 8; none was cut off.
+    assert found.found["ordinary"] == pytest.approx((2 * 1 + 2 * 8) / 3)
+    assert (found.found["cut_off"], found.found["effective_sample_size"]) == (0, 2.0)
+    two = check(mdp, "always:x", horizon=2, confidence=0.95, by=by).interval
+    assert two is not None
+    assert two.found["ordinary"] == pytest.approx(4 * (8 + 16 / 2) / 3)
+    assert two.found["cut_off"] == 1  # the third, after one step
+
+
 # ---- posterior ---------------------------------------------------------------------------------
 
 
@@ -806,7 +940,10 @@ def test_a_policy_that_is_best_beyond_doubt_passes_without_a_limit() -> None:
         ({"confidence": 0.95, "by": "off-policy"}, "no trajectories"),
         ({"confidence": 0.95, "max_relative_regret": 1}, "total regret alone"),
         ({"confidence": 0.95, "criterion": "average"}, "total regret alone"),
-        ({"confidence": 0.95, "horizon": 5}, "no counts"),
+        (
+            {"confidence": 0.95, "horizon": 5, "by": Robust(rewards=(0, 1), returns=(0, 9))},
+            "rewards bound",
+        ),
         ({"confidence": 0.95}, "nothing says where rewards lie"),
         ({"confidence": 0.95, "by": Robust(rewards=(0, "1/2"))}, "rewards from 0 to 1"),
         ({"confidence": 0.95, "by": Robust(rewards=(1, 0))}, "the range"),
