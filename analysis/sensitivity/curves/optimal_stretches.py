@@ -177,7 +177,7 @@ class Sweep:
         for root in roots(self._simple(pair, poly), here, self.high):
             if _turns(poly, root):
                 # Narrow at once, so that comparing it with others needs no more, again and again.
-                self.first[pair] = root.narrowed((self.high - self.low) / 2**20)
+                self.first[pair] = root.narrowed((self.high - self.low) / 2**8)
                 break
             self.touching[pair].append(root)
         return self.first[pair]
