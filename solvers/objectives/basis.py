@@ -22,7 +22,7 @@ return, as one more column; its row says that the prices sum to 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -33,7 +33,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.checker import Flow, Limit, Values, room, totals_of, wrong_bound
+from exact_mdp.solvers.objectives.checker import Limit, Values, Visits, room, totals_of, wrong_bound
 from exact_mdp.solvers.objectives.optima import NOISE, equations, proposed
 from exact_mdp.solvers.proof.rationals import fraction
 
@@ -54,7 +54,7 @@ class Optimal:
     shift: Fraction
     price: tuple[Fraction, ...]
     dual: Values
-    flow: Flow
+    flow: Mapping[int, Fraction]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,11 +184,8 @@ def _checked(
     for k, number in zip(basis.binding, y[states:], strict=True):
         price[k] = fraction(int(number), int(below))
     scale = of.rows.scale[of.mdp.pair_state[chosen]].tolist()
-    flow = {
-        pair: fraction(int(number * unit), int(under))
-        for pair, number, unit in zip(chosen.tolist(), x, scale, strict=False)
-        if number
-    }
+    each = zip(chosen.tolist(), x, scale, strict=False)
+    flow = Visits({pair: int(n * unit) for pair, n, unit in each if n}, int(under))
     top = [0] * of.mdp.n_states
     for own, value in zip(live.tolist(), y, strict=False):
         top[own] = int(value)

@@ -7,7 +7,7 @@ policy at the start by μ V, because the equations of every policy have one solu
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -20,6 +20,7 @@ from exact_mdp.mdp.exact import row_sums
 from exact_mdp.mdp.table import Integers, Numbers, common, shown
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.proof.checker import one_solution
+from exact_mdp.solvers.proof.rationals import fraction
 
 Point = tuple[Fraction, ...]
 
@@ -212,6 +213,25 @@ Flow = dict[int, Fraction]
 """Expected visits from the start, of pairs; none of other pairs."""
 
 
+class Visits(Mapping[int, Fraction]):
+    """The same as integers over one denominator; a fraction of them is made when it is asked for.
+
+    Lowest terms of 1,000 long fractions take as long as it takes to find them.
+    """
+
+    def __init__(self, top: Mapping[int, int], below: int) -> None:
+        self.top, self.below = top, below
+
+    def __getitem__(self, pair: int) -> Fraction:
+        return fraction(self.top[pair], self.below)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.top)
+
+    def __len__(self) -> int:
+        return len(self.top)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """A total is at least (sign 1) or at most (sign -1) a bound."""
@@ -242,8 +262,12 @@ def totals_of(of: Objectives, flow: Mapping[int, Fraction]) -> Point:
 
 def _over_scales(of: Objectives, flow: Mapping[int, Fraction]) -> tuple[list[int], int]:
     """Return visits over the scales of their states, as integers over one denominator."""
-    scale, state = of.rows.scale, of.mdp.pair_state
-    return common([visits / int(scale[state[l]]) for l, visits in flow.items()])
+    scale = [int(of.rows.scale[of.mdp.pair_state[pair]]) for pair in flow]
+    if isinstance(flow, Visits):
+        parts = [divmod(top, unit) for top, unit in zip(flow.top.values(), scale, strict=True)]
+        if not any(rest for _, rest in parts):
+            return [whole for whole, _ in parts], flow.below
+    return common([visits / unit for visits, unit in zip(flow.values(), scale, strict=True)])
 
 
 def constrained_violations(
@@ -377,9 +401,9 @@ def _cover(of: Objectives, parts: Sequence[tuple[int, ...]], taken: Mapping[int,
 def _flows(of: Objectives, flow: Mapping[int, Fraction]) -> bool:
     """Return whether visits are positive, and what leaves each state has come into it."""
     rows, state = of.rows, of.mdp.pair_state
-    if any(v <= 0 or rows.terminal[state[pair]] for pair, v in flow.items()):
-        return False
     share, below = _over_scales(of, flow)
+    if below <= 0 or min(share, default=1) <= 0 or rows.terminal[state[list(flow)]].any():
+        return False
     first, parts = common([weight for _, weight in of.mdp.start])
     left = [0] * of.mdp.n_states
     for (own, _), weight in zip(of.mdp.start, first, strict=True):

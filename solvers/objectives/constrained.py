@@ -49,6 +49,7 @@ from exact_mdp.solvers.objectives.checker import (
     Point,
     Proof,
     Values,
+    Visits,
     constrained_violations,
     room,
     tight,
@@ -106,7 +107,7 @@ class ConstrainedSolution(Result):
     limits: tuple[Limit, ...]
     feasible: bool
     shift: Fraction
-    flow: Flow
+    flow: Mapping[int, Fraction]
     price: tuple[Fraction, ...]
     dual: Values
     objectives: Objectives
@@ -168,11 +169,14 @@ class ConstrainedSolution(Result):
     @cached_property
     def chances(self) -> dict[int, dict[int, Fraction]]:
         """The probability of each pair {state: {pair: probability}} in the states visited."""
-        found: dict[int, dict[int, Fraction]] = {}
-        for pair, amount in sorted(self.flow.items()):
-            found.setdefault(int(self.mdp.pair_state[pair]), {})[pair] = amount
+        found: dict[int, dict[int, Fraction | int]] = {}
+        whole = self.flow.top if isinstance(self.flow, Visits) else self.flow
+        for pair in sorted(whole):
+            found.setdefault(int(self.mdp.pair_state[pair]), {})[pair] = whole[pair]
         return {
-            state: {pair: amount / sum(own.values()) for pair, amount in own.items()}
+            state: {pair: Fraction(amount) / sum(own.values()) for pair, amount in own.items()}
+            if len(own) > 1
+            else dict.fromkeys(own, ONE)
             for state, own in found.items()
         }
 

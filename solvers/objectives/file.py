@@ -45,7 +45,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import (
     Attained,
-    Flow,
     Limit,
     Point,
     Proof,
@@ -202,7 +201,7 @@ def _chain(chain: Chain) -> Written:
 def _limits(
     proof: Proof,
     limits: Sequence[Limit],
-    flow: Flow,
+    flow: Mapping[int, Fraction],
     price: Sequence[Fraction],
     dual: Values,
     shift: Fraction,
