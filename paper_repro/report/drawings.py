@@ -8,7 +8,7 @@ from itertools import compress, product
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import FancyArrowPatch, Patch, Rectangle
+from matplotlib.patches import FancyArrowPatch, Rectangle
 from matplotlib.ticker import PercentFormatter
 
 from exact_mdp.analysis.plots.learning import sampled_band, smoothed
@@ -21,6 +21,7 @@ from exact_mdp.analysis.plots.style import (
     cell,
     name_rows,
     plain_text,
+    swatch,
 )
 from exact_mdp.mdp.table import Floats, Integers
 
@@ -64,7 +65,7 @@ def plot_averages(averages: Sequence[Average], *, optimum: float, ax: Axes | Non
             ends = [each.exact - reach, each.exact + reach]
             ax.plot(ends, [row, row], color="0.35", linewidth=width, solid_capstyle="butt")
         ax.plot(each.exact, row, **exact)
-        ax.plot(each.reported, row, markersize=7, **reported)
+        ax.plot(each.reported, row - 0.26, markersize=6, **reported)  # above, not on, the exact one
         apart = f"{(each.exact - each.reported) / each.standard_error:+z.1f} s.e."
         place = ("axes fraction", "data")
         ax.annotate(apart.replace("-", "−"), (1.01, row), xycoords=place, va="center")
@@ -282,10 +283,7 @@ def plot_shares(
     name_rows(ax, list(counts))
     ax.set_xlim(0, 1)
     ax.xaxis.set_major_formatter(PercentFormatter(1))
-    handles = [
-        Patch(facecolor=style.fill, hatch=style.hatch, edgecolor="black", label=style.name)
-        for style in styles
-    ]
+    handles = [swatch(style.name, style) for style in styles]
     ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=4, frameon=False)
     return ax
 
