@@ -194,7 +194,11 @@ def _termination(mdp: MDP) -> Termination:
     frontier, reached = np.flatnonzero(mdp.terminal), 0
     while len(frontier):
         if reached == FIRST and matrix.nnz < MANY and (rank >= 0).sum() < FIRST * NARROW:
-            rank = _peeled(mdp, before, predecessors, staying, left, rank, frontier)
+            queue = np.resize(frontier, mdp.n_states)
+            parts = (before, predecessors, mdp.pair_state, staying, left, rank, queue)
+            lists: list[Any] = [*(part.tolist() for part in parts), len(frontier)]
+            join(*lists)
+            staying[:], rank[:] = lists[3], lists[5]
             break
         into = np.unique(predecessors[spans(before[frontier], before[frontier + 1])])
         into = into[staying[into]]
@@ -212,32 +216,28 @@ def _termination(mdp: MDP) -> Termination:
     return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
 
 
-def _peeled(
-    mdp: MDP,
-    before: Numbers,
-    predecessors: Numbers,
-    staying: Mask,
-    left: Integers,
-    rank: Integers,
-    frontier: Integers,
-) -> Integers:
-    """Return the ranks from a round on, state by state: rounds of a few states take less that way.
+def join(
+    before: Any, into: Any, owner: Any, left: Any, waiting: Any, rank: Any, queue: Any, filled: int
+) -> None:
+    """Write into `rank` when each state joins those in the queue, one round after the other.
 
-    Pairs that reach a ranked state are struck from `staying`.
+    It joins once `waiting` of its pairs that are `left` may lead to those before. Lists do here,
+    where rounds are narrow; `solvers.kernels.graph` compiles the same for arrays.
     """
-    begins, into, owner = before.tolist(), predecessors.tolist(), mdp.pair_state.tolist()
-    waiting, ranks, stays, queue = left.tolist(), rank.tolist(), staying.tolist(), frontier.tolist()
-    for state in queue:  # it grows on the way
-        for pair in into[begins[state] : begins[state + 1]]:
-            if stays[pair]:
-                stays[pair] = False
+    head = 0
+    while head < filled:
+        state = queue[head]
+        head += 1
+        for i in range(before[state], before[state + 1]):
+            pair = into[i]
+            if left[pair]:
+                left[pair] = False
                 own = owner[pair]
                 waiting[own] -= 1
-                if not waiting[own] and ranks[own] < 0:
-                    ranks[own] = ranks[state] + 1
-                    queue.append(own)
-    staying[:] = stays
-    return np.array(ranks)
+                if waiting[own] <= 0 and rank[own] < 0:
+                    rank[own] = rank[state] + 1
+                    queue[filled] = own
+                    filled += 1
 
 
 def require_termination(mdp: MDP) -> None:

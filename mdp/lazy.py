@@ -13,6 +13,7 @@ joblib, tqdm, click, rich and jinja2: all that the commands need, but for what t
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from types import ModuleType
@@ -108,6 +109,20 @@ def later(name: str) -> Any:
     if not name.startswith((*EXTRAS, *HEAVY)):
         raise ModelError(f"{name} is not in the list of packages that load late", where="later")
     return _Later(name)
+
+
+LARGE = 200_000  # steps of a loop in Python that take about as long as loading numba
+
+
+def worth_compiling(steps: int) -> bool:
+    """Return whether a loop is for compiled code: where that is loaded, or once it pays to load it.
+
+    Examples
+    --------
+    >>> worth_compiling(10**6)
+    True
+    """
+    return "numba" in sys.modules or steps >= LARGE
 
 
 def names_later(

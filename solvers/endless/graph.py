@@ -20,12 +20,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.chain import join
+from exact_mdp.mdp.lazy import later, worth_compiling
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
@@ -87,13 +89,17 @@ class Graph:
 
     def _spread(self, first: Mask, pairs: Mask, waiting: Integers) -> Integers:
         """Return when a state joins: once that many of its pairs may lead to those before."""
-        before, into = self._into
-        rank, queue = np.where(first, 0, -1), np.empty(self.states, dtype=np.int64)
         chosen = np.flatnonzero(first)
+        queue = np.empty(self.states, dtype=np.int64)
         queue[: len(chosen)] = chosen
-        owner, left = self.pair_state, pairs.copy()
-        kernel.spread(before, into, owner, left, waiting.copy(), rank, queue, len(chosen))
-        return rank
+        rank = np.where(first, 0, -1)
+        parts = (*self._into, self.pair_state, pairs.copy(), waiting.copy(), rank, queue)
+        if worth_compiling(len(self.next)):
+            kernel.join(*parts, len(chosen))
+            return rank
+        lists: list[Any] = [*(part.tolist() for part in parts), len(chosen)]
+        join(*lists)
+        return np.array(lists[5], dtype=np.int64)
 
     def rounds(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) 0 where some policy of `pairs` reaches the target for sure, or a round."""

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import later, worth_compiling
 from exact_mdp.mdp.table import Floats, Integers, magnitude, spans
 from exact_mdp.solvers.proof.cycle import CHUNK, LARGEST, Cycle, Product, RightSides, endless
 from exact_mdp.solvers.proof.equations import judged
@@ -267,7 +267,8 @@ class _Solver:
         """Return the pairs that floats choose, by state; None where few have a choice."""
         rows = self.sides.rows
         choosing = states[np.diff(rows.pair_offsets)[states] > 1]
-        if not self._guessing or len(choosing) < MANY:
+        pays = len(choosing) >= MANY and worth_compiling(len(rows.next))
+        if not (self._guessing and pays):
             return None
         about, (matrix, constant, pivot) = self._about, self._floats
         if not np.isfinite(pivot).all():
