@@ -15,7 +15,7 @@ import numpy as np
 
 from exact_mdp.mdp.table import Numbers
 
-SMALLEST = 250_000
+SMALLEST = 500_000  # transitions for which another thread pays: each is begun anew for a pass
 PER_THREAD = 3
 IN_CACHE = 2**16  # entries of a few arrays that a core's cache holds, amply
 

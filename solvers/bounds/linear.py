@@ -174,6 +174,15 @@ class LinearSystem:
         return self._iteration(constant, rtol) if self._direct is None else self._direct(constant)
 
     @property
+    def method(self) -> str:
+        """The word for what is done."""
+        if self.order is not None:
+            return "substitution"
+        if self.work:
+            return "band"
+        return "factors" if self.transition.shape[0] <= DIRECT_STATES else "iteration"
+
+    @property
     def work(self) -> float:
         """The multiplications of elimination within a band, where that is what is done; else 0."""
         return self._band[1]
@@ -221,6 +230,25 @@ class LinearSystem:
             return elimination.sparse(self.transition, self.discount)
         except TooLarge as refusal:
             return refusal
+
+
+def relatively(system: LinearSystem, constant: Floats) -> tuple[Floats, float]:
+    """Return about h (S,) and g with h + g = c + γ P h, where h is 0 in a state often visited.
+
+    h + g / (1 - γ) satisfies the system's equation. Its values may be as large as 1 / (1 - γ), h is
+    only as large as they differ: what leads to that state is left out, and g stands in its place.
+    """
+    chain, states = system.transition, system.transition.shape[0]
+    share = np.full(states, 1 / states)
+    for _ in range(STEPS):
+        share = chain.T @ share
+    often = int(np.argmax(share))
+    kept = np.where(chain.indices == often, 0.0, chain.data)
+    cut = sp.csr_array((kept, chain.indices, chain.indptr), chain.shape)
+    others = LinearSystem(cut, system.discount)
+    earned, steps = others.roughly(constant), others.roughly(np.ones(states))
+    gain = float(earned[often] / steps[often])
+    return earned - gain * steps, gain
 
 
 def at_start(mdp: MDP, found: FixedPoint) -> Bounded:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import wraps
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
@@ -32,7 +32,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
 from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, relatively
 from exact_mdp.solvers.bounds.sweeps import Judged, Pass, Sweeps, sweeps_of
 from exact_mdp.solvers.dynamic.known import values_of
 from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
@@ -41,6 +41,7 @@ RELATIVE_TOLERANCE = 1e-9
 PATIENCE = 20
 CORRECTIONS = 30
 MANY = 10_000
+NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PASS = 20_000  # operations in the time of the calls of one pass
 S = TypeVar("S")
 
@@ -137,6 +138,7 @@ class Run:
             status=status,
             iterations=self.iteration,
             started=self._started,
+            stats=self.values.stats,
         )
 
     @property
@@ -213,6 +215,7 @@ class Iterate:
     relaxed: bool = False  # Whether states were ever improved one by one, by `relax`
     spent: float = 0.0  # Operations of passes over all pairs since the last correction
     price: float = 0.0  # Operations of a correction
+    stats: dict[str, int] = field(default_factory=dict)  # How often what was done
 
     def improve(self) -> Pass:
         """Return a pass over all pairs, whose policy is the one to `evaluate`."""
@@ -266,10 +269,13 @@ class Iterate:
         if self.sweeps.policy is None:
             return
         if not self.slow and self._sweep(goal, most):
+            self._count("policies evaluated by sweeps")
             return
         self.slow = True
         if self.spent < self.price:
-            return  # more passes bring the policy on for less than it takes to evaluate it
+            # More passes bring the policy on for less than it takes to evaluate it.
+            self._count("policies left unevaluated")
+            return
         self._correct(goal)
         self.spent = 0.0
         if self.sweeps.mdp.n_transitions >= COMPILED and goal > 0:
@@ -282,12 +288,16 @@ class Iterate:
         done, self.shift = self.sweeps.settle(self.value, self.shift, goal, most)
         return done
 
+    def _count(self, what: str) -> None:
+        self.stats[what] = self.stats.get(what, 0) + 1
+
     def _correct(self, goal: float) -> None:
         pairs = self.sweeps.policy
         assert pairs is not None
         chain, _ = policy_chain(self.sweeps.mdp, pairs)
         system, error = LinearSystem(chain, self.sweeps.mdp.discount), np.inf
         self.price = system.work
+        self._count(f"policies evaluated by {system.method}")
         kept, shift = self.value.copy(), self.shift
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
@@ -302,7 +312,12 @@ class Iterate:
                 middle = (low + high) / 2
                 self.shift += middle
                 step -= middle * self.sweeps.weights.margin[pairs]
-            self.value += system.roughly(step)
+            if self.sweeps.uniform and system.discount > NEARLY_ONE:
+                better, gain = relatively(system, step)
+                self.value += better
+                self.shift += gain / (1 - system.discount)
+            else:
+                self.value += system.roughly(step)
 
 
 def conclude(

@@ -6,22 +6,20 @@ import json
 import os
 import platform
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from contenders import ALONE
+from contenders import ALONE, OURS
 from matplotlib.ticker import NullFormatter
 
-from exact_mdp.analysis.plots.style import LINES, save, style
+from exact_mdp.analysis.plots.style import LINES, MARKS, save, style
 from exact_mdp.mdp.io.files import write_atomically
 
 PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy", "highspy")
 INK = ("#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7")
-MARKERS = "osD^v"
 LARGE = 5e6  # bytes of arrays from which on memory says more of the model than of the process
 Rows = Sequence[dict[str, Any]]
 
@@ -32,6 +30,9 @@ def write(rows: Rows, bandwidth: float, folder: Path, *, rounds: int) -> None:
     write_atomically(folder / "results.json", json.dumps(list(rows), indent=1) + "\n")
     write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth, rounds)) + "\n")
     with style():
+        if _leading(rows):
+            save(figure := _ratios(rows), folder, "results_ratio")
+            plt.close(figure)
         for name, what in (("results_time", "seconds"), ("results_memory", "memory")):
             large = [row for row in rows if what == "seconds" or row["bytes"] >= LARGE]
             if not large:
@@ -45,14 +46,22 @@ def _page(rows: Rows, bandwidth: float, rounds: int) -> list[str]:
     lines = [
         "# Timings beside other solvers",
         "",
-        f"{datetime.now(UTC):%Y-%m-%d}; {_processor()}, {os.cpu_count()} cores, Python "
+        "![Our time over that of the best peer, against size](results_ratio.png)",
+        "",
+        "Our time over that of the best peer, each with its best repeat; below 1 we are ahead. Of "
+        "each peer the setting that does best on the model counts, and building the model counts "
+        "on both sides, but for Storm.",
+        "",
+        *_summary(rows),
+        f"{_dates(rows)}; {_processor()}, {os.cpu_count()} cores, Python "
         f"{platform.python_version()}; one read of memory runs at {bandwidth / 1e9:.0f} GB/s. "
         + ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
         + ".",
         "",
-        "Written by `make bench`. Each solver is given the same arrays, in a process of its own, "
-        f"in turn, {rounds} rounds; a time is the best of three repeats after a first call, and "
-        "includes what a user waits for: taking over the arrays, finding structure, solving, "
+        f"Written by `make bench`, whose runs took {_spent(rows):.0f} minutes. Each solver is "
+        f"given the same arrays, in a process of its own, in turn, {rounds} rounds; a time is the "
+        "best of three repeats or more, half a second of them, after a first call, and includes "
+        "what a user waits for: taking over the arrays, finding structure, solving, "
         "bounding. Python lists for mdpsolver and Storm's matrix are made beforehand, untimed, and "
         "only up to 4 million transitions; Storm's time is for *solving alone*, as that column is. "
         "An answer counts where it is within 1e-6 (or 1e-9 of the largest value) of a reference "
@@ -99,11 +108,74 @@ def _cells(row: dict[str, Any], rows: Rows) -> list[str]:
     ]
 
 
+def best_ratio(ours: dict[str, Any], rows: Rows) -> tuple[float, str] | None:
+    """Return our time over that of the best peer on the same model, and who that is."""
+    found = []
+    for row in rows:
+        same = (row["family"], row["states"]) == (ours["family"], ours["states"])
+        if same and row["verdict"] == "right" and not row["contender"].startswith(OURS):
+            what = "solving" if row["note"] == ALONE else "seconds"
+            found.append((min(ours[what]) / min(row[what]), row["contender"]))
+    return max(found) if found else None
+
+
+def _leading(rows: Rows) -> list[tuple[dict[str, Any], float, str]]:
+    """Return our rows with their ratio to the best peer, and its name."""
+    ours = [row for row in rows if row["contender"] in (OURS, OURS + " LP")]
+    found = [(row, best_ratio(row, rows)) for row in ours if row["verdict"] == "right"]
+    return [(row, *best) for row, best in found if best is not None]
+
+
+def _summary(rows: Rows) -> list[str]:
+    lines = ["| model | states | ours / best peer | best peer | first call of a process |"]
+    lines += ["|---|---:|---:|---|---:|"]
+    for row, ratio, peer in _leading(rows):
+        first = f"{np.median(row['first']):.2g} s"
+        states = f"{row['states']:,}"
+        lines.append(f"| {row['family']} | {states} | {ratio:.2g} | {peer} | {first} |")
+    return [*lines, ""]
+
+
+def _ratios(rows: Rows) -> plt.Figure:
+    """Draw our time over that of the best peer against size, a line for each family."""
+    figure, ax = plt.subplots(figsize=(7, 4.2))
+    leading = _leading(rows)
+    for number, family in enumerate(dict.fromkeys(row["family"] for row, *_ in leading)):
+        own = sorted((row["states"], ratio) for row, ratio, _ in leading if row["family"] == family)
+        ax.loglog(
+            *zip(*own, strict=True), linestyle=LINES[number % len(LINES)],
+            marker=MARKS[number % len(MARKS)], color=INK[number % len(INK)],
+            markersize=4, label=family,
+        )  # fmt: skip
+    ax.axhline(1, color="0.6", linewidth=1)
+    ax.set(xlabel="states", ylabel="our time / that of the best peer")
+    _plain(ax)
+    ax.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def _plain(ax: plt.Axes) -> None:
+    """Have the powers of ten written as numbers, and nothing between them."""
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter(lambda x, _: f"{x:,.0f}" if 1 <= x < 1e6 else f"{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _dates(rows: Rows) -> str:
+    dates = sorted({row["measured"] for row in rows if "measured" in row})
+    return " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]])) or "not dated"
+
+
+def _spent(rows: Rows) -> float:
+    """Return the minutes that the runs behind the rows took."""
+    return sum(row.get("spent", 0.0) for row in rows) / 60
+
+
 def _ratio(row: dict[str, Any], rows: Rows, what: str) -> str:
     """Return how many times ours it took: the ratio of medians, and the range over rounds."""
     for ours in rows:
         same = (ours["family"], ours["size"]) == (row["family"], row["size"])
-        if same and ours["contender"].startswith("exact-mdp") and what in ours:
+        if same and ours["contender"] in (OURS, OURS + " LP") and what in ours:
             pairs = [a / b for a, b in zip(row[what], ours[what], strict=False)]
             middle = np.median(row[what]) / np.median(ours[what])
             if ours is not row:
@@ -128,7 +200,7 @@ def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
             if len(x) > 1:
                 label += f", slope {np.polyfit(np.log(x), np.log(y), 1)[0]:.2f}"
             ax.loglog(
-                x, y, LINES[number % len(LINES)], marker=MARKERS[number % len(MARKERS)],
+                x, y, linestyle=LINES[number % len(LINES)], marker=MARKS[number % len(MARKS)],
                 color=INK[number % len(INK)], markersize=4, label=label,
             )  # fmt: skip
         sizes = {row["states"]: row["bytes"] for row in rows if row["family"] == family}
@@ -136,7 +208,7 @@ def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
         once = "read once at full speed" if what == "seconds" else "the arrays themselves"
         ax.loglog(list(sizes), amount, color="0.6", linewidth=1, label=once)
         ax.set(title=family, xlabel="states", ylabel="seconds" if what == "seconds" else "bytes")
-        ax.xaxis.set_minor_formatter(NullFormatter())
+        _plain(ax)
         ax.legend(frameon=False, fontsize=6, loc="upper center", bbox_to_anchor=(0.5, -0.27))
     for ax in list(axes.flat)[len(families) :]:
         ax.set_axis_off()

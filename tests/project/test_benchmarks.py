@@ -64,11 +64,16 @@ def test_an_answer_is_held_against_the_reference_and_its_own_bound(
     assert rows["mdpsolver MPI"]["verdict"].startswith("no answer")
     write(list(rows.values()), 1e10, tmp_path, rounds=2)
     (line,) = [
-        line for line in (tmp_path / "RESULTS.md").read_text().splitlines() if f"| {PEER} |" in line
+        line
+        for line in (tmp_path / "RESULTS.md").read_text().splitlines()
+        if f"| 290 | {PEER} |" in line
     ]
     assert ("2 (2 to 2)" in line) == (verdict == "right")
     assert ("| wrong |" in line) == (verdict == "wrong")
     assert (tmp_path / "results_time.png").stat().st_size > 1000
+    page = (tmp_path / "RESULTS.md").read_text()
+    assert page.index("results_ratio.png") < page.index("results_time.png")
+    assert (f"| {FAMILY} | 20 | 0.5 | {PEER} |" in page) == (verdict == "right")
     # Of models as small as this, memory says nothing.
     assert not (tmp_path / "results_memory.png").exists()
     assert "results_memory" not in (tmp_path / "RESULTS.md").read_text()

@@ -22,6 +22,7 @@ from exact_mdp.solvers.bounds.linear import (
     patiently,
     policy_chain,
     quickly,
+    relatively,
 )
 from exact_mdp.solvers.kernels import linear as krylov
 from exact_mdp.solvers.kernels.compiling import Rows as Packed
@@ -279,6 +280,19 @@ def test_a_chain_that_falls_apart_is_solved_without_large_factors() -> None:
     assert made is None or isinstance(made, TooLarge)
     assert found.error.max() < 1e-6 * np.abs(found.value).max()
     assert np.abs(constant + rate * (chain @ found.value) - found.value).max() < 1e-8
+
+
+@pytest.mark.parametrize("rate", [0.9, 0.999, 1.0])
+def test_values_relative_to_a_state_often_visited(rate: float) -> None:
+    """h + g = c + γ P h, and V = h + g / (1 - γ), as dense equations say."""
+    rng = np.random.default_rng(9)
+    chain, constant = rng.dirichlet(np.ones(12), 12), rng.normal(size=12)
+    found, gain = relatively(LinearSystem(sp.csr_array(chain), rate), constant)
+    assert np.abs(found + gain - constant - rate * (chain @ found)).max() < 1e-12
+    assert np.abs(found).min() < 1e-14
+    if rate < 1:
+        value = np.linalg.solve(np.eye(12) - rate * chain, constant)
+        assert np.abs(found + gain / (1 - rate) - value).max() < 1e-9
 
 
 @pytest.mark.parametrize("states", [3, 9_000])

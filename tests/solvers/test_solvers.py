@@ -15,6 +15,7 @@ from cases import BY_NAME, CASES, Case
 from cases.reference import evaluate_exact, solve_exact
 from hypothesis import given, settings
 from strategies import Rows, exact_values, model_of, models
+from workloads import grid, queue
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.chain import is_acyclic
@@ -149,6 +150,25 @@ def test_the_default_converges_whatever_the_size(states: int, discount: str) -> 
     solution = solve(mixed(states, discount))
     assert solution.status is Status.CONVERGED
     assert solution.iterations < 40
+
+
+@pytest.mark.parametrize("states", [500, pytest.param(6000, marks=pytest.mark.slow)])
+def test_discounts_next_to_1_leave_the_digits_that_tell_states_apart(states: int) -> None:
+    """Values of 3e9 are found to 1, though 1e-7 of them is all that their equations keep."""
+    mdp = mixed(states, "999999999/1000000000")
+    found, other = solve(mdp), solve(mdp, PolicyIteration())
+    assert found.status is Status.CONVERGED
+    assert found.iterations < 60
+    assert found.error_bound < 1 < 1e-9 * found.value.max()
+    assert (np.abs(found.value - other.value) <= found.state_error + other.state_error).all()
+
+
+def test_a_solution_tells_how_policies_were_evaluated() -> None:
+    quick, banded = solve(mixed(400, "1/2")), solve(queue(300).model())
+    assert set(quick.stats) == {"policies evaluated by sweeps"}
+    assert banded.stats["policies evaluated by band"] >= 1
+    grids = solve(grid(20, 0.999).model(), tol=1e-6).stats
+    assert grids["policies evaluated by band"] <= 4 < grids["policies left unevaluated"]
 
 
 @pytest.mark.parametrize("name", [kind.name for kind in SWEEPING])
