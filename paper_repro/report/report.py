@@ -134,7 +134,11 @@ def summary(
     """Return one page of A4 for those who read no more."""
     page = environment(TEMPLATES)
     page.filters["anchor"] = anchor
-    numbers = [cells(e) for e in judged if e.claim.paper and e.claim.id.startswith("return.")]
+    numbers = [
+        cells(each)
+        for each in judged
+        if each.claim.id.startswith("return.") and each.finding.difference is not None
+    ]
     data = _first_page(judged, reading, main) | {"numbers": numbers, "shown": _shown(record)}
     return str(page.get_template("summary.html.j2").render(data))
 

@@ -221,6 +221,8 @@ def test_the_pages_in_a_browser(
             ground = browser.js("getComputedStyle(document.body).backgroundColor")
             assert (int(re.findall(r"\d+", ground)[0]) < 60) == dark
             use(browser, judged)
+            browser.js("document.querySelectorAll('details').forEach((d) => { d.open = true })")
+            assert browser.js("document.documentElement.scrollWidth") <= wide
             browser.open(one, wide=wide, dark=dark)
             assert browser.js("document.documentElement.scrollWidth") <= wide
         pdf = browser.send("Page.printToPDF", preferCSSPageSize=True)["data"]
@@ -500,6 +502,14 @@ def test_inputs_are_counted_apart_from_findings(judged: list[Judged]) -> None:
     assert f"Of {sum(findings.values())} findings {findings['reproduced']} are" in counted(judged)
 
 
+def screens(page: Path, folder: Path) -> float:
+    """Return how many screens of 1,280 by 800 a page is long."""
+    with warnings.catch_warnings(), Browser(folder / "browser") as browser:
+        warnings.simplefilter("ignore", ResourceWarning)
+        browser.open(page, wide=1280)
+        return float(browser.js("document.documentElement.scrollHeight")) / 800
+
+
 @pytest.mark.slow
 def test_the_main_job_writes_everything_it_names(tmp_path: Path) -> None:
     out = tmp_path / "results"
@@ -528,6 +538,8 @@ def test_the_main_job_writes_everything_it_names(tmp_path: Path) -> None:
     one = (out / "summary.html").read_text()
     assert job("--quick", "--summary", "--out", out).exit_code == 0
     assert plain_words((out / "summary.html").read_text()) == plain_words(one)
+    if CHROMIUM is not None:
+        assert screens(out / "report.html", tmp_path) <= 12
     again = job("--quick", "--out", out)
     assert again.exit_code == 0
     assert json.loads((out / "numbers.json").read_text()) == rows
