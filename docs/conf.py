@@ -39,6 +39,7 @@ suppress_warnings = ["ref.python"]
 
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
+smartquotes = False  # --option keeps its two hyphens
 
 # ---- tutorials: the notebooks, executed unless NOTEBOOKS=off -----------------------------------
 

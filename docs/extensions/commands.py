@@ -10,6 +10,7 @@ The command may be a group, whose commands follow as sections. `{keys}` lists th
 from __future__ import annotations
 
 from importlib import import_module
+from inspect import cleandoc
 from typing import Any
 
 import click
@@ -44,10 +45,10 @@ def described(command: click.Command, program: str) -> list[nodes.Node]:
     options = [
         record
         for option in command.get_params(context)
-        if option.name != "help" and (record := option.get_help_record(context))
+        if option.name != "help" and (record := option.get_help_record(context)) and record[1]
     ]
     found: list[nodes.Node] = [nodes.literal_block(usage, usage, language="text")]
-    found += blocks((command.help or "").replace("\b\n", ""))
+    found += blocks(cleandoc(command.help or "").replace("\b\n", ""))
     found += terms(options)
     found += blocks(command.epilog or "")
     return found

@@ -79,19 +79,32 @@ class Names(SphinxDirective):
 CODE = re.compile(r"(``.*?``|`[^`\n]*(?:\n[^`\n]*)?`)", re.S)
 
 
-def plain(*event: Any) -> None:
-    """Let marks of reStructuredText outside code mean themselves; the lines come last."""
-    lines = event[-1]
+def plain(_app: Sphinx, what: str, name: str, *rest: Any) -> None:
+    """Let marks of reStructuredText outside code and examples mean themselves."""
+    lines, example = rest[-1], False
     for number, line in enumerate(lines):
-        if ">>>" in line or line.lstrip().startswith(("..", ":")):
+        example = (example or ">>>" in line) and bool(line.strip())
+        if example or line.lstrip().startswith(("..", ":")):
             continue
         parts = CODE.split(line)
         parts[::2] = [re.sub(r"([*|\\]|(?<=\w)_(?!\w))", r"\\\1", part) for part in parts[::2]]
         lines[number] = "".join(parts)
+    if what in ("attribute", "data", "property"):
+        WHOLE[name] = list(lines)
+
+
+# Napoleon takes what stands before a colon in the text of a property for its type.
+WHOLE: dict[str, list[str]] = {}
+
+
+def whole(_app: Sphinx, _what: str, name: str, *rest: Any) -> None:
+    """Keep the text of a property as it is."""
+    rest[-1][:] = WHOLE.pop(name, rest[-1])
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directive."""
     app.add_directive("names", Names)
-    app.connect("autodoc-process-docstring", plain, priority=100)
+    app.connect("autodoc-process-docstring", plain, priority=100)  # before Napoleon's 500
+    app.connect("autodoc-process-docstring", whole, priority=900)
     return {"parallel_read_safe": True}
