@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from exact_mdp.mdp.chain import reachable
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, fingerprint, per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
@@ -27,7 +26,13 @@ from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.endless.means import surplus
 from exact_mdp.solvers.endless.merged import ending_policy, lifted, without_losing
-from exact_mdp.solvers.endless.structure import Structure, finite, refusal, structure
+from exact_mdp.solvers.endless.structure import (
+    Structure,
+    finite,
+    refusal,
+    sign_at_start,
+    structure,
+)
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.endless import EndlessClaims, optimal_infinite
 from exact_mdp.solvers.proof.equations import judged
@@ -240,15 +245,8 @@ def _certificate(
 def _start_value(
     mdp: MDP, numerator: list[int], group: Integers, below: list[int], sign: Integers
 ) -> Fraction | float:
-    signs = {int(sign[state]) for state, weight in mdp.start if weight} - {0}
-    if len(signs) > 1:
-        raise ModelError(
-            "the value is +∞ from one state of the start and -∞ from another",
-            where="start",
-            fix="start in one state: --start, or mdp.with_(start=…)",
-        )
-    if signs:
-        return inf * signs.pop()
+    if infinite := sign_at_start(mdp, sign):
+        return inf * infinite
     terms = (w * Fraction(numerator[s], below[group[s]]) for s, w in mdp.start)
     return sum(terms, Fraction(0))
 

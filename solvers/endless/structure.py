@@ -307,6 +307,18 @@ def _sloping(
     return Tilted(height=height, worth=worth, stay=stay, swing=swing, second=second)
 
 
+def sign_at_start(mdp: MDP, sign: Integers) -> int:
+    """Return 1 where the start is worth +∞, -1 where -∞, else 0; raises ModelError for a mix."""
+    signs = {int(sign[state]) for state, weight in mdp.start if weight} - {0}
+    if len(signs) > 1:
+        raise ModelError(
+            "the value is +∞ from one state of the start and -∞ from another",
+            where="start",
+            fix="start in one state: --start, or mdp.with_(start=…)",
+        )
+    return signs.pop() if signs else 0
+
+
 def refusal(mdp: MDP, states: Mask, what: str) -> ModelError:
     """Return the error to raise where no total is known to be the best."""
     listed = np.flatnonzero(states).tolist()

@@ -23,7 +23,7 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gains
 from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.merged import lifted, without_losing
 from exact_mdp.solvers.endless.proven import certify_total
-from exact_mdp.solvers.endless.structure import finite, structure
+from exact_mdp.solvers.endless.structure import finite, sign_at_start, structure
 from exact_mdp.solvers.proof.checker import policy_pairs
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
@@ -33,11 +33,12 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
 
     `solved` solves a model in which every policy ends.
 
-    Raises ModelError where the total swings for ever (`solvers.endless.structure`), SolverError
-    where floats do not bound the values.
+    Raises ModelError where the total swings for ever (`solvers.endless.structure`), or the start
+    mixes +∞ and -∞; SolverError where floats do not bound the values.
     """
     started = perf_counter()
     found = structure(per_step(mdp))
+    sign_at_start(mdp, found.sign)
     whole, swings = finite(found)
     if swings.any():
         return _rounded(mdp, started)

@@ -205,3 +205,40 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
         ["explore", model, "--parameter", "reward.5", "--html", page],
     ):
         assert run(*words).status == 0, words
+
+
+@pytest.mark.parametrize(
+    ("rows", "start", "words", "told"),
+    [
+        (
+            [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1)]), (1, 1, [(1, 2, -7)]), (2, 0, [(1, 2, 0)])],
+            0,
+            [],
+            "rewards cancel",
+        ),
+        ([(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])], {0: "1/2", 1: "1/2"}, [], "from another"),
+        (
+            [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])],
+            0,
+            ["--until", "home", "--minimize"],
+            "costs fall without end",
+        ),
+    ],
+)
+def test_totals_that_nobody_has_are_refused_by_name(
+    rows: list[object], start: object, words: list[str], told: str, tmp_path: Path
+) -> None:
+    model = str(tmp_path / "m.npz")
+    size = 1 + max(row[0] for row in rows)  # type: ignore[index]
+    home = [state == size - 1 for state in range(size)]
+    MDP.from_outcomes(rows, start=start, labels={"home": home}).save(model)
+    for command in (
+        ["solve", model],
+        ["solve", model, "--certify"],
+        ["check", model, "always:0"],
+        ["sensitivity", model, "gradient"],
+        ["sensitivity", model, "threshold"],
+    ):
+        done = run(*command, *words)
+        assert (done.status, done.out) == (2, ""), command
+        assert told in done.err, command

@@ -66,10 +66,10 @@ def test_a_policy_goes_on_for_ever(action: int, mean: float) -> None:
     assert found.mean == mean
     assert found.components == {"reward": mean}
     assert isnan(found.sd)
-    assert found.quantiles is None
-    for other in (return_distribution, lambda *given: simulate(*given, n=3, rng=0)):
-        with pytest.raises(ModelError, match="for ever"):
-            other(mdp, policy)
+    assert {*found.quantiles.values()} == {mean}
+    assert return_distribution(mdp, policy).unending.keys() == {mean}
+    drawn = simulate(mdp, policy, n=3, rng=0)
+    assert (drawn.mean, drawn.never_ends) == (mean, 1)
 
 
 def test_the_gate_tells_a_trap_from_the_way_out() -> None:
@@ -169,5 +169,4 @@ def test_an_end_beside_the_goal_is_a_miss() -> None:
     rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, labels={"goal": [False, False, True]}).until("goal")
     assert evaluate(mdp, [0, 0, 0]).mean == inf
-    with pytest.raises(ModelError, match="has no distribution"):
-        return_distribution(mdp, [0, 0, 0])
+    assert return_distribution(mdp, [0, 0, 0]).as_dict() == {0: 0.5, inf: 0.5}
