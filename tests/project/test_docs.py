@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import json
 import re
+import time
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from types import ModuleType
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pytest
+from browser import CHROMIUM, Browser
 
 from exact_mdp.mdp import MDP
 
@@ -166,3 +168,31 @@ def test_a_script_draws_one_figure(script: Path, empty: Path) -> None:
     (number,) = plt.get_fignums()
     axes = plt.figure(number).axes
     assert any(ax.has_data() or ax.texts for ax in axes)
+
+
+# ---- the built pages -----------------------------------------------------------------------------
+
+BUILT = ROOT / "build" / "docs" / "html"
+LOOKED_AT = ("index", "gallery/index", "reference/json", "reference/commands", "explanation/claims")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BUILT / "index.html").exists(), reason="`make docs` builds the pages")
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+def test_pages_fit_a_screen_and_a_phone_and_are_searched_without_a_server(tmp_path: Path) -> None:
+    with Browser(tmp_path) as browser:
+        for wide in (1200, 390):
+            for name in LOOKED_AT:
+                browser.open(BUILT / f"{name}.html", wide=wide)
+                assert browser.js("document.documentElement.scrollWidth") <= wide, (name, wide)
+                assert [
+                    url for url in browser.asked if not url.startswith(("file:", "data:"))
+                ] == []
+        browser.open(BUILT / "search.html", wide=1200)
+        browser.js("Search.performSearch('certificate')")
+        found = "document.querySelectorAll('#search-results li a').length"
+        until = time.monotonic() + 30
+        while browser.js(found) <= 5 and time.monotonic() < until:
+            time.sleep(0.2)
+        assert browser.js(found) > 5
+        assert browser.errors == []
