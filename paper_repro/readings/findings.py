@@ -220,9 +220,9 @@ def _fit(found: Evidence, alike: Evidence) -> Iterator[Sentence]:
     yield Sentence(
         "fit",
         f"The default reading is number {found.rank():,} in the order, with "
-        f"{found.weights[0]:.3%} of the weight; the best supported reading makes the reported "
-        f"numbers {default:,.0f} times as likely. Were all completions alike, it would be number "
-        f"{alike.rank():,} with {alike.weights[0]:.3%}.",
+        f"{100 * found.weights[0]:.2g}% of the weight; the best supported reading makes the "
+        f"reported numbers {default:,.0f} times as likely. Were all completions alike, it would be "
+        f"number {alike.rank():,} with {100 * alike.weights[0]:.2g}%.",
     )
 
 

@@ -192,7 +192,7 @@ def print_table(judged: Sequence[Judged]) -> None:
     screen.print(
         f"in s.e.: exact standard errors of an average over {reported.EXPERIMENTS:,} "
         "experiments; ≈: read off a plot by the authors.\nThe averages are shown with "
-        "“respectively” as written, and judged by the best joint fit of all completions."
+        "“respectively” as written, and judged by the best joint fit that training ends with."
     )
 
 

@@ -414,9 +414,9 @@ def _shares(study: ReadingStudy, reading: Reading) -> Table:
         title="What training ends with where the text leaves it open",
         headings=("status", "action", *shown),
         rows=tuple(rows),
-        note=f"Shares of {reading.runs} runs under the default reading, with 95 % intervals, from "
-        f"Jeffreys' prior; and of {study.sampled.seeds} runs under each of "
-        f"{len(study.sampled.readings)} readings drawn at random, with the least and the greatest. "
+        note=f"Shares of {reading.runs} runs under the default reading, with 95 % intervals, and "
+        f"of {study.sampled.seeds} runs under each of {len(study.sampled.readings)} readings drawn "
+        "at random, with the least and the greatest; all smoothed by Jeffreys' prior. "
         "The order of 1000 and 0100 is counted among the runs that end with one of the two.",
     )
 
