@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_runner import run
 from hypothesis import given, settings
 from objective_models import totals, with_components
 
@@ -203,3 +205,34 @@ def test_enclosed_numbers_add_up() -> None:
 def test_three_totals_have_no_bounds() -> None:
     with pytest.raises(ModelError, match="three totals"):
         tradeoff(on_a_cycle(5), ["a", "b", "steps"], exact=False)
+
+
+def test_the_command_prints_bounds(tmp_path: Path) -> None:
+    mdp = on_a_cycle(105)
+    mdp.save(tmp_path / "long.npz")
+    words = ("tradeoff", tmp_path / "long.npz", "a", "b", "--certificate", tmp_path / "p.json")
+    found = run(*words, "--json").result
+    front = tradeoff(mdp, ["a", "b"])
+    assert isinstance(front, EnclosedFront)
+    for vertex, bounds in zip(found["vertices"], front.vertices, strict=True):
+        for name, own in zip("ab", bounds, strict=True):
+            ends = vertex["values"][name]
+            assert (F(ends["low"]), F(ends["high"])) == (own.low, own.high)
+    assert found["claim"] == "certified"
+    assert {*found["edges"][0]["rate"]} == {"low", "high"}
+    checked = run("verify", tmp_path / "p.json", tmp_path / "long.npz", "--json")
+    assert (checked.status, checked.result["vertices"]) == (0, len(front.vertices))
+
+
+@pytest.mark.slow
+def test_a_long_front_has_the_totals_of_its_policies() -> None:
+    """Of 400 states: some vertices, solved in fractions, and their order."""
+    mdp = on_a_cycle(400)
+    front = enclosed(mdp, ["a", "b"])
+    assert front.violations() == []
+    rates = [float(edge.rate) for edge in front.edges]
+    assert rates == sorted(rates)
+    for number in range(0, len(front.vertices), len(front.vertices) // 4):
+        point = front.totals(front.policies[number])
+        bounds = zip(front.vertices[number], point, strict=True)
+        assert all(own.low <= value <= own.high for own, value in bounds)
