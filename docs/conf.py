@@ -13,13 +13,15 @@ from pathlib import Path
 
 import matplotlib as mpl
 
+from exact_mdp.analysis.pages.page import ADVICE
+
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
 
 project = "exact-mdp"
 author = "the exact-mdp authors"
 release = version = version_of(project)
-copyright = author
+copyright = f"{author}; {ADVICE}"  # at the foot of every page
 
 extensions = [
     "myst_nb",

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from exact_mdp.analysis.cli.options import check_outputs, given, limits_from, renamed, whole_of
+from exact_mdp.analysis.cli.options import (
+    advice,
+    check_outputs,
+    given,
+    limits_from,
+    renamed,
+    whole_of,
+)
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate import github
@@ -97,7 +104,8 @@ def check(
     why = None if no_explain else audit.representation
     if junit is not None:
         seconds = perf_counter() - started
-        _junit(junit, asked.loaded.name, learned, audit, seconds, explain=why is not None)
+        told = {"notice": ADVICE} if advice(asked.endless) else {}
+        _junit(junit, asked.loaded.name, learned, audit, seconds, told, explain=why is not None)
     result = {"learned": learned} | _result(audit) | _limits(audit) | _reasons(audit, why)
     result |= {} if plan is None else {"needed": _needed(plan)}
     report = asked.report(
@@ -275,7 +283,14 @@ def _page(report: Report, audit: Audit, model: str, learned: str) -> str:
 
 
 def _junit(
-    path: str, model: str, learned: str, audit: Audit, seconds: float, *, explain: bool
+    path: str,
+    model: str,
+    learned: str,
+    audit: Audit,
+    seconds: float,
+    told: dict[str, str],
+    *,
+    explain: bool,
 ) -> None:
     text = audit.message(explain=explain)
     cases = [
@@ -288,6 +303,7 @@ def _junit(
         "claim": str(audit.claim),
         "regret": repr(float(audit.regret.at_start.value)),
         "agreement": repr(audit.agreement),
+        **told,
     }
     if audit.interval is not None:
         properties["regret_interval"] = str(audit.interval)

@@ -22,6 +22,7 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 seeing = later("exact_mdp.mdp.care.perception")
 
 MOST_STEPS = 10**9
+OF_CARE = (COACH, "gymnasium:icu_sepsis")  # models of care that are no scenarios
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +241,7 @@ def given(
 
 def advice(loaded: Loaded) -> tuple[str, ...]:
     """Return the note on models of care, and on models from records; nothing on others."""
-    care = loaded.scenario is not None or loaded.name == COACH
+    care = loaded.scenario is not None or loaded.name.startswith(OF_CARE)
     return (ADVICE,) * (care or loaded.mdp.observations is not None)
 
 

@@ -69,6 +69,7 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
     listed = {each.get("name"): each.get("value") for each in tree.iter("property")}
     assert shown in (listed["regret_interval"] or "")
     assert listed["claim"] == claim
+    assert "no medical advice" in (listed["notice"] or "")
     assert f"{shown} ({claim})" in page.read_text("utf-8")
     for text in (done.out, page.read_text("utf-8"), report.read_text("utf-8")):
         assert shown in text
