@@ -46,6 +46,7 @@ PRIMES = 4  # tried before A is taken to be singular
 FEW, MANY = 40, 4_000  # equations that FLINT solves faster, or that are too many for it
 FIRST, GROWTH = 16, 1.3  # digits before the first test, and how many more before the next
 SPARE = 40  # bits by which a reconstruction has to be shorter than chance makes it
+LEAF = 8  # digits to a prime below 2³¹ that 32-bit limbs hold, with a sign
 SHORT = 600  # bits that Euclid's algorithm takes off at once
 
 
@@ -131,7 +132,7 @@ class Equations:
         given = [right[state] for state in order.tolist()]
         largest = max(abs(int(number)) for number in given)
         bits = prime.bit_length() - 1
-        known = _expanded(given, flint.fmpz(prime), largest.bit_length() // bits + 2)
+        known = _expanded(given, prime, largest.bit_length() // bits + 2)
         # How much longer than their denominator numerators may be; all digits that det A needs.
         inner = size - self.border
         excess = max(0, largest.bit_length() - min(int(p).bit_length() for p in own[:inner]))
@@ -202,18 +203,38 @@ def _limbs(numbers: Numbers, width: int) -> Numbers:
             return np.array(found, dtype=np.int32)
 
 
-def _expanded(numbers: list[fmpz], base: fmpz, length: int) -> Integers:
-    """Return numbers as rows (T, K) of digits, the lowest first, all but the last not negative."""
+def _expanded(numbers: list[fmpz], base: int, length: int) -> Integers:
+    """Return numbers as rows (T, K) of digits, the lowest first, all but the last not negative.
 
-    def split(values: list[fmpz], length: int) -> list[list[int]]:
-        if length == 1:
-            return [[int(value) for value in values]]
-        power = base ** (length // 2)
+    T is `length` or a little more. Parts of LEAF digits are cut off; arrays divide all of these,
+    of as many 32-bit limbs, by the base, again and again.
+    """
+
+    def split(values: list[fmpz], leaves: int) -> list[list[fmpz]]:
+        if leaves == 1:
+            return [values]
+        power = flint.fmpz(base) ** (LEAF * (leaves // 2))
         parts = [divmod(value, power) for value in values]
-        low = split([part[1] for part in parts], length // 2)
-        return low + split([part[0] for part in parts], length - length // 2)
+        low = split([part[1] for part in parts], leaves // 2)
+        return low + split([part[0] for part in parts], leaves - leaves // 2)
 
-    return np.array(split(numbers, length), dtype=np.int64)
+    leaves = split(numbers, -(-length // LEAF))
+    data = [
+        int(value).to_bytes(4 * LEAF, "little", signed=True) for part in leaves for value in part
+    ]
+    limbs = np.frombuffer(b"".join(data), dtype="<u4").reshape(-1, LEAF).T.astype(np.int64)
+    limbs[-1] = limbs[-1].astype(np.uint32).view(np.int32)
+    digits = np.empty((LEAF, limbs.shape[1]), dtype=np.int64)
+    for digit in digits:
+        rest = np.zeros(limbs.shape[1], dtype=np.int64)
+        for limb in limbs[::-1]:
+            rest = (rest << 32) + limb
+            limb[:] = rest // base
+            rest -= limb * base
+        digit[:] = rest
+    digits[-1] += limbs[-1] * base  # -1 where the number is negative
+    found: Integers = digits.reshape(LEAF, len(leaves), -1).swapaxes(0, 1)
+    return found.reshape(LEAF * len(leaves), -1)
 
 
 def _evaluated(digits: list[int], base: int) -> fmpz:

@@ -408,3 +408,20 @@ def test_what_floats_cannot_tell_apart_is_chosen_exactly() -> None:
     assert found.policy[:-1].tolist() == [s % 2 for s in range(size)]
     assert set(found.gaps[:-1]) == {more}
     assert found.violations() == []
+
+
+@given(
+    st.integers(1, 40).flatmap(
+        lambda n: st.tuples(
+            st.just(n), st.lists(st.integers(-(2 ** (30 * n)), 2 ** (30 * n)), min_size=1)
+        )
+    )
+)
+def test_digits_to_a_prime_add_up_to_their_number(given: tuple[int, list[int]]) -> None:
+    length, numbers = given
+    prime = exact_linear.LARGEST_PRIME
+    digits = exact_linear._expanded([fmpz(number) for number in numbers], prime, length).tolist()
+    assert len(digits) >= length
+    assert all(0 <= d < prime for row in digits[:-1] for d in row)
+    for place, number in enumerate(numbers):
+        assert sum(row[place] * prime**t for t, row in enumerate(digits)) == number
