@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
+from itertools import count, pairwise
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -265,9 +265,8 @@ class _Merging:
         """
         points = _joined([(low, high) for low, high, _ in stretch.touches])
         for before, after in pairwise([stretch.before, *points, stretch.after]):
-            quarter = (after[0] - before[1]) / 4
-            inner = _between(before[1] + quarter, after[0] - quarter)
-            certificate = proven(at(inner))
+            inner, mdp = self._inside(before[1], after[0], at)
+            certificate = proven(mdp)
             touches = [
                 (*after, int(self.source[pair]))
                 for low, high, pair in stretch.touches
@@ -288,6 +287,20 @@ class _Merging:
                 else (flint.fmpq_poly([1 if start > 0 else -1]), nothing),
                 proof=EndlessProof(point=inner, certificate=certificate, gains=self.gains),
             )
+
+    def _inside(
+        self, low: Fraction, high: Fraction, at: Callable[[Fraction], MDP]
+    ) -> tuple[Fraction, MDP]:
+        """Return a point between two, and its model, where no more states are terminal.
+
+        A state beside a goal that earns for ever is terminal where it earns 0.
+        """
+        for share in count(4):
+            width = (high - low) / share
+            mdp = at(inner := _between(low + width, low + 2 * width))
+            if (mdp.terminal == self.found.mdp.terminal).all():
+                break
+        return inner, mdp
 
     def _start(self, value: Sequence[fmpq_poly]) -> fmpq_poly:
         nothing = flint.fmpq_poly()
@@ -318,22 +331,22 @@ def _gain(rows: PolynomialRows, pairs: Mapping[int, int], span: Bracket) -> Gain
     By Cramer's rule h = H / E and g = G / E have the degrees of the rows together at most.
     """
     states = [*pairs]
-    place, count = {state: k for k, state in enumerate(states)}, len(states)
+    place, size = {state: k for k, state in enumerate(states)}, len(states)
     entries = {s: (rows.reward[p], *(q for _, q in rows.following[p])) for s, p in pairs.items()}
     degree = sum(max(each.degree() for each in own) for own in entries.values())
     low, high = span
     points = [rational(low + (high - low) * (k + 1) / (degree + 2)) for k in range(degree + 1)]
     samples = []
     for y in points:
-        matrix, side = [rational(0)] * count**2, [rows.reward[p](y) for p in pairs.values()]
+        matrix, side = [rational(0)] * size**2, [rows.reward[p](y) for p in pairs.values()]
         for k, pair in enumerate(pairs.values()):
-            matrix[k * count + k] += 1
+            matrix[k * size + k] += 1
             for to, p in rows.following[pair]:
-                matrix[k * count + place[to]] -= p(y)
-            matrix[k * count] = rational(1)  # the place of h in the first state is that of g
-        system = flint.fmpq_mat(count, count, matrix)
+                matrix[k * size + place[to]] -= p(y)
+            matrix[k * size] = rational(1)  # the place of h in the first state is that of g
+        system = flint.fmpq_mat(size, size, matrix)
         scale = system.det()
-        solved = system.solve(flint.fmpq_mat(count, 1, side)).entries()
+        solved = system.solve(flint.fmpq_mat(size, 1, side)).entries()
         samples.append([*(scale * each for each in solved), scale])
     mean, *others, scale = (interpolated(points, c) for c in zip(*samples, strict=True))
     flip = 1 if scale(rational(0)) > 0 else -1

@@ -169,6 +169,15 @@ def family_of(build: Callable[[Mapping[str, F]], MDP]) -> Parametric:
     return Family(parameters=(Parameter(name="x", value=F(1, 2)),), build=build, degrees={"x": 2})
 
 
+def test_a_state_beside_the_goal_is_terminal_where_it_earns_nothing() -> None:
+    mdp = MDP.from_outcomes(
+        [(0, 0, [(1, 0, 0)]), (1, 0, [(1, 1, -1)])], labels={"goal": [True, False]}, start=1
+    )
+    found = value_function(mdp.until("goal"), "reward.-1", (-2, 2))
+    assert [found.at(x) for x in (-1, 0, 1)] == [inf, inf, inf]
+    assert found.violations() == []
+
+
 def test_means_of_a_class_decide() -> None:
     """Around two states, +3 and -x: the mean is 0 at 3; costs at the way out are negative."""
     rows = [(0, 0, [(1, 1, 3)]), (1, 0, [("1/2", 0, -2), ("1/2", 1, -2)]), (1, 1, [(1, 2, -4)])]
