@@ -8,10 +8,10 @@ have to be empty (`policy_chain` does that).
 
 Solving: where an order of the states is known along which the chain only falls, by substitution;
 where all transitions are to near numbers, or that costs little, by elimination within that band; up
-to 500 states, by
-sparse elimination. Otherwise by BiCGSTAB, which does not fill the matrix. Where that does not
-converge soon, by sparse elimination, if there is room for its factors; if not, by GMRES, and by
-BiCGSTAB with more patience. Steps of iterative refinement follow.
+to 500 states, by sparse elimination. Otherwise by sweeps, where a few lead there, as in chains that
+mix soon; else by BiCGSTAB, which does not fill the matrix. Where that does not converge soon, by
+sparse elimination, if there is room for its factors; if not, by GMRES, and by BiCGSTAB with more
+patience. Steps of iterative refinement follow.
 
 Bounding: let k be at least |c + γ P x - x|, its rounding errors included. If e ≥ 0 satisfies
 e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is nonnegative. So the error solves the same
@@ -51,7 +51,7 @@ MOST_FILL = 4
 CHEAP = 2e7  # multiplications within the band: some milliseconds
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
-STEPS, PATIENT = 400, 8000
+SWEEPS, STEPS, PATIENT = 60, 400, 8000
 DIRECTIONS, GMRES_STEPS = 20, 400
 
 
@@ -150,7 +150,7 @@ class LinearSystem:
 
     def _floor(self, constant: Floats, value: Floats) -> float:
         """Return the size of a residual that may be rounding alone: to refine it brings nothing."""
-        return 2 * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
+        return 4 * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
 
     def roughly(self, constant: Floats) -> Floats:
         """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller."""
@@ -212,6 +212,11 @@ class LinearSystem:
         if size == 0.0 or not np.isfinite(size):
             return np.full(len(constant), 0.0 if size == 0.0 else np.nan)
         scaled = constant / size  # tests for breakdown are absolute
+        if self._mixes[0]:
+            found = sweeping(self.transition, self.discount, scaled, rtol)
+            if found is not None:
+                return np.asarray(found * size)
+            self._mixes[0] = False
         if "_last_resort" not in vars(self):
             found = quickly(self.transition, self.discount, scaled, rtol)
             if found is not None:
@@ -222,6 +227,11 @@ class LinearSystem:
         if found is None:
             raise TooLarge(self._last_resort.detail)
         return np.asarray(found * size)
+
+    @cached_property
+    def _mixes(self) -> list[bool]:
+        """Whether sweeps were never found to be slow."""
+        return [True]
 
     @cached_property
     def _last_resort(self) -> Solve | TooLarge:
@@ -288,6 +298,13 @@ def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
         chain.data[np.repeat(mdp.terminal, np.diff(chain.indptr))] = 0.0
         chain.eliminate_zeros()
     return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
+
+
+def sweeping(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:
+    """Return x (S,) with a residual of at most `rtol`, or None where sweeps would be too many."""
+    value, room = np.empty((2, len(constant)))
+    done = loops.swept(_rows(chain), float(discount), constant, rtol, SWEEPS, value, room)
+    return np.asarray(value) if done and np.all(np.isfinite(value)) else None
 
 
 def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:

@@ -1,4 +1,4 @@
-"""Linear systems (I - γ P) x = b: BiCGSTAB, substitution along an order, and fill counted.
+"""Linear systems (I - γ P) x = b: sweeps, BiCGSTAB, substitution along an order, and fill counted.
 
 BiCGSTAB is preconditioned by Gauss-Seidel up and down,
 
@@ -18,6 +18,7 @@ import numpy as np
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.kernels.compiling import Rows, at, compiled, span
 
+TRIED, CLOSE = 6, 1e-12  # sweeps after which to ask how fast they are; a sum that is nearly 1
 LEAST = 1e-14  # a cosine that is nothing but rounding
 
 
@@ -155,6 +156,54 @@ def bicgstab(
         if not np.isfinite(size):
             return -1
     return -1
+
+
+@compiled
+def swept(
+    rows: Rows,
+    discount: float,
+    constant: Floats,
+    goal: float,
+    most: int,
+    value: Floats,
+    room: Floats,
+) -> bool:
+    """Write x into `value` (S,) with a residual r of at most `goal`, where sweeps x + r lead there.
+
+    Where all rows sum to 1 and γ < 1, what r is in the middle of its range is what all values still
+    lack, divided by 1 - γ: with m for that middle, the next residual is γ (P r - m), and so falls
+    as fast as the chain mixes. Sweeps end once `most` of them would not do, as they go on.
+    """
+    indptr, indices, data = rows
+    states, before, whole = len(constant), np.inf, discount < 1
+    for state in range(states):
+        total = 0.0
+        for i in span(indptr[state], indptr[state + 1]):
+            total += data[i]
+        whole &= abs(total - 1) < CLOSE
+        value[state], room[state] = 0.0, constant[state]
+    for sweep in range(most):
+        low, high = np.inf, -np.inf
+        for state in range(states):
+            low, high = min(low, room[state]), max(high, room[state])
+        middle = (low + high) / 2 if whole else 0.0
+        error = max(high - middle, middle - low)
+        more = discount * middle / (1 - discount) if whole else 0.0
+        for state in range(states):
+            value[state] += room[state] + more
+        if error * discount <= goal:
+            return True
+        if sweep >= TRIED:
+            rate = error / before
+            if not rate < 1 or error * rate ** (most - sweep) > goal:
+                return False
+        before = error
+        for state in range(states):
+            ahead = 0.0
+            for i in span(indptr[state], indptr[state + 1]):
+                ahead += data[i] * value[at(indices[i])]
+            room[state] = constant[state] + discount * ahead - value[state]
+    return False
 
 
 @compiled

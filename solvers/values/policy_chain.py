@@ -189,6 +189,8 @@ class PolicyChain:
     @cached_property
     def transition(self) -> sp.csr_array:
         """(S, S) probabilities; the rows of terminal states are empty."""
+        if self.roundings == 1 and not self.mdp.terminal.any():
+            return self.mdp.transition[self.pairs]
         mdp, used = self.mdp, self.pairs[~self.mdp.terminal[self.mdp.pair_state[self.pairs]]]
         shape = (mdp.n_states, mdp.n_pairs)
         mixing = sp.csr_array((self.weights[used], (mdp.pair_state[used], used)), shape)
@@ -225,17 +227,21 @@ class PolicyChain:
         """(S,) True where no terminal state can be reached any more."""
         if self.order is not None:
             return np.zeros(self.mdp.n_states, dtype=bool)
+        if not self.mdp.terminal.any():
+            return np.ones(self.mdp.n_states, dtype=bool)
         return ~closure(self.graph.T.tocsr(), self.mdp.terminal)
 
     @cached_property
     def ends(self) -> Mask:
         """(S,) True where the policy reaches a terminal state with probability 1."""
-        return ~closure(self.graph.T.tocsr(), self.stuck) if self.stuck.any() else ~self.stuck
+        if self.stuck.all() or not self.stuck.any():
+            return ~self.stuck
+        return ~closure(self.graph.T.tocsr(), self.stuck)
 
     @property
     def ends_from_start(self) -> bool:
         """True where every episode ends with probability 1."""
-        return not (self.reached & self.stuck).any()
+        return not (self.stuck.all() or (self.reached & self.stuck).any())
 
     def require_end(self) -> None:
         """Raise ModelError, naming where the policy stays, unless every episode ends."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from cases.reference import evaluate_exact
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_twins import factor_pattern
 from strategies import Rows, exact_values, models
@@ -23,6 +23,7 @@ from exact_mdp.solvers.bounds.linear import (
     policy_chain,
     quickly,
     relatively,
+    sweeping,
 )
 from exact_mdp.solvers.kernels import linear as krylov
 from exact_mdp.solvers.kernels.compiling import Rows as Packed
@@ -445,6 +446,26 @@ def test_bicgstab_starts_again_where_it_breaks_down(chain: list[list[float]]) ->
     taken, value = solved(sp.csr_array(matrix), 1.0, constant, 60)
     assert 3 <= taken <= 5
     assert np.abs(constant - value + matrix @ value).max() < 1e-11
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 10**6), leaks=st.booleans(), rate=st.sampled_from([0.5, 0.95, 0.9999]))
+def test_sweeps_solve_what_mixes_soon(seed: int, leaks: bool, rate: float) -> None:
+    """Their residual is what was asked for; a constant in all states is no reason for more."""
+    rng = np.random.default_rng(seed)
+    chain = rng.dirichlet(np.ones(30), 30) * (rng.uniform(0.2, 0.6) if leaks else 1.0)
+    constant = rng.normal(size=30) + rng.choice([0.0, 100.0])
+    constant /= np.abs(constant).max()
+    found = sweeping(sp.csr_array(chain), rate, constant, 1e-11)
+    assert found is not None
+    left = constant + rate * (chain @ found) - found
+    assert np.abs(left).max() <= 1e-11 + 1e-14 / (1 - rate)
+
+
+def test_sweeps_that_would_be_too_many_end_early() -> None:
+    ring = sp.csr_array(0.5 * (np.eye(600) + np.roll(np.eye(600), 1, axis=1)))
+    constant = np.random.default_rng(3).normal(size=600)
+    assert sweeping(ring, 0.9999, constant / np.abs(constant).max(), 1e-11) is None
 
 
 def test_what_never_ends_is_not_taken_for_solved() -> None:
