@@ -227,7 +227,8 @@ def info() -> None:
     "columns",
     multiple=True,
     metavar="NAME=COLUMN",
-    help="What the file calls episode, state, action, reward or next_state. May be repeated.",
+    help="What the file calls episode, state, action, reward, next_state or truncated. May be "
+    "repeated.",
 )
 @click.option(
     "--unseen",
@@ -243,8 +244,9 @@ def data() -> None:
     """Estimate a model from FILE, a .csv or .parquet with a row for each transition.
 
     The columns are episode, state, action, reward and next_state, in the order of time, one episode
-    after the other; without a next state the episode is over. The numbers of observations are
-    kept in the model.
+    after the other; without a next state the episode is over. A sixth column, truncated (true or
+    false), marks the rows after which an episode was cut off, as by a time limit. The numbers of
+    observations are kept in the model.
     """
 
 

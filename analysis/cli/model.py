@@ -181,8 +181,8 @@ def data(
     stopped = record.n_cut_off
     result |= {"cut_off": stopped, "cut_off_states": unknown, "left_out": record.left_out}
     if stopped or record.left_out:
-        facts["cut off"] = f"{stopped:,} episodes" + (
-            f", {record.left_out:,} of them without a next state: their last rows are not counted"
+        facts["cut off"] = f"{stopped:,} episode{'s' * (stopped != 1)}" + (
+            f", {record.left_out:,} without a next state: what followed is not counted"
             if record.left_out
             else ""
         )
