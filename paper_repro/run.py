@@ -39,8 +39,7 @@ from exact_mdp.paper_repro.reading import (
     default,
 )
 from exact_mdp.paper_repro.readings.evidence import Evidence
-from exact_mdp.paper_repro.readings.findings import reading_study, weighed
-from exact_mdp.paper_repro.readings.search import searched
+from exact_mdp.paper_repro.readings.findings import reading_study, weighed, weighed_before
 from exact_mdp.paper_repro.report import agents, learner, output, readings, tradeoffs
 from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
 from exact_mdp.paper_repro.report.output import counted, entry_of
@@ -194,15 +193,16 @@ def run_claims(
     """Work some claims out, with as little else as they need.
 
     Open claims are tried under the readings that differ from the default in one point; under all
-    of them where `store` holds the search over these, as the main job leaves it.
+    of them where `store` holds the search over these and the training that weighs it, as the main
+    job leaves them.
     """
     reading = default(sizes, store)
     folder = store.folder("readings")
-    known = searched(folder and folder / "search")
+    known = [size for size in (False, True) if weighed_before(folder, quick=size)]
     if quick or not any(claim.open for claim in claims) or not known:
         others, learners = _alike(reading, claims), [] if quick else reading.learners
         return judge(claims, reading, others=others, learners=learners, progress=_say)
-    found, *_ = weighed(seed=SEED, out=folder, scheduler=scheduler, progress=True)
+    found, *_ = weighed(seed=SEED, out=folder, quick=known[0], scheduler=scheduler, progress=True)
     others = _others(reading, sizes, found)
     return judge(claims, reading, others=others, evidence=found, progress=_say)
 

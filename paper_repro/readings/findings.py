@@ -46,7 +46,12 @@ from exact_mdp.paper_repro.readings.evidence import (
     variants,
 )
 from exact_mdp.paper_repro.readings.reported_policy import PolicyUnderReading, under_best_readings
-from exact_mdp.paper_repro.readings.search import PAPER_READINGS, ReadingSearch, search
+from exact_mdp.paper_repro.readings.search import (
+    PAPER_READINGS,
+    ReadingSearch,
+    search,
+    searched,
+)
 from exact_mdp.paper_repro.readings.training import (
     SEEDS,
     SETTINGS,
@@ -142,6 +147,17 @@ def weighed(
     learned = trained("learning", np.array(list(dict.fromkeys([*best.tolist(), 0]))))
     weights = completion_weights(space, sampled, [learned])
     return replace(first, log_weights=weights), sampled, learned
+
+
+def weighed_before(out: Path | None, *, quick: bool) -> bool:
+    """Return whether a folder holds all that `weighed` works out, which is then read at once."""
+    if out is None or not searched(out / "search"):
+        return False
+    size, kind = QUICK if quick else FULL, "-quick" if quick else ""
+    return all(
+        len(list((out / f"{name}{kind}").glob("*.npz"))) >= size[what]
+        for name, what in (("sampled", "sampled"), ("learning", "trained"))
+    )
 
 
 # ---- in plain sentences ------------------------------------------------------------------------

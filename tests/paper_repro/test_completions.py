@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from exact_mdp.paper_repro.readings.completions import (
     learnable,
     pooled,
 )
+from exact_mdp.paper_repro.readings.findings import weighed_before
 from exact_mdp.paper_repro.readings.training import at_random, completion_weights
 from exact_mdp.paper_repro.reported import COMPLETIONS, NUMBER, UNSTATED
 
@@ -151,6 +153,22 @@ def test_readings_are_drawn_once_each_at_the_first_discount() -> None:
     assert (found % 2 == 0).all()
     with pytest.raises(ModelError, match="readings"):
         at_random(space, 49, 1)
+
+
+def test_a_folder_is_read_only_where_all_of_it_is_there(tmp_path: Path) -> None:
+    def put(name: str, count: int) -> None:
+        (tmp_path / name).mkdir(exist_ok=True)
+        for number in range(count):
+            (tmp_path / name / f"{number:06d}.npz").touch()
+
+    put("search", 72)
+    put("sampled-quick", 6)
+    put("learning-quick", 4)
+    assert not weighed_before(tmp_path, quick=True)
+    put("learning-quick", 5)
+    assert weighed_before(tmp_path, quick=True)
+    assert not weighed_before(tmp_path, quick=False)
+    assert not weighed_before(None, quick=True)
 
 
 # ---- real runs ---------------------------------------------------------------------------------
