@@ -65,6 +65,7 @@ FOLDED = {  # kinds of sentences that are folded, and the heading that they stan
     "not identified": "What the numbers leave open",
     "variant": "With other evidence",
     "cannot hold together": "What cannot hold together",
+    "learning": "What training runs add",
 }
 PICTURES = Pictures()
 
