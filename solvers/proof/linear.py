@@ -47,6 +47,7 @@ FEW, MANY = 40, 4_000  # equations that FLINT solves faster, or that are too man
 FIRST, GROWTH = 16, 1.3  # digits before the first test, and how many more before the next
 SPARE = 40  # bits by which a reconstruction has to be shorter than chance makes it
 LEAF = 8  # digits to a prime below 2³¹ that 32-bit limbs hold, with a sign
+LACKING = 300  # bits, half of which a factor may have that a guess of the denominator lacks
 SHORT = 600  # bits that Euclid's algorithm takes off at once
 
 
@@ -140,7 +141,7 @@ class Equations:
         full = (2 * sum(lengths) + excess + 3 * SPARE) // bits
 
         def enough(below: fmpz) -> int:
-            return int(below.bit_length() + excess + norm.bit_length() + SPARE) // bits + 2
+            return int(below.bit_length() + excess + norm.bit_length() + LACKING) // bits + 2
 
         share = np.random.default_rng(size).integers(1, 1024, size)
         mixed, parts = list[int](), list[Numbers]()
@@ -257,7 +258,8 @@ def _rationals(
     for column in paired.T:
         product = _symmetric(below * _evaluated(column.tolist(), prime**2), modulus)
         if product.bit_length() > longest:
-            factor = _denominator(product % modulus, modulus, excess)
+            # Numerators are longer than the factor that is missing by the denominator so far.
+            factor = _denominator(product % modulus, modulus, excess + int(below.bit_length()))
             if factor is None:
                 return None
             below, found = below * factor, [value * factor for value in found]

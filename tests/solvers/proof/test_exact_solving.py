@@ -264,6 +264,27 @@ def test_a_prime_that_divides_the_determinant_is_passed_over() -> None:
         assert ratios(system.solve([fmpz(1)] * 60)) == [worth] * 60
 
 
+def test_a_guess_of_the_denominator_may_lack_a_factor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A short factor takes no more digits than the guess; whatever it is, the answer is right."""
+    system, right = ring(10, 3), [fmpz(n + 1) for n in range(60)]
+    wanted = system.lifting(right)
+    assert wanted is not None
+    counts, lift = list[int](), exact_linear.modular.lift
+
+    def counted(*given: Any) -> Any:
+        counts.append(len(given[4]))
+        return lift(*given)
+
+    monkeypatch.setattr(exact_linear.modular, "lift", counted)
+    factor = max(n for n in range(2, 10**5) if wanted[1] % n == 0)
+    for guess, calls in ((wanted[1], 1), (wanted[1] // factor, 1), (wanted[1] * 6, 1), (1, None)):
+        counts.clear()
+        found = system.lifting(right, fmpz(guess))
+        assert found is not None
+        assert ratios(found) == ratios(wanted)
+        assert calls in (None, len(counts))
+
+
 def test_rows_that_sum_to_nearly_one_and_to_one() -> None:
     """Elimination in floats would see no difference."""
     nearly = ring(2**90, 2**90 - 1)
