@@ -22,6 +22,7 @@ from exact_mdp.mdp.table import Integers, spans
 from exact_mdp.solvers.proof.losses import losses, short_rows
 from exact_mdp.solvers.proof.margins import Claims
 
+FEW = 64  # pairs that are not worth the arrays
 SHORT = 768  # bits of a common denominator, for states to be judged together
 
 
@@ -127,7 +128,7 @@ def judged(rows: BellmanRows, values: Values, pairs: Integers) -> Iterator[Judge
         chosen, own = pairs[places], state[places]
         first = np.flatnonzero(np.diff(own, prepend=-1))
         scaled = _Scaled(values, group, unit, groups)
-        if short and unit.bit_length() <= SHORT:
+        if short and len(chosen) >= FEW and unit.bit_length() <= SHORT:
             lost = losses(rows, chosen, scaled, unit)
             nothing, negative = lost.nothing, lost.negative
             worse = np.flatnonzero(~(nothing | negative))

@@ -69,20 +69,19 @@ def losses(
     constant = rows.constant[pairs]
     earning = np.flatnonzero(constant != 0)
     earned = [number * unit for number in constant[earning].tolist()]
-    needed = np.zeros(len(rows.scale), dtype=bool)
-    needed[own] = needed[after] = True
-    known, place = np.flatnonzero(needed), np.cumsum(needed) - 1
+    known = np.unique(np.concatenate([own, after]))
+    own_place, after_place = np.searchsorted(known, own), np.searchsorted(known, after)
     numbers = scaled(known.tolist()) + earned
     longest = max((max(numbers), -min(numbers)), default=0).bit_length()
     count = longest // WIDTH + 1
     digits = _digits(numbers, count)
     of_state, of_earned = digits[:, : len(known)], digits[:, len(known) :]
     found = np.empty((count + 1, len(pairs)), dtype=np.int64)
-    found[:-1] = of_state[:, place[own]] * rows.scale[own]
+    found[:-1] = of_state[:, own_place] * rows.scale[own]
     found[:-1, earning] -= of_earned
     filled = lengths > 0
     if len(entries):
-        ahead = of_state[:, place[after]] * rows.weight[entries]
+        ahead = of_state[:, after_place] * rows.weight[entries]
         begin = (np.cumsum(lengths) - lengths)[filled]
         found[:-1, filled] -= np.add.reduceat(ahead, begin, axis=1)
     found[-1] = 0
