@@ -25,6 +25,7 @@ from exact_mdp.paper_repro.claims import interaction, learning, model, policies,
 from exact_mdp.paper_repro.claims.claim import Finding, PaperClaim, Verdict
 from exact_mdp.paper_repro.reading import Reading, Sizes
 from exact_mdp.paper_repro.readings.evidence import Evidence
+from exact_mdp.paper_repro.readings.wording import changes, in_words
 
 EXPECTED = Path(__file__).parent.parent / "expected.toml"
 SCOPE_ONE_CHANGE = "readings tried (the default, and those with one change)"
@@ -161,7 +162,7 @@ def _tally(tried: dict[str, Verdict], scope: str) -> OtherReadings | None:
     if len(tried) == 1:
         return None
     agree = [label for label, verdict in tried.items() if verdict is Verdict.REPRODUCED]
-    example = agree[0] if agree else ""
+    example = in_words(agree[0]) if agree else ""
     return OtherReadings(tried=len(tried), reproduced=len(agree), example=example, scope=scope)
 
 
@@ -176,9 +177,12 @@ def agreeing(evidence: Evidence) -> dict[str, OtherReadings]:
     listed = returns.agreement(weighed, search.random_mean, search.optimum)
     for name, holds in listed.items():
         ranked = [0] if holds[0] else evidence.ranking[holds[evidence.ranking]]
-        example = search.space.label(int(ranked[0])) if len(ranked) else ""
+        example = changes(search.space, int(ranked[0])) if len(ranked) and ranked[0] else "default"
         found[name] = OtherReadings(
-            tried=len(holds), reproduced=int(holds.sum()), example=example, scope="readings"
+            tried=len(holds),
+            reproduced=int(holds.sum()),
+            example=example if len(ranked) else "",
+            scope="readings",
         )
     return found
 

@@ -29,6 +29,16 @@ def said(name: str, option: object) -> str:
     return str(WORDS[name][option_label(option)]) if name in WORDS else option_label(option)
 
 
+def in_words(label: str) -> str:
+    """Return what a reading's label "name = option" says; another label is itself.
+
+    >>> in_words("influence_orientation = column-to-row"), in_words("default")
+    ('Table 3 from column to row', 'default')
+    """
+    name, _, option = label.partition(" = ")
+    return said(name, option) if option in WORDS.get(name, {}) else label
+
+
 def changes(space: ReadingSpace, number: int) -> str:
     """Return what one combination of options changes from the default."""
     found = [

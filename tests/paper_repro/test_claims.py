@@ -319,7 +319,7 @@ def test_what_the_prose_says_of_anger_holds_the_other_way_round(view: Reading) -
         assert each.finding.verdict is Verdict.NOT_REPRODUCED
         assert each.others is not None
         assert (each.others.tried, each.others.reproduced) == (2, 1)
-        assert each.others.example == "influence_orientation = column-to-row"
+        assert each.others.example == "Table 3 from column to row"
 
 
 def test_a_skip_with_a_timestep_of_its_own_breaks_table_1(view: Reading) -> None:
