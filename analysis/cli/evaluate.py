@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from itertools import accumulate
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from exact_mdp import solvers
 from exact_mdp.analysis.cli.options import Given, given, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, at_most, between, decimal, number
+from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.returns import return_distribution
 from exact_mdp.solvers.values.simulate import simulate as sample
 
@@ -42,7 +44,7 @@ def evaluate(*, quantiles: bool, **shared: Any) -> Report:
     }
     facts = {
         "mean": numbers["mean"],
-        "sd": numbers["sd"],
+        "sd": _spread(numbers["mean"], numbers["sd"]),
         "steps": numbers["steps"] if found.ends else "inf: it may never end",
         **{
             f"probability of a {name}": numbers[f"event.{name}"] for name in found.event_probability
@@ -118,7 +120,7 @@ def returns(*, exact: bool, **shared: Any) -> Report:
         result["exact_distribution"] = {decimal(value): exactly[value] for value in law}
     facts = {
         "mean": mean,
-        "sd": sd,
+        "sd": _spread(mean, sd),
         "returns": len(values),
         "never ends": f"with probability {found.never_ends:.10g}, and the return is infinite"
         if found.unending
@@ -140,6 +142,10 @@ def returns(*, exact: bool, **shared: Any) -> Report:
         first=LISTED_RETURNS,
     )
     return asked.report(result, facts, [table])
+
+
+def _spread(mean: Bounded, sd: Bounded) -> Bounded | str:
+    return sd if math.isfinite(mean.value) else "undefined: the mean is infinite"
 
 
 def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:

@@ -280,7 +280,6 @@ REFUSED = {
     "tolerance of a word": "solve yuan2025 --tol small",
     "tolerance too large": "solve yuan2025 --tol 1e999",
     "cycles": "solve gymnasium:FrozenLake-v1 --discount 0.9 --method backward-induction",
-    "policy never ends": "returns gymnasium:CliffWalking-v1 always:0",
     "wrong ending": "solve yuan2025 --out values.csv",
     "policy of wrong ending": "solve yuan2025 --policy-out policy.npz",
     "no folder": "solve yuan2025 --out nowhere/values.npz",

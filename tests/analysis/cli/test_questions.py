@@ -198,6 +198,10 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
     assert "5 (certified)" in run("verify", proof, model).out
     done = run("sensitivity", model, "gradient", "--until", "home")  # without minimising: +∞
     assert (done.status, "fix:" in done.err) == (2, True)
+    for command in ("evaluate", "returns"):
+        waits = run(command, "gymnasium:CliffWalking-v1", "always:0")
+        assert (waits.status, waits.err) == (0, "")
+        assert "mean is infinite" in waits.out
     for words in (
         ["sensitivity", model, "threshold"],
         ["sensitivity", model, "curve", "--parameter", "reward.5"],
