@@ -61,6 +61,7 @@ from exact_mdp.solvers.bounds.gains import (
 from exact_mdp.solvers.solution import SolverError, Status
 
 bellman = later("exact_mdp.solvers.kernels.bellman")
+loops = later("exact_mdp.solvers.kernels.rounds")
 
 
 FIRST_SWEEPS, APART, LEAST = 12, 6, 1e-12  # after which to ask how fast errors fall, and to where
@@ -497,3 +498,40 @@ class LoadedSweeps(CompiledSweeps):
         if self._rows[0] is not pairs:
             bellman.hold(self.model, pairs, self._memory.policy)
             self._rows = (pairs,)
+
+    def rounds(
+        self, count: int, settings: dict[str, Any], state: dict[str, Any], value: Floats
+    ) -> tuple[Any, Judged | None, bool, int, int]:
+        """Go through rounds of modified policy iteration; see `solvers.kernels.rounds`.
+
+        `value` (S,) changes in place. The pass that has yet to be counted is given back.
+        """
+        most, states = settings["most"], len(value)
+        settings |= {
+            "strict": self.strict,
+            "uniform": self.uniform,
+            "least_margin": self.least_margin,
+        }
+        step, pairs, extremes = np.empty(states), np.empty(states, dtype=np.int64), np.empty(3)
+        reached, found, due, swept, left = loops.rounds(
+            count,
+            self.model,
+            self._known,
+            self._memory.policy,
+            self.weights.value,
+            loops.Settings(**settings),
+            bellman.Slow(FIRST_SWEEPS, APART, LEAST),
+            loops.State(**state),
+            value,
+            step,
+            pairs,
+            np.empty((2, self._widest)),
+            np.empty(most + 2),
+            extremes,
+        )
+        self._pairs, self._rows = pairs, (None,)
+        if not found:
+            return reached, None, due, swept, left
+        low, high, floor = extremes.tolist()
+        judged = finite(Judged(step=step, pairs=pairs, low=low, high=high, floor=floor))
+        return reached, judged, due, swept, left

@@ -58,9 +58,7 @@ class ModifiedPolicyIteration:
     @of_costs
     def solve(self, model: MDP) -> Solution:
         """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
-        run = Run(model, self, polish=self.tol is None)
+        run = Run(model, self, polish=self.tol is None, sweeps=self.sweeps)
         for found in run:
-            run.values.take(found)
-            if run.iteration > 1:
-                run.values.evaluate(0.0 if run.ready else run.goal, self.sweeps)
+            run.round(found)
         return run.solution

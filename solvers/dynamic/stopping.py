@@ -31,18 +31,19 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
-from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT
+from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, relatively
-from exact_mdp.solvers.bounds.sweeps import Judged, Pass, Sweeps, sweeps_of
+from exact_mdp.solvers.bounds.sweeps import Judged, LoadedSweeps, Pass, Sweeps, sweeps_of
+from exact_mdp.solvers.dynamic import pace
 from exact_mdp.solvers.dynamic.known import values_of
 from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
-PATIENCE = 20
 CORRECTIONS = 30
 MANY = 10_000
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PASS = 20_000  # operations in the time of the calls of one pass
+ROUNDS = 200  # in one compiled call, which cannot be interrupted
 S = TypeVar("S")
 
 
@@ -92,13 +93,18 @@ class Run:
         SolverError at the limit of iterations.
     """
 
-    def __init__(self, mdp: MDP, solver: Any, *, polish: bool = False) -> None:
-        """`polish` asks for one more pass once the values are ready, before they are judged."""
+    def __init__(self, mdp: MDP, solver: Any, *, polish: bool = False, sweeps: int = 0) -> None:
+        """`polish` asks for one more pass once the values are ready, before they are judged.
+
+        With `sweeps`, each pass is a round of modified policy iteration: the loop's body is
+        `round`, which compiled code may have gone through many times.
+        """
+        self._most = sweeps
         self._started, self.mdp, self._solver = perf_counter(), mdp, solver
         self._tol, self._polish = solver.tol, polish
-        sweeps = sweeps_of(mdp, margin_weights(mdp), strict=self._tol is not None)
-        self._weight = float(sweeps.weights.value.max(initial=0.0))
-        self.values = Iterate(sweeps, values_of(mdp, getattr(solver, "start", None)))
+        found = sweeps_of(mdp, margin_weights(mdp), strict=self._tol is not None)
+        self._weight = float(found.weights.value.max(initial=0.0))
+        self.values = Iterate(found, values_of(mdp, getattr(solver, "start", None)))
         self.iteration, self.ready = 0, False
         self._half = self._best = np.inf
         self._idle, self._stalled, self._doubt = 0, False, 1.0
@@ -106,6 +112,7 @@ class Run:
 
     def __iter__(self) -> Iterator[Pass]:
         while self._end is None:
+            self._hasten()
             self.iteration += 1
             found, polished = self.values.improve(), self.ready or not self._polish
             self.ready = self._close(found)
@@ -115,6 +122,46 @@ class Run:
                 self._end = Status.ITERATION_LIMIT, self._bounds(found)
             if self._end is None:
                 yield found
+
+    def round(self, found: Pass) -> None:
+        """Move on to T V, and from the second pass on to its policy's values."""
+        self.values.take(found)
+        if self.iteration > 1:
+            self.values.evaluate(0.0 if self.ready else self.goal, self._most)
+
+    def _hasten(self) -> None:
+        """Go through the rounds before the next pass that may be the last, if they are compiled."""
+        sweeps, values = self.values.sweeps, self.values
+        if not (self._most and isinstance(sweeps, LoadedSweeps)) or sweeps.mdp.terminal.all():
+            return
+        arrived = False
+        while not arrived:
+            settings = {
+                "tol": float(self._tol or 0.0),
+                "relative": RELATIVE_TOLERANCE,
+                "polish": self._polish,
+                "weight": self._weight,
+                "most": self._most,
+                "last": self._solver.max_iterations,
+                "work": values.work,
+                "price": float(values.price),
+            }
+            state = {
+                "shift": values.shift,
+                "iteration": self.iteration,
+                "ready": self.ready,
+                "half": self._half,
+                "best": self._best,
+                "idle": self._idle,
+                "doubt": self._doubt,
+                "slow": values.slow,
+                "spent": float(values.spent),
+            }
+            state, arrived, due = values.hasten(ROUNDS, settings, state)
+            self.iteration, self.ready = state.iteration, state.ready
+            self._half, self._best, self._idle = state.half, state.best, state.idle
+            if due:
+                values.correct(0.0 if self.ready else self.goal)
 
     def hurry(self) -> None:
         """Where `MANY` passes were too few, move close to the values of the last pass's policy.
@@ -143,15 +190,8 @@ class Run:
 
     @property
     def goal(self) -> float:
-        """How close to come to a policy's values, in units of w: a tenth of what is left.
-
-        One state far behind makes that as large as all values; where bounds have not fallen for
-        some passes, it is less each time. The tolerance may ask for no less than `enough`.
-        """
-        part = 10.0 ** -min(max(self._idle - 4, 0), 12)
-        asked = self._tol is not None and self._weight != 0
-        enough = self._tol / (2 * self._weight) if asked else 0.0
-        return float(max(self._half / max(self._weight, TINY) / 10 * part, enough))
+        """How close to come to a policy's values, in units of w."""
+        return float(pace.goal(self._half, self._idle, self._weight, self._tol or 0.0))
 
     def _limit(self, value: Floats) -> float:
         """Return the greatest absolute error allowed."""
@@ -162,11 +202,9 @@ class Run:
     def _close(self, found: Pass) -> bool:
         """Take note of a pass; return whether it may be the last."""
         value = self.values.value
-        self._half = (found.high - found.low) / 2 * self._weight
-        self._idle = 0 if self._half < self._best else self._idle + 1
-        self._best = min(self._best, self._half)
-        quiet = self._half == 0 or self._idle >= PATIENCE
-        self._stalled = quiet and self._half <= 4 * found.floor * self._weight
+        self._half, self._best, self._idle, self._stalled = pace.advanced(
+            found.low, found.high, found.floor, self._weight, self._best, self._idle
+        )
         if self._stalled:
             return True
         # What the tolerance is relative to is worked out only where it has to be.
@@ -216,12 +254,36 @@ class Iterate:
     spent: float = 0.0  # Operations of passes over all pairs since the last correction
     price: float = 0.0  # Operations of a correction
     stats: dict[str, int] = field(default_factory=dict)  # How often what was done
+    ahead: Pass | None = None  # The next pass, where compiled rounds have found it
 
     def improve(self) -> Pass:
         """Return a pass over all pairs, whose policy is the one to `evaluate`."""
+        self.spent += self.work
+        if self.ahead is not None:
+            found, self.ahead = self.ahead, None
+            return found
         self._centre()
-        self.spent += PASS + 2 * self.sweeps.mdp.n_transitions
         return self.sweeps.improve(self.value, self.shift)
+
+    @property
+    def work(self) -> float:
+        """Operations of a pass over all pairs."""
+        return float(PASS + 2 * self.sweeps.mdp.n_transitions)
+
+    def hasten(
+        self, count: int, settings: dict[str, Any], state: dict[str, Any]
+    ) -> tuple[Any, bool, bool]:
+        """Go through at most `count` compiled rounds; see `solvers.kernels.rounds`.
+
+        Returns the state, whether the next pass has been found, and whether to `correct`.
+        """
+        assert isinstance(self.sweeps, LoadedSweeps)
+        reached, found, due, swept, left = self.sweeps.rounds(count, settings, state, self.value)
+        self.shift, self.slow, self.spent = reached.shift, reached.slow, reached.spent
+        self._count("policies evaluated by sweeps", swept)
+        self._count("policies left unevaluated", left)
+        self.ahead = found
+        return reached, found is not None, due
 
     def judge(self, found: Pass) -> Judged:
         """Return the proven bounds of a pass found here."""
@@ -276,6 +338,10 @@ class Iterate:
             # More passes bring the policy on for less than it takes to evaluate it.
             self._count("policies left unevaluated")
             return
+        self.correct(goal)
+
+    def correct(self, goal: float) -> None:
+        """Solve the equations of the policy of the last pass, as nearly as `evaluate` is asked."""
         self._correct(goal)
         self.spent = 0.0
         if self.sweeps.mdp.n_transitions >= COMPILED and goal > 0:
@@ -288,8 +354,9 @@ class Iterate:
         done, self.shift = self.sweeps.settle(self.value, self.shift, goal, most)
         return done
 
-    def _count(self, what: str) -> None:
-        self.stats[what] = self.stats.get(what, 0) + 1
+    def _count(self, what: str, times: int = 1) -> None:
+        if times:
+            self.stats[what] = self.stats.get(what, 0) + times
 
     def _correct(self, goal: float) -> None:
         pairs = self.sweeps.policy

@@ -38,6 +38,7 @@ from exact_mdp.solvers.bounds.sweeps import (
     Sweeps,
     sweeps_of,
 )
+from exact_mdp.solvers.dynamic import stopping as stopping_module
 from exact_mdp.solvers.dynamic.stopping import Iterate
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
@@ -332,6 +333,24 @@ def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
         found.append((one.iterations, one.regret_bound, one.value.tobytes(), one.pairs.tobytes()))
         found[-1] += (one.state_error.tobytes(),)
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("make", SMALL)
+@pytest.mark.parametrize("count", [1, 3])
+def test_compiled_rounds_may_be_cut_anywhere(
+    make: Callable[[], MDP], count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweeps_module, "loops_pay", lambda transitions: True)
+    mdp = make()
+    whole = solve(mdp, ModifiedPolicyIteration())
+    with pytest.raises(SolverError) as stopped:
+        solve(mdp, ModifiedPolicyIteration(max_iterations=whole.iterations - 1))
+    monkeypatch.setattr(stopping_module, "ROUNDS", count)
+    cut = solve(mdp, ModifiedPolicyIteration())
+    assert cut.iterations == whole.iterations
+    assert cut.stats == whole.stats
+    assert cut.value.tobytes() == whole.value.tobytes()
+    assert stopped.value.solution.iterations == whole.iterations - 1
 
 
 def test_loops_are_loaded_once_numpy_has_taken_as_long(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,38 @@
+"""How near a run has come, and how near to come to a policy's values: numbers in, numbers out.
+
+Runs in Python and the compiled run (`solvers.kernels.rounds`) ask the same functions, so that both
+stop at the same pass. All errors here are half the gap between two bounds, in units of value.
+"""
+
+from __future__ import annotations
+
+PATIENCE = 20
+TINY = 2.0**-1000
+# Of what is left, by passes without progress.
+PARTS: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0, 1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+PARTS += (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
+
+
+def advanced(
+    low: float, high: float, floor: float, weight: float, best: float, idle: int
+) -> tuple[float, float, int, bool]:
+    """Return the error, the least one so far, passes since it fell, and whether rounding stops it.
+
+    `low`, `high` and `floor` are of a pass, `weight` is the greatest weight.
+    """
+    half = (high - low) / 2 * weight
+    idle = 0 if half < best else idle + 1
+    best = min(best, half)
+    quiet = half == 0 or idle >= PATIENCE
+    return half, best, idle, bool(quiet and half <= 4 * floor * weight)
+
+
+def goal(half: float, idle: int, weight: float, tol: float) -> float:
+    """Return how close to come to a policy's values, in units of w: a tenth of what is left.
+
+    One state far behind makes that as large as all values; where bounds have not fallen for some
+    passes, it is less each time. The tolerance, 0 for none, may ask for no less than its own.
+    """
+    part = PARTS[min(idle, 16)]
+    enough = tol / (2 * weight) if weight != 0 else 0.0
+    return max(half / max(weight, TINY) / 10 * part, enough)
