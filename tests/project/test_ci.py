@@ -1,4 +1,4 @@
-"""The README's workflow and pre-commit hook, run as far as a shell can: every script they start."""
+"""The guide's workflow and pre-commit hook, run as far as a shell can: every script they start."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ ROOT = Path(__file__).resolve().parents[2]
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))
 BLOCKS = [
     yaml.safe_load(block)
-    for block in re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
+    for block in re.findall(
+        r"^```yaml\n(.*?)^```$", (ROOT / "docs" / "how-to" / "gate.md").read_text(), re.M | re.S
+    )
 ]
 WORKFLOW = next(block for block in BLOCKS if "jobs" in block)
 HOOKS = next(block for block in BLOCKS if "repos" in block)
@@ -37,7 +39,7 @@ chmod +x "$3/bin/pip"
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A repository with a model and a Q-table, as the README names them."""
+    """A repository with a model and a Q-table, as the guide names them."""
     folder = tmp_path / "project"
     folder.mkdir()
     source = ROOT / "mdp" / "scenarios" / "tea.toml"
@@ -49,7 +51,7 @@ def project(tmp_path: Path) -> Path:
 
 
 def gate() -> dict[str, str]:
-    """Return what the README's workflow gives to the action."""
+    """Return what the guide's workflow gives to the action."""
     (step,) = (
         step
         for step in WORKFLOW["jobs"]["policy"]["steps"]

@@ -170,7 +170,9 @@ def test_every_command_has_help() -> None:
 
 def test_every_command_is_documented() -> None:
     table = re.findall(
-        r"^\| `exact-mdp (\w+)", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE
+        r"^\| `exact-mdp (\w+)",
+        (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8"),
+        re.MULTILINE,
     )
     assert sorted(table) == sorted(command.name for command in COMMANDS)
 
