@@ -861,7 +861,8 @@ class MDP(Parts):
             of time, one episode after the other. Without a next state the episode is over there.
             A whole number is the same name as 1 and as 1.0. A sixth column, truncated (true or
             false), marks the rows after which an episode was cut off, as by a time limit. States
-            in which that happened, and that nobody left, have the label "cut off".
+            in which that happened, and that nobody left, have the label "cut off"; rows cut off
+            without a next state lead to one of that name.
         discount : number or "p/q"
         columns : mapping, optional
             The names that the table has for "episode", "state", "action", "reward", "next_state"

@@ -179,13 +179,9 @@ def data(
     notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
     unknown = [mdp.space.label(s) for s in np.flatnonzero(transitions.cut_off(mdp)).tolist()]
     stopped = record.n_cut_off
-    result |= {"cut_off": stopped, "cut_off_states": unknown, "left_out": record.left_out}
-    if stopped or record.left_out:
-        facts["cut off"] = f"{stopped:,} episode{'s' * (stopped != 1)}" + (
-            f", {record.left_out:,} without a next state: what followed is not counted"
-            if record.left_out
-            else ""
-        )
+    result |= {"cut_off": stopped, "cut_off_states": unknown}
+    if stopped:
+        facts["cut off"] = f"{stopped:,} episode{'s' * (stopped != 1)}"
     if unknown:
         facts["unknown"] = f"{_some(unknown[:SHOWN], unknown)} (episodes were cut off there)"
         notes.append(

@@ -7,10 +7,13 @@ Of n(s, a) times that action a was taken in state s, k ended in s' with reward r
 Episodes begin as they were seen to begin; the model keeps their number. A state that is only ever
 entered is taken for an end, where nothing happens any more: `entered` names these. A sixth column,
 `truncated`, tells the rows after which an episode was cut off, as by a time limit: a state that is
-only ever entered so is no end, and nobody knows what it is worth (`cut_off`); a row that was cut
-off without a next state tells nothing of what follows, and is not counted. An action that
-was never taken in a state is not available there; or it is as bad as the caller says, so that an
-optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang, ICML 2021).
+only ever entered so is no end, and nobody knows what it is worth (`cut_off`). Rows that were cut
+off without a next state lead to a state of their own, of which nothing else is known; to leave them
+out would be wrong, as whether a row was cut off depends on what followed.
+
+An action that was never taken in a state is not available there; or it is as bad as the caller
+says, so that an optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang,
+ICML 2021).
 
 Rows come in chunks, are counted and forgotten, so that memory holds one chunk and one number for
 each different outcome (s, a, s', r). Rewards that hardly ever repeat should be rounded first.
@@ -53,7 +56,7 @@ FLAGS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0"
 NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
 )
-LEFT_OUT = -2  # the next state of a row that was cut off without one
+NOWHERE = -2  # the next state of a row that was cut off without one
 ROWS = 10**6  # of a chunk
 LARGEST_FILE = 2**40
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
@@ -105,7 +108,7 @@ def read(
     """Yield the rows of a table, a million at most at a time, checked and in numbers.
 
     Of each chunk the episodes (R,), and (R, 4) state, action, next state (-1 where the episode is
-    over, `LEFT_OUT` where it was cut off without one) and reward, by the numbers that `record`
+    over, `NOWHERE` where it was cut off without one) and reward, by the numbers that `record`
     gives to names.
     """
     with (
@@ -271,8 +274,7 @@ class Record:
         self.values: list[Any] = []  # of the rewards, by number
         self.starts: dict[int, int] = {}
         self.stops: dict[tuple[int, bool], int] = {}  # by next state, and whether it was cut off
-        self.rows = self.left_out = 0
-        self.lost = set[int]()  # states of rows that are not counted
+        self.rows = 0
         self.last = (-1, -1, False)  # episode, next state, whether it was cut off
 
     def row(self, number: int) -> str:
@@ -327,7 +329,7 @@ class Record:
                     "leave it empty where there is none (next_state alone may be); where it is a "
                     "name, write another",
                 )
-        then = np.where(cut & (then < 0), LEFT_OUT, then)
+        then = np.where(cut & (then < 0), NOWHERE, then)
         self._follow(episode, state, then, cut)
         self._price(reward)
         self.rows += len(chunk)
@@ -354,11 +356,7 @@ class Record:
         return found
 
     def count(self, keys: Integers) -> None:
-        """Count rows by their numbers; not those of which nobody knows what followed."""
-        known = keys[:, 2] != LEFT_OUT
-        self.left_out += int((~known).sum())
-        self.lost |= set(keys[~known, 0].tolist())
-        keys = keys[known]
+        """Count rows by their numbers."""
         self.counts.append(_sums(keys, np.ones(len(keys), dtype=np.int64)))
         if len(self.counts) > 16:
             self.counts = [_merged(self.counts)]
@@ -433,22 +431,18 @@ class Record:
         if not self.rows:
             raise ModelError("no transitions", where=self.where, fix="give at least one row")
         keys, count = _merged(self.counts)
-        if not len(keys):
-            raise ModelError(
-                "every row was cut off without a next state, so that none tells what follows",
-                where=self.where,
-                fix="give the next states at which episodes were cut off",
-            )
         place, states = _sorted(self.states.numbers)
         choice, actions = _sorted(self.actions.numbers)
         worst = self._worst(unseen, rate, costs=costs)
-        extra = (END,) * bool((keys[:, 2] < 0).any()) + (UNSEEN,) * (worst is not None)
+        nowhere, ended = (bool((keys[:, 2] == code).any()) for code in (NOWHERE, -1))
+        extra = (CUT_OFF,) * nowhere + (END,) * ended + (UNSEEN,) * (worst is not None)
         for name in extra:
             if name in states:
                 raise ModelError(
                     f"a state is called {name!r}", where=self.where, fix="give it another name"
                 )
-        place = np.append(place, len(states))  # the end, where there is no next state
+        # Where there is no next state: cut off, or the end.
+        place = np.append(place, [len(states), len(states) + nowhere])
         known: dict[Any, int] = {}
         same = [known.setdefault((isinstance(v, float), v), n) for n, v in enumerate(self.values)]
         values = [*self.values, 0, 0 if worst is None else worst]
@@ -465,7 +459,8 @@ class Record:
                 then for (then, flag), count in self.stops.items() if flag is cut and then >= 0
             ]
             unknown[place[stops]] = cut
-        unknown[place[list(self.lost)]] = True
+        if nowhere:
+            unknown[place[NOWHERE]] = True
         unknown &= over
         at_end = np.flatnonzero(over)
         free = ~taken & ~over.reshape(-1, 1) & (worst is not None)

@@ -115,6 +115,13 @@ class OffPolicy:
                 where="records",
                 fix="name the records (--records FILE, by=OffPolicy(records=…))",
             )
+        if mdp.episodes is None and len(mdp.start) > 1:
+            raise ModelError(
+                "the start is given, and the records begin as they began: what they earn is worth "
+                "nothing for another start",
+                where="start",
+                fix="make the model without start=, or audit by robust sets or the posterior",
+            )
         doubt, seed = float(1 - confidence), seed_of(self.rng)
         draws = whole_number(self.n, "draws", 2)
         robust = Robust(rewards=self.rewards, returns=self.returns)
@@ -303,8 +310,7 @@ def _trajectories(
             raise ModelError(
                 f"action {action} was taken in ({state}), where the model does not offer it",
                 where=record.where,
-                fix="give the records that the model was made from; where it was taken in rows "
-                "alone that were cut off without a next state, leave these episodes out of both",
+                fix="give the records that the model was made from",
             )
         more = int(episode[-1]) + 1 - len(weight)
         weight, total = np.append(weight, np.ones(more)), np.append(total, np.zeros(more))

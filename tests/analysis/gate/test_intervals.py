@@ -254,6 +254,38 @@ def test_where_episodes_were_cut_off_anything_may_follow() -> None:
     assert Robust(rewards="known").interval(ended, chain, LEVEL).low > 0.1  # an end, worth 0
 
 
+@pytest.mark.parametrize("limit", [1, 2])
+def test_what_is_cut_off_without_a_next_state_counts(limit: int) -> None:
+    """Who is not cured within the limit is cut off: to leave these rows out would cure them all."""
+    rng, rows = np.random.default_rng(limit), []
+    for n in range(600):
+        for time in range(1, limit + 1):
+            action = ("wait", "treat")[rng.integers(2)]
+            cured = rng.random() < (0.1 if action == "wait" else 0.8)
+            goes_on = not cured and time < limit
+            then = "cured" if cured else "ill" if goes_on else None
+            rows.append((n, "ill", action, float(cured), then, not cured and not goes_on))
+            if not goes_on:
+                break
+    frame = pd.DataFrame(rows, columns=[*NAMES, "truncated"])
+    mdp = MDP.from_transitions(frame, discount="9/10")
+    chain = PolicyChain.of(mdp, "always:wait")
+    waits, treated = (p / (1 - 0.9 * (1 - p)) for p in (0.1, 0.8))
+    for by in (Robust(rewards="known"), KINDS["off-policy"](frame, 0)):
+        found = by.interval(mdp, chain, LEVEL)
+        assert found.low <= treated - waits <= found.high
+        assert any("cut off" in each for each in found.assumptions)
+    with pytest.raises(ModelError, match="cut off in"):
+        Posterior(n=20).interval(mdp, chain, LEVEL)
+
+
+def test_trajectories_tell_nothing_of_another_start() -> None:
+    frame = patients(0, 300)
+    mdp = MDP.from_transitions(frame, discount="1/2", start={0: "1/10", 1: "9/10"})
+    with pytest.raises(ModelError, match="the records begin as they began"):
+        KINDS["off-policy"](frame, 0).interval(mdp, PolicyChain.of(mdp, "always:0"), LEVEL)
+
+
 # ---- robust: sets ------------------------------------------------------------------------------
 
 
