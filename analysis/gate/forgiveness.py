@@ -27,6 +27,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf, isfinite
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ from exact_mdp.analysis.gate.exact_policy import (
     visited_exactly,
 )
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import SolverError
@@ -56,18 +57,26 @@ class Range:
     high: Floats
 
 
+_ROUNDINGS: WeakKeyDictionary[MDP, tuple[Floats, Floats]] = WeakKeyDictionary()
+
+
 def of_floats(mdp: MDP) -> bool:
     """Return whether any number of the model was given as a float that rounding may have moved."""
-    return bool(mdp.table.weight_rounding().any() or mdp.table.gain_rounding().any())
+    return bool(_roundings(mdp)[1].any() or mdp.table.gain_rounding().any())
 
 
 def _roundings(mdp: MDP) -> tuple[Floats, Floats]:
-    """Return what is rounded in each pair (L,): its expected reward, and its row in all."""
-    table, first = mdp.table, mdp.table.offsets[:-1]
-    rounded = table.gain_rounding()
-    if len(rounded) != table.pairs:
-        rounded = np.add.reduceat(table.probabilities() * rounded, first)
-    return rounded, np.add.reduceat(table.weight_rounding(), first)
+    """Return what is rounded in each pair (L,): its expected reward, and its row in all.
+
+    Computed once for each model.
+    """
+    if mdp not in _ROUNDINGS:
+        table, first = mdp.table, mdp.table.offsets[:-1]
+        rounded = table.gain_rounding()
+        if len(rounded) != table.pairs:
+            rounded = np.add.reduceat(table.probabilities() * rounded, first)
+        _ROUNDINGS[mdp] = rounded, np.add.reduceat(table.weight_rounding(), first)
+    return _ROUNDINGS[mdp]
 
 
 def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
@@ -177,9 +186,15 @@ def moved_at_start(mdp: MDP, own: Side, best: Side) -> tuple[Fraction, Fraction 
     except SolverError:
         return Fraction(0), inf
     (a, da), (b, db) = own.worth(), best.worth()
-    table, first = mdp.table, mdp.table.offsets[:-1]
-    rounded, moved = _roundings(mdp)
-    pair, there = table.pair, table.next
+    # Pairs that neither policy uses move nothing.
+    used = np.flatnonzero((own.chain.weights > 0) | (best.chain.weights > 0))
+    offsets = mdp.table.offsets
+    begins, ends = offsets[used], offsets[used + 1]
+    first = np.concatenate([[0], np.cumsum(ends - begins)[:-1]])
+    pair = np.repeat(np.arange(len(used)), ends - begins)
+    there = mdp.table.next[spans(begins, ends)]
+    rounded, moved = (part[used] for part in _roundings(mdp))
+    u, du, v, dv = (part[used] for part in (u, du, v, dv))
     with np.errstate(over="ignore", invalid="ignore"):
         mine, ideal = u[pair] * a[there], v[pair] * b[there]
         off = du[pair] * np.abs(a[there]) + (u + du)[pair] * da[there]

@@ -353,6 +353,8 @@ def _bounded_forgiveness(
     taken = np.zeros(mdp.n_pairs, dtype=bool)
     taken[optimum.pairs] = True
     ideal = policy_taking(mdp, taken)
+    if np.array_equal(ideal.weights, chain.weights):
+        ideal = chain  # what is known of it need not be found again
     tie = tie_range(mdp, optimum.value, optimum.state_error, ideal)
     best = Side(chain=ideal, value=optimum.value, error=optimum.state_error)
     low, high = moved_at_start(mdp, Side(chain=chain, value=value, error=error), best)

@@ -172,26 +172,43 @@ def swept(
 
     Where all rows sum to 1 and γ < 1, what r is in the middle of its range is what all values still
     lack, divided by 1 - γ: with m for that middle, the next residual is γ (P r - m), and so falls
-    as fast as the chain mixes. Sweeps end once `most` of them would not do, as they go on.
+    as fast as the chain mixes. Where all columns do, as in equations of visits, x sums to Σ c
+    divided by 1 - γ, and what begins with that sum keeps it: r sums to 0, and falls as fast. Sweeps
+    end once `most` of them would not do, as they go on.
     """
     indptr, indices, data = rows
-    states, before, whole = len(constant), np.inf, discount < 1
+    states, before, whole, mass = len(constant), np.inf, discount < 1, 0.0
+    for state in range(states):
+        value[state] = 0.0
     for state in range(states):
         total = 0.0
         for i in span(indptr[state], indptr[state + 1]):
             total += data[i]
+            value[at(indices[i])] += data[i]
         whole &= abs(total - 1) < CLOSE
-        value[state], room[state] = 0.0, constant[state]
+        mass += constant[state]
+        room[state] = constant[state]
+    kept = discount < 1 and not whole
+    for state in range(states):
+        kept &= abs(value[state] - 1) < CLOSE
+    for state in range(states):
+        value[state] = mass / (1 - discount) / states if kept else 0.0
+    if kept:
+        residual(rows, discount, value, room)
+        for state in range(states):
+            room[state] = constant[state] - room[state]
     for sweep in range(most):
         low, high = np.inf, -np.inf
         for state in range(states):
             low, high = min(low, room[state]), max(high, room[state])
         middle = (low + high) / 2 if whole else 0.0
         error = max(high - middle, middle - low)
+        if kept and error <= goal:
+            return True
         more = discount * middle / (1 - discount) if whole else 0.0
         for state in range(states):
             value[state] += room[state] + more
-        if error * discount <= goal:
+        if not kept and error * discount <= goal:
             return True
         if sweep >= TRIED:
             rate = error / before

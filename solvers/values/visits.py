@@ -12,6 +12,8 @@ chapter 3).
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -21,13 +23,23 @@ from exact_mdp.solvers.bounds.gains import UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, transposed
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure
 
+_VISITS: WeakKeyDictionary[LinearSystem, tuple[Floats, FixedPoint]] = WeakKeyDictionary()
+
 
 def visits(mdp: MDP, system: LinearSystem) -> FixedPoint:
-    """Return (S,) expected visits from the start; terminal states count arrivals."""
-    start = mdp.start_distribution
+    """Return (S,) expected visits from the start; terminal states count arrivals.
+
+    Computed once for each system and start.
+    """
+    start, known = mdp.start_distribution, _VISITS.get(system)
+    if known is not None and np.array_equal(known[0], start):
+        return known[1]
     found = transposed(system).solve(start, UNIT * start)
     # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
-    return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
+    found = FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
+    found.value.setflags(write=False)
+    _VISITS[system] = start, found
+    return found
 
 
 def pair_visits(chain: PolicyChain, found: FixedPoint) -> Floats:
