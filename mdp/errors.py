@@ -167,6 +167,8 @@ def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
       fix:   remove it; names are plain text on one line
     """
     listed, where = list(names), where or "names"
+    if not listed:
+        return
     of = f"the name of {'an' if what[0] in 'aeiou' else 'a'} {what}"
     for name in listed:
         if not isinstance(name, str):

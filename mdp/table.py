@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from math import gcd, lcm, ulp
 from typing import Any, Self
@@ -500,6 +500,7 @@ def in_proportion(numbers: Sequence[Fraction]) -> list[int]:
     return [number // divisor for number in whole]
 
 
+@lru_cache(maxsize=16)
 def ones(length: int) -> Numbers:
     """Return (length,) ones that take no memory: the denominators of integers and floats."""
     return np.broadcast_to(np.int64(1), (length,))

@@ -220,13 +220,15 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
 
     Without any it is the first state. `mdp.names` says which state is meant.
     """
+    if start is None:
+        return ((0, Fraction(1)),)
     with located("start"):
         refuse_masked(start)
         pandas = sys.modules.get("pandas")  # who has a table has imported it
         if pandas is not None and isinstance(start, pandas.Series):
             states = space.numbers(labels_of(start.index, space.parts))
             weights = _once(states, start.tolist())
-        elif start is None or isinstance(start, ByNumber):
+        elif isinstance(start, ByNumber):
             weights = {s: exact(p) for s, p in (start or {0: 1}).items()}
         elif isinstance(start, Mapping):
             weights = _once(space.numbers(start), start.values())
@@ -484,6 +486,10 @@ def _nearly(table: OutcomeTable, pair: int, total: int) -> bool:
 
 
 def _check_start(model: Parts) -> None:
+    if len(model.start) == 1:
+        ((state, weight),) = model.start
+        if 0 <= state < model.n_states and weight == 1:
+            return
     states = [state for state, _ in model.start]
     weights = [weight for _, weight in model.start]
     if any(not 0 <= state < model.n_states for state in states) or len(set(states)) != len(states):

@@ -409,13 +409,12 @@ class CompiledSweeps(Sweeps):
 
     def _sizes(self, value: Floats) -> _Sizes:
         """Return bounds for h = `value` (S,), which never have to look at a transition."""
-        facts, (most_reward, most_leak, terms) = self.facts, self._greatest
+        facts, (most_reward, most_leak, terms, earned_error) = self.facts, self._greatest
         low, high = float(value.min()), float(value.max())
         span, size = high - low, max(abs(low), abs(high))
         rounded = float(gamma(terms + 8))
         # No row sums up to 1.001.
         flow, lost = 1.001 * self.mdp.discount * span, most_leak * size
-        earned_error = facts.reward_error_bound(self.mdp)
         error = rounded * flow + float(gamma(4)) * (most_reward + lost)
         error += facts.leak_error * size + TINY * (1 + size) * (terms + 1) + earned_error
         error *= SLACK
@@ -424,13 +423,14 @@ class CompiledSweeps(Sweeps):
         return _Sizes(span=span, value=size, gain=gain, error=error, noise=noise)
 
     @cached_property
-    def _greatest(self) -> tuple[float, float, int]:
-        """The greatest size of a reward and of a leak, and the most roundings in a row."""
+    def _greatest(self) -> tuple[float, float, int, float]:
+        """The greatest reward and leak in size, roundings in a row, and error of a reward."""
         sizes = [
             max(abs(float(array.min())), abs(float(array.max())))
             for array in (self.mdp.reward, self.facts.leak)
         ]
-        return sizes[0], sizes[1], int(self.facts.terms(self.mdp, 0, self.mdp.n_pairs).max())
+        terms = int(self.facts.terms(self.mdp, 0, self.mdp.n_pairs).max())
+        return sizes[0], sizes[1], terms, self.facts.reward_error_bound(self.mdp)
 
     @cached_property
     def _memory(self) -> Remembered:
