@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction as F
@@ -332,6 +333,58 @@ def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
             one = solve(mdp, solver)
         found.append((one.iterations, one.regret_bound, one.value.tobytes(), one.pairs.tobytes()))
         found[-1] += (one.state_error.tobytes(),)
+    assert found[0] == found[1]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    discount=st.sampled_from([0.5, 0.99, 0.9999, 1 - 1e-7]),
+    ring=st.booleans(),
+    ends=st.booleans(),
+    size=st.sampled_from([1e-3, 1.0, 1e7, 1e307]),
+    tol=st.sampled_from([None, 1e-6, 1e-2]),
+    sweeps=st.sampled_from([1, 5, 100]),
+    most=st.sampled_from([10_000, 3, 1]),
+)
+def test_rounds_end_alike_whatever_is_loaded(
+    seed: int,
+    discount: float,
+    ring: bool,
+    ends: bool,
+    size: float,
+    tol: Any,
+    sweeps: int,
+    most: int,
+) -> None:
+    """Compiled or in Python: at the tolerance, a limit, or where floats end."""
+    rng = np.random.default_rng(seed)
+    states, actions = int(rng.integers(2, 40)), int(rng.integers(1, 4))
+    chances = rng.dirichlet(np.ones(states), (actions, states))
+    if ring:
+        up, down = np.roll(np.eye(states), 1, axis=1), np.roll(np.eye(states), -1, axis=1)
+        chances = np.array([q * up + (1 - q) * down for q in rng.random(actions)])
+    reward = rng.normal(size=(states, actions)) * size
+    if ends:
+        chances[:, -1], reward[-1] = np.eye(states)[-1], 0.0
+    solver = ModifiedPolicyIteration(tol=tol, sweeps=sweeps, max_iterations=most)
+    found = []
+    for loaded in (True, False):
+        with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            for module in (gains_module, sweeps_module):
+                patch.setattr(module, "loops_pay", lambda transitions, loaded=loaded: loaded)
+            mdp = MDP.from_arrays(chances, reward, discount=discount)
+            status: Any = None
+            try:
+                one: Any = solve(mdp, solver)
+            except SolverError as error:
+                status, one = error.status, error.solution
+        told: list[Any] = [status]
+        if one is not None:
+            told += [one.status, one.iterations, one.stats, one.value.tobytes()]
+            told += [one.pairs.tobytes(), one.state_error.tobytes()]
+        found.append(told)
     assert found[0] == found[1]
 
 
