@@ -50,6 +50,7 @@ OUTPUT = {
     "fixed": "start value, policy held fixed",
     "regret": "regret of the policy held fixed",
 }
+EDGE = Fraction(1, 10**9)  # of a slab's width
 RADIUS = {
     "interval": "radius: each transition probability p (1 ± x)",
     "absolute": "radius: each transition probability p ± x",
@@ -243,7 +244,9 @@ def _draw_map(found: TwoWay, cells: ExactMap, state: int | None, ax: Axes) -> Ax
     named = set[int]()
     for slab in cells.slabs:
         low, high = slab.low[1], slab.high[0]
-        at = [low + (high - low) * Fraction(k, 8) for k in range(9)]
+        # Just inside: at an end of the slab, a line may leave the rectangle or meet another.
+        parts = [Fraction(k, 8) for k in range(1, 8)]
+        at = [low + (high - low) * part for part in (EDGE, *parts, 1 - EDGE)]
         x, lines = [*map(float, at)], np.array([cells.heights(slab, each) for each in at], float).T
         own = [kinds[policy] for policy in slab.policies]
         for below, above, kind in zip(lines[:-1], lines[1:], own, strict=True):

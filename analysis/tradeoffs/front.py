@@ -304,9 +304,10 @@ def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Values]]:
             shares = [Fraction(w, sum(weights)) for w in weights]
             best = Losses(of, attained(of, proposed(of, shares, left.policy.pairs)))
             signs = best.signs(weights)
-        found = optimum(of, weights) if signs.min() < 0 else best.optimum(of, weights, signs)
+        proven = signs.min() >= 0
+        found = best.optimum(of, weights, signs) if proven else optimum(of, weights)
         if found.total > _worth(weights, a):
-            unique = len(found.optimal) == of.mdp.n_states and best is not left
+            unique = proven and len(found.optimal) == of.mdp.n_states
             new = best if unique else Losses(of, extreme(of, weights, found))
             open_ += [(new, right), (left, new)]
         else:

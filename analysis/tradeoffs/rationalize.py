@@ -180,7 +180,7 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
 def _flow(of: Objectives, policy: PolicyLike) -> Flow:
     """Return the expected visits of pairs under any policy."""
     chain = PolicyChain.of(of.ending, policy_of(of.mdp, policy))
-    states = np.flatnonzero(chain.reached & ~of.ending.terminal)
+    states = np.flatnonzero(of.reached(chain.pairs) & ~of.ending.terminal)
     _, found = flow(of.ending, mixed_rows(of.rows, chain), states)
     below = found.denominator
     return {

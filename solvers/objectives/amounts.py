@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import SHOWN, termination
+from exact_mdp.mdp.chain import SHOWN, Mask, reachable, termination
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
@@ -157,6 +157,10 @@ class Objectives:
             next=rows.next[entries],
             weight=rows.weight[entries],
         )
+
+    def reached(self, pairs: Integers) -> Mask:
+        """Return (S,) True for states that count from the start; at discount 0 no later ones do."""
+        return reachable(self.mdp, pairs=pairs if self.mdp.discount_exact else pairs[:0])
 
     def at_start(self, values: Sequence[int], below: int) -> Fraction:
         """Return the mean over the start distribution of values (S,) over one denominator."""

@@ -127,13 +127,16 @@ def front_violations(
 
     The greatest weighted total H(w) is convex in the weights, that of the vertices h(w) too. Where
     both agree at points whose hulls, taken over the points of each vertex, fill all weights that
-    sum to 1, h is linear between such points, H ≤ h, and no policy is beyond the vertices.
+    sum to 1, h is linear between such points, H ≤ h, and no policy is beyond the vertices. Cells of
+    two vertices share no area, so that areas add up: a vertex that is written twice is refused.
     """
     wrong = sound(of, proof)
     for number, vertex in enumerate(vertices):
         wrong += wrong_totals(of, vertex, f"vertex {number}")
     cells: list[list[Point]] = [[] for _ in vertices]
     totals = [vertex.total for vertex in vertices]
+    if len(set(totals)) < len(totals):
+        wrong.append("a vertex is written twice")
     for weights, best in best_for(duals, totals).items():
         worth = sum((w * v for w, v in zip(weights, totals[best[0]], strict=True)), Fraction(0))
         if sum(weights) != 1 or min(weights) < 0 or wrong_bound(of, weights, duals[weights], worth):

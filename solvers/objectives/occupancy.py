@@ -14,7 +14,6 @@ from math import lcm
 
 import numpy as np
 
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, integers
@@ -59,10 +58,9 @@ def flow(mdp: MDP, rows: BellmanRows, states: Integers) -> tuple[BellmanRows, Ex
 
 def visits(of: Objectives, pairs: Integers) -> dict[int, Fraction]:
     """Return the expected visits of the pairs (S,) of a policy from the start, exactly."""
-    mdp, ends = of.ending, of.ending.terminal
-    states = np.flatnonzero(reachable(mdp, pairs=pairs) & ~ends)
+    states = np.flatnonzero(of.reached(pairs) & ~of.ending.terminal)
     rows = of.restricted(pairs, of.rows.constant)
-    _, found = flow(mdp, rows, states)
+    _, found = flow(of.ending, rows, states)
     below = found.denominator
     return {
         int(pairs[s]): Fraction(found.numerator[s], below[found.group[s]]) for s in states.tolist()

@@ -12,8 +12,9 @@ weights, and the t of an edge never needs to be known: a bracket, at whose ends 
 (`.fixed_point`), and the pair whose loss is 0 define it.
 
 A switch in a state that is reached moves the totals: beyond its t the new policy is strictly
-better. In a state that is not reached it leaves them. Where several pairs of the same moves switch
-at one t, which then is known exactly, the policies between are on the edge.
+better. In a state that is not reached it leaves them; at discount 0 only the start is reached.
+Where several pairs of the same moves switch at one t, which then is known exactly, the policies
+between are on the edge.
 
 Nothing here imports a solver.
 """
@@ -27,7 +28,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.fixed_point import UNKNOWN, FixedPoint, bounds_errors
@@ -84,7 +84,7 @@ def corners(of: Objectives, chain: Chain) -> list[Corner]:
     for number, pairs in enumerate(chain.policies(of)):
         if number:
             state = of.mdp.pair_state[chain.switches[number - 1]]
-            if reachable(of.mdp, pairs=before)[state]:
+            if of.reached(before)[state]:
                 moved.append(number - 1)
         before = pairs
         if not _at_once(ends[number], ends[number + 1]) and (moved or not found):

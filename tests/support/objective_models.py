@@ -20,7 +20,7 @@ AMOUNTS = st.sampled_from([F(-2), F(-1), F(0), F(0), F(1, 3), F(1), F(3)])
 @st.composite
 def with_components(draw: st.DrawFn, count: int) -> MDP:
     """Draw a model of few policies with components c0, c1, …, with ties and a start by chance."""
-    rows = draw(models(discounts=(F(1, 2), F(9, 10), F(1))).filter(few))
+    rows = draw(models(discounts=(F(0), F(1, 2), F(9, 10), F(1))).filter(few))
     mdp = rows.model()
     ends = mdp.terminal[mdp.pair_state]
     parts = {

@@ -162,13 +162,16 @@ def piece_violations(
 
     `shares` is the policy held fixed.
     """
-    wrong = list[str]()
+    wrong, last = list[str](), None
     for _, some in groupby(pieces, key=lambda each: id(each.section)):
-        equations, before = None, None
+        equations, before, sound = None, None, False
         for piece in some:
             if equations is None:
+                if last is not None and not _met(last, piece):
+                    wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
                 equations = _Equations(family, name, piece.section)
-                wrong += equations.unsound() if piece.proof is None else ()
+            if piece.proof is None and not sound:
+                wrong, sound = [*wrong, *equations.unsound()], True
             if piece.proof is not None:
                 wrong += equations.endless(family.at({name: piece.proof.point}), piece)
                 if shares is not None:
@@ -181,7 +184,13 @@ def piece_violations(
             if before is not None and not equations.passed(before, (piece, gaps)):
                 wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
             before = (piece, gaps)
+        last = piece
     return wrong
+
+
+def _met(last: CurvePiece, piece: CurvePiece) -> bool:
+    """Whether pieces of two sections meet in a point, or claim nothing of the bracket between."""
+    return not last.proof is piece.proof is None or len({*last.high, *piece.low}) == 1
 
 
 def blackwell_violations(

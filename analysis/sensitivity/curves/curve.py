@@ -191,12 +191,12 @@ class ValueFunction(Pictured):
         parameter: on each piece, and in the brackets between them (`.checker`).
         """
         wrong = list[str]()
-        ends = [self.range.low, *(piece.high[1] for piece in self.pieces)]
+        ends = [(self.range.low,) * 2, *(piece.high for piece in self.pieces)]
         for end, piece in zip(ends, self.pieces, strict=False):
-            if piece.low[0] > end or piece.high[0] < piece.low[1]:
-                wrong.append(f"no piece covers {shown(end)}")
-        if ends[-1] < self.range.high:
-            wrong.append(f"no piece covers {shown(ends[-1])}")
+            if piece.low != end or [*piece.low, *piece.high] != sorted([*piece.low, *piece.high]):
+                wrong.append(f"no piece covers {shown(end[1])}")
+        if ends[-1] != (self.range.high,) * 2:
+            wrong.append(f"no piece covers {shown(self.range.high)}")
         shares = None
         if self.chain is not None:
             weights = map(self.chain.exact_weights, range(self.mdp.n_states))

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ from exact_mdp.analysis.sensitivity.curves.plane import (
     leading,
     one_sign,
     sliced,
+    undecided,
 )
 from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, simple
 from exact_mdp.analysis.sensitivity.ranges import Range
@@ -85,20 +87,24 @@ class ExactMap:
         """Certified, or estimated where the degree of the rows is checked and not proven."""
         return Claim.CERTIFIED if self.checked is None else Claim.ESTIMATED
 
+    @cached_property
+    def _known(self) -> list[_Known]:
+        """What may be negative of each policy's h."""
+        plane = Plane(self.family, *self.names, self.box)
+        each = ((own, undecided(plane.gaps(own), self.box)) for own in self.optimal)
+        return [_Known(optimal=own, open=open_) for own, open_ in each]
+
     def at(self, x: object, y: object) -> set[int]:
-        """Return the numbers of policies that are optimal at a point: several next to a line."""
+        """Return the numbers of the policies that are optimal at a point: on a line, several.
+
+        No h of theirs is negative there: the point may be on a line or where lines end.
+        """
         place, height = exact(x), exact(y)
         if not all(e.low <= at <= e.high for e, at in zip(self.box, (place, height), strict=True)):
             raise ModelError(
                 f"({shown(place)}, {shown(height)}) is outside the rectangle", where="two-way"
             )
-        found = set[int]()
-        for slab in self.slabs:
-            if slab.low[0] <= place <= slab.high[1]:
-                lines = self.heights(slab, place)
-                inside = [low <= height <= high for low, high in pairwise(lines)]
-                found |= {p for p, here in zip(slab.policies, inside, strict=True) if here}
-        return found
+        return {number for number, own in enumerate(self._known) if own.holds(place, height)}
 
     def violations(self) -> list[str]:
         """Return what does not hold of the map, in words: nothing where it is sound."""
@@ -106,14 +112,12 @@ class ExactMap:
         return map_violations(plane, self.box, self.slabs, self.optimal)
 
     def heights(self, slab: Slab, x: Fraction) -> list[Fraction]:
-        """Return where the cells of a slab begin and end above x, to 1e-12."""
-        low, high = self.box[1].low, self.box[1].high
-        found = [low]
+        """Return where the cells of a slab begin and end above an x inside of it, to 1e-12."""
+        found = [self.box[1].low]
         for f, number in slab.curves:
-            every = [root for root, _ in _isolated([sliced(f, 0, x)], self.box[1])]
-            near = every[min(number, len(every) - 1)] if every else None
-            found.append(found[-1] if near is None else (near.low + near.high) / 2)
-        return [*found, high]
+            root, _ = _isolated([sliced(f, 0, x)], self.box[1])[number]
+            found.append((root.low + root.high) / 2)
+        return [*found, self.box[1].high]
 
 
 def exact_map(family: Parametric, x: str, y: str, box: Box) -> ExactMap:
@@ -125,7 +129,7 @@ def exact_map(family: Parametric, x: str, y: str, box: Box) -> ExactMap:
         known.append(
             _Known(
                 optimal=np.array([h.is_zero() for h in every]),
-                open=[h for h in every if not h.is_zero() and not one_sign(h, box)],
+                open=undecided(every, box),
             )
         )
         lines.add(known[-1].open)

@@ -33,6 +33,7 @@ from exact_mdp.analysis.sensitivity.curves.plane import (
     leading,
     one_sign,
     sliced,
+    undecided,
 )
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple, variations
 from exact_mdp.analysis.sensitivity.curves.signs import vanishes
@@ -68,7 +69,7 @@ def map_violations(
     plane: Plane, box: Box, slabs: Sequence[Slab], optimal: Sequence[NDArray[np.bool_]]
 ) -> list[str]:
     """Return what does not hold of a map, in words: nothing where it is sound."""
-    across, along = box
+    across = box[0]
     ends = [(across.low, across.low), *(slab.high for slab in slabs)]
     if (
         not slabs
@@ -85,8 +86,7 @@ def map_violations(
             return [f"policy {number} takes no pair of some state"]
         every = plane.gaps(optimal[number])
         wrong += _not_marked(plane, optimal[number], every, number)
-        signs = [(h, one_sign(h, box)) for h in every if not h.is_zero()]
-        open_[number] = [h for h, same in signs if not same or _at(h, across.low, along.low) < 0]
+        open_[number] = undecided(every, box)
     factors = {
         str(f): f
         for polynomials in [*open_.values(), [f for slab in slabs for f, _ in slab.curves]]

@@ -161,6 +161,12 @@ def one_sign(f: fmpq_mpoly, box: Box) -> bool:
     return all(c > 0 for c in entries) or all(c < 0 for c in entries)
 
 
+def undecided(gaps: Sequence[fmpq_mpoly], box: Box) -> list[fmpq_mpoly]:
+    """Return the h that are negative in the rectangle, or may be."""
+    corner = [rational(span.low) for span in box]
+    return [h for h in gaps if not h.is_zero() and not (one_sign(h, box) and h(*corner) > 0)]
+
+
 def _basis(degree: int, span: Range) -> Any:
     """Return in row i the coefficients of (a + b t)^i (1 + t)^(d - i)."""
     ends, one = flint.fmpq_poly([rational(span.low), rational(span.high)]), flint.fmpq_poly([1, 1])

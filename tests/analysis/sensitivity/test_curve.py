@@ -154,6 +154,20 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
     assert any("outside" in w for w in broken(found, 0, section=elsewhere))
 
 
+def test_nothing_is_claimed_in_an_open_bracket() -> None:
+    """Policies are proven between brackets: one that is wide, and not checked, proves nothing."""
+    found = value_function(PUTERMAN, "discount", (0, "99/100"))
+    low, high = found.pieces
+    whole = replace(low, high=(found.range.low, found.range.high))
+    assert "no piece covers" in replace(found, pieces=(whole,)).violations()[0]
+    late = replace(high, low=(found.range.low, found.range.high))
+    assert "no piece covers" in replace(found, pieces=(late,)).violations()[0]
+    wide = (F(1, 2), F(98, 100))
+    apart = replace(high, low=wide, section=replace(high.section))
+    forged = replace(found, pieces=(replace(low, high=wide), apart))
+    assert any("next to" in fault for fault in forged.violations())
+
+
 def nearer(bracket: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
     return bracket[0] - F(1, 10**9), bracket[1] - F(1, 10**9)
 

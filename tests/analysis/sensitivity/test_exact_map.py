@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, product
 
 import matplotlib.pyplot as plt
 import pytest
@@ -53,6 +53,28 @@ def test_a_line_by_hand() -> None:
         found.map.at(1, 1)
     assert "policies that are optimal" in found.plot().get_title()
     assert found.plot(state=0).get_xlabel().startswith("p")
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    ("across", "along"),
+    [((0, 2), (0, 1)), ((0, 2), (1, 2)), ((0, 3), (1, 2)), ((1, 2), (0, 3)), ((0, 1), (0, 1))],
+)
+def test_a_line_that_leaves(across: tuple[int, int], along: tuple[int, int]) -> None:
+    """The greater of two rewards x and y is optimal, also where x = y leaves at any side."""
+    rows = [(0, 0, [(1, 1, 3)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])]
+    family = moving(MDP.from_outcomes(rows, 1), {}, {"x": 3, "y": 5})
+    box = {"x": across, "y": along}
+    result = two_way(family, "x", "y", ranges=box, points=2, exact=True)
+    found = result.map
+    assert found is not None
+    for x, y in product(range(13), repeat=2):
+        at = F(x, 4), F(y, 4)
+        if all(e.low <= v <= e.high for e, v in zip(found.box, at, strict=True)):
+            best = {(x >= y, x <= y)} if x != y else {(True, False), (False, True)}
+            assert {tuple(found.optimal[n][:2]) for n in found.at(*at)} == best
+    for line in result.plot().lines[:-1]:
+        assert line.get_ydata() == pytest.approx(line.get_xdata(), abs=1e-8)
     plt.close("all")
 
 

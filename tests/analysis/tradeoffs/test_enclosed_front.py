@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from cli_runner import run
 from hypothesis import given, settings
 from objective_models import totals, with_components
 
-from exact_mdp import MDP, tradeoff
+from exact_mdp import MDP, solve, tradeoff
 from exact_mdp.analysis.tradeoffs.enclosed_front import Enclosed, EnclosedFront
 from exact_mdp.analysis.tradeoffs.front import Front
+from exact_mdp.analysis.tradeoffs.rationalize import rationalize
 from exact_mdp.mdp import ModelError
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import slack
@@ -135,6 +137,20 @@ def test_pairs_of_the_same_moves_switch_at_once() -> None:
     assert sorted(state for state, _, _ in edge.switches) == [0, 1]
     assert front.violations() == []
     same(front, tradeoff(mdp, ["a", "b"]))  # type: ignore[arg-type]
+
+
+def test_at_discount_0_only_the_start_counts() -> None:
+    """A switch in the state that comes next is no vertex, and no part of an edge."""
+    gains = zip(product(range(2), repeat=2), [2, 1, 5, 1], strict=True)
+    rows = [(s, a, [(1, 1, gain)]) for (s, a), gain in gains]
+    parts = {"a": [2, 0, 5, 0], "b": [0, 1, 0, 1]}
+    mdp = MDP.from_outcomes(rows, 0, components=parts)
+    front = enclosed(mdp, ["a", "b"])
+    same(front, tradeoff(mdp, ["a", "b"]))  # type: ignore[arg-type]
+    assert [edge.switches for edge in front.edges] == [((0, "1", "0"),)]
+    limited = solve(mdp, subject_to={"b": ">= 1/2"})
+    assert (limited.start_value, limited.violations()) == (F(3, 2), [])
+    assert rationalize(mdp, [1, 0]).violations() == []
 
 
 def test_the_checker_notices_a_forged_chain() -> None:

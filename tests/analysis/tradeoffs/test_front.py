@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
+from operator import mul
 from typing import Any
 
 import pytest
@@ -168,6 +170,42 @@ def test_the_checker_notices() -> None:
         replace(front, attained=(*front.attained, one)),
     ):
         assert broken.violations()
+
+
+@pytest.mark.parametrize("third", [{}, {"far": [0, 1, 3, 0]}], ids=["two", "three"])
+def test_a_vertex_written_twice_does_not_count_twice(third: dict[str, list[int]]) -> None:
+    """Copies of a vertex, with bounds for its weights alone, would fill the weights of others."""
+    rows = [(0, a, [(1, 1, 0)]) for a in range(3)] + [(1, 0, [(1, 1, 0)])]
+    parts = {"help": [0, 2, 3, 0], "calm": [5, 4, 0, 0], **third}
+    front = tradeoff(MDP.from_outcomes(rows, "1/2", components=parts), list(parts))
+    assert front.violations() == []
+    assert len(front.attained) > 1
+    for vertex in front.attained:
+        copies = {n: [vertex] * n for n in range(2, 7)}
+        own = {
+            w: d
+            for w, d in front.duals.items()
+            if front.objectives.at_start(*d) == sum(map(mul, w, vertex.total))
+        }
+        forged = [replace(front, attained=tuple(some), duals=own) for some in copies.values()]
+        forged.append(replace(front, attained=(*front.attained, vertex)))
+        assert all("written twice" in " ".join(each.violations()) for each in forged)
+
+
+@pytest.mark.parametrize("size", [10**12, 10**18, 10**30, 10**100])
+def test_amounts_of_very_different_size(size: int) -> None:
+    """Floats then propose policies that others beat: none of them may become a vertex."""
+    for seed in range(15):
+        rng, rows, parts = random.Random(seed), [], {"a": [], "b": []}
+        for state, action in product(range(3), range(3)):
+            ahead = rng.sample(range(3), 2)
+            rows.append((state, action, [("1/2", s, 0) for s in ahead]))
+            for amounts in parts.values():
+                amounts.append(rng.randint(-3, 3) * rng.choice([1, size]))
+        mdp = MDP.from_outcomes(rows, "9/10", components=parts)
+        front = tradeoff(mdp, ["a", "b"])
+        assert front.vertices == hull(totals(mdp, ["a", "b"]))
+        assert front.violations() == []
 
 
 @settings(max_examples=30)
