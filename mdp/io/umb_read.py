@@ -1,11 +1,11 @@
 """What a UMB file says, as arrays, after every length and range has been checked.
 
-The package umbi reads the index. Numbers are decoded here, all of a file at once: a rational is two
-integers of the same width, a signed numerator and an unsigned denominator, little-endian; truth
-values are bits, the lowest of each byte first; variables of a state are packed bit by bit. A UMB
-file is a tar archive, plain or compressed with gzip, xz or bzip2. It is unpacked here, within
-a limit that its size sets, and not by umbi: a compressed archive may expand a thousandfold, and the
-headers of a tar archive may state any size.
+The index says what the other files hold (`mdp.io.umb_index`). Numbers are decoded here, all of a
+file at once: a rational is two integers of the same width, a signed numerator and an unsigned
+denominator, little-endian; truth values are bits, the lowest of each byte first; variables of a
+state are packed bit by bit. A UMB file is a tar archive, plain or compressed with gzip, xz or
+bzip2. It is unpacked within a limit that its size sets: a compressed archive may expand a
+thousandfold, and the headers of a tar archive may state any size.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import bz2
 import gzip
 import io
 import json
-import logging
 import lzma
 import tarfile
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -27,14 +27,18 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.explicit import Explicit, Ratios, actions_of
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.io.own import CARRIER, GROUP
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io.umb_index import (
+    TRUTH,
+    WORD32,
+    WORD64,
+    Annotation,
+    Index,
+    Kind,
+    System,
+    index_of,
+)
 from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, Numbers, ones
 from exact_mdp.mdp.validate import Flags
-
-binary = later("umbi.binary")
-datatypes = later("umbi.datatypes")
-umb_package = later("umbi.umb")
-encoding = later("umbi.umb.umb_to_tar")
 
 FREE, RATIO = 2**26, 200
 """An archive may unpack to 64 MiB, or to 200 times its own size, whichever is more."""
@@ -45,9 +49,6 @@ LZMA_MEMORY = 2**27
 LARGEST_INDEX = 2**26
 ANY_SIZE = 10**6
 """Numbers of states, choices, branches and actions that need no data in the file to be believed."""
-
-# What umbi has to say of a file goes into the error, not to the terminal.
-logging.getLogger("umbi").addHandler(logging.NullHandler())
 
 
 def _damaged(what: str, where: str) -> ModelError:
@@ -120,16 +121,16 @@ def _integers(data: bytes, count: int, size: int, *, signed: bool) -> Numbers:
     return found if size >= WORD else found.astype(np.int64)
 
 
-def _numbers(data: bytes, count: int, kind: Any, where: str) -> Ratios:
+def _numbers(data: bytes, count: int, kind: Kind, where: str) -> Ratios:
     """Return the numbers of a file, whose length is known to be right."""
-    types, size = datatypes.NumericPrimitiveType, kind.size_bits // 8
-    if kind.type == types.DOUBLE:
+    size = kind.bits // 8
+    if kind.type == "double":
         return Ratios(np.frombuffer(data, "<f8").astype(np.float64), ones(count))
-    if kind.type in (types.INT, types.UINT) and kind.size_bits % 8 == 0:
-        return Ratios(_integers(data, count, size, signed=kind.type == types.INT), ones(count))
-    if kind.type != types.RATIONAL or kind.size_bits % 16:
+    if kind.type in ("int", "uint") and kind.bits % 8 == 0:
+        return Ratios(_integers(data, count, size, signed=kind.type == "int"), ones(count))
+    if kind.type != "rational" or kind.bits % 16:
         raise ModelError(
-            f"{getattr(kind.type, 'value', kind.type)} is not a single number",
+            f"{kind.type} is not a single number",
             where=where,
             fix="give a model without intervals or parameters",
         )
@@ -155,29 +156,28 @@ def _flags(data: bytes, count: int) -> Flags:
 def read(path: str | Path) -> Explicit:
     """Return what a file says of the model; raises ModelError."""
     try:
-        files, umb = encoding.UmbDecoder(), umb_package.ExplicitUmb()
-        files.update(files_of(path))
+        files = files_of(path)
         if len(files.get("index.json", b"")) > LARGEST_INDEX:
             raise ModelError("the index is too large", where="index.json", fix="check the file")
-        files.read_index_file(umb)
-        _check_kind(umb.index.transition_system, files)
-        _check_files(umb.index.transition_system, files)
-        return _content(umb.index, files)
+        index = index_of(files["index.json"])
+        _check_kind(index.system, files)
+        _check_files(index.system, files)
+        return _content(index, files)
     except ModelError:
         raise
     except OSError as error:
         raise ModelError(
             f"cannot read the file: {error.strerror or error}", fix="check the path"
         ) from error
-    except Exception as error:  # umbi, tarfile and the decompressors raise many kinds
+    except Exception as error:  # tarfile, JSON and the decompressors raise many kinds
         raise ModelError(
-            f"the file is damaged, or of a kind that umbi cannot read: {str(error)[:200]}",
+            f"the file is damaged, or not a UMB file: {str(error)[:200]}",
             fix="write the file again",
         ) from error
 
 
-def _content(index: Any, files: Any) -> Explicit:
-    system, listed, data = index.transition_system, index.annotations or {}, index.model_data
+def _content(index: Index, files: Mapping[str, bytes]) -> Explicit:
+    system, listed = index.system, index.annotations
     states, choices, branches = _sizes(system).values()
     state_to_choices = _offsets(files, "state-to-choices", states, choices)
     ends = files.get("branch-to-target.bin", bytes(WORD * branches))
@@ -185,24 +185,24 @@ def _content(index: Any, files: Any) -> Explicit:
     if branches and target.max() >= states:
         raise _damaged(f"a branch leads to state {target.max()} of {states}", "branch-to-target")
     chances = Ratios(np.ones(branches, np.int64), ones(branches))
-    if system.branch_probability_type is not None:
+    if system.probability is not None:
         where = "branch-to-probability"
-        chances = _numbers(files[f"{where}.bin"], branches, system.branch_probability_type, where)
+        chances = _numbers(files[f"{where}.bin"], branches, system.probability, where)
     actions, names, words = _actions(system, files, state_to_choices)
     initial = np.zeros(states, dtype=bool)
-    if system.num_initial_states:
+    if system.initial:
         initial = _flags(files["state-is-initial.bin"], states)
 
     def annotations(group: str) -> dict[str, dict[str, Any]]:
         found = {
-            str(key): _annotation(files, system, group, key, about)
-            for key, about in (listed.get(group) or {}).items()
+            key: _annotation(files, system, group, key, about)
+            for key, about in listed.get(group, {}).items()
         }
         return {key: values for key, values in found.items() if values}
 
     own = annotations(GROUP)
     return Explicit(
-        name=(data.name or "") if data is not None else "",
+        name=index.name,
         state_to_choices=state_to_choices,
         choice_to_branches=_offsets(files, "choice-to-branches", choices, branches),
         target=target.astype(np.int64),
@@ -215,68 +215,66 @@ def _content(index: Any, files: Any) -> Explicit:
         rewards=annotations("rewards"),
         labels={k: v["states"] for k, v in annotations("aps").items() if "states" in v},
         titles={
-            group: {str(key): str(about.alias or key) for key, about in named.items()}
+            group: {key: about.alias or key for key, about in listed.get(group, {}).items()}
             for group in ("rewards", "aps")
-            for named in [listed.get(group) or {}]
         },
         own={key: next(iter(values.values())) for key, values in own.items()},
-        header=_header(listed.get(GROUP) or {}),
+        header=_header(listed.get(GROUP, {})),
     )
 
 
-def _annotation(files: Any, system: Any, group: str, key: str, about: Any) -> dict[str, Any]:
+def _annotation(
+    files: Mapping[str, bytes], system: System, group: str, key: str, about: Annotation
+) -> dict[str, Any]:
     """Return the values of an annotation by what it applies to; nothing where it holds texts."""
     found: dict[str, Any] = {}
-    for over in about.applies_to or ():
+    for over in about.over:
         path = f"annotations/{group}/{key}/{over}/values.bin"
         count = _sizes(system)[over]
-        if about.type is None or about.type.type == datatypes.PrimitiveType.STRING:
+        if about.kind.type == "string":
             continue
-        _check_size(files, path, count, about.type)
-        truth = about.type == binary.BOOL1
+        _check_size(files, path, count, about.kind)
         data = files[path]
-        found[over] = _flags(data, count) if truth else _numbers(data, count, about.type, path)
+        truth = about.kind == TRUTH
+        found[over] = _flags(data, count) if truth else _numbers(data, count, about.kind, path)
     return found
 
 
-def _valuations(index: Any, files: Any, states: int) -> tuple[str, ...]:
+def _valuations(index: Index, files: Mapping[str, bytes], states: int) -> tuple[str, ...]:
     """Return each state's variables as words, where they are whole numbers that tell states apart.
 
     Other files of valuations are passed over: states have their numbers.
     """
-    about = (index.valuations or {}).get("states")
     data = files.get("valuations/states/valuations.bin")
-    if about is None or data is None or len(about.classes) != 1:
+    if data is None or not index.variables:
         return ()
-    struct, types = about.classes[0], datatypes.NumericPrimitiveType
-    if not struct.size_bytes or len(data) != states * struct.size_bytes:
+    if len(data) != states * -(-sum(field.bits for field in index.variables) // 8):
         return ()
     bits = np.unpackbits(
         np.frombuffer(data, np.uint8).reshape(states, -1), axis=1, bitorder="little"
     )
     columns, place = [], 0
-    for field in struct.fields:
-        here = bits[:, place : place + field.size_bits]
-        place += field.size_bits
-        if not hasattr(field, "name"):  # padding
+    for field in index.variables:
+        here = bits[:, place : place + field.bits]
+        place += field.bits
+        if field.kind is None:
             continue
-        kind = field.sized_type.type
-        truth = kind == datatypes.PrimitiveType.BOOL
-        whole = kind in (types.INT, types.UINT) and field.size_bits <= 63
-        if field.is_optional or not (truth or whole):
+        kind = field.kind.type
+        truth, whole = kind == "bool", kind in ("int", "uint") and field.bits <= 63
+        if field.optional or not (truth or whole):
             return ()
-        value = here @ (1 << np.arange(field.size_bits, dtype=np.int64))
-        if kind == types.INT:
-            value -= here[:, -1].astype(np.int64) << field.size_bits
+        value = here @ (1 << np.arange(field.bits, dtype=np.int64))
+        if kind == "int":
+            value -= here[:, -1].astype(np.int64) << field.bits
         shown = np.where(value == 1, "true", "false") if truth else value.astype(str)
         columns.append([f"{field.name}={each}" for each in shown.tolist()])
     words = tuple(map(", ".join, zip(*columns, strict=True)))
     return words if len(set(words)) == states else ()
 
 
-def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _header(own: Mapping[str, Annotation]) -> Mapping[str, Any] | None:
     """Return what exact-mdp wrote of a model besides its numbers; None in files of others."""
-    text = own[CARRIER].description if CARRIER in own else None
+    text = own[CARRIER].description if CARRIER in own else ""
     if not text:
         return None
     place = f"annotations/{GROUP}/{CARRIER}"
@@ -289,53 +287,48 @@ def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
     return header
 
 
-def _sizes(system: Any) -> dict[str, int]:
-    return {
-        "states": system.num_states,
-        "choices": system.num_choices,
-        "branches": system.num_branches,
-    }
+def _sizes(system: System) -> dict[str, int]:
+    return {"states": system.states, "choices": system.choices, "branches": system.branches}
 
 
-def _check_files(system: Any, files: Mapping[str, bytes]) -> None:
+def _check_files(system: System, files: Mapping[str, bytes]) -> None:
     """Raise ModelError unless the model's files have the sizes that its index gives them."""
     states, choices, branches = _sizes(system).values()
     for name, count, kind in (
-        ("state-is-initial.bin", states, binary.BOOL1),
-        ("state-to-choices.bin", states + 1, binary.UINT64),
-        ("state-to-player.bin", states, binary.UINT32),
-        ("choice-to-branches.bin", choices + 1, binary.UINT64),
-        ("branch-to-target.bin", branches, binary.UINT64),
-        ("branch-to-probability.bin", branches, system.branch_probability_type),
-        ("actions/choices/values.bin", choices, binary.UINT32),
-        ("actions/choices/string-mapping.bin", system.num_choice_actions + 1, binary.UINT64),
+        ("state-is-initial.bin", states, TRUTH),
+        ("state-to-choices.bin", states + 1, WORD64),
+        ("state-to-player.bin", states, WORD32),
+        ("choice-to-branches.bin", choices + 1, WORD64),
+        ("branch-to-target.bin", branches, WORD64),
+        ("branch-to-probability.bin", branches, system.probability),
+        ("actions/choices/values.bin", choices, WORD32),
+        ("actions/choices/string-mapping.bin", system.actions + 1, WORD64),
     ):
         _check_size(files, name, count, kind)
     ends = np.frombuffer(files.get("actions/choices/string-mapping.bin", b""), "<u8")
     if (ends[1:] < ends[:-1]).any():  # ranges that overlap would make much text of little
         raise _damaged("the ranges of the names fall", "actions")
-    system.num_branch_actions = 0  # names of branches, which nothing here reads
 
 
-def _check_size(files: Mapping[str, bytes], name: str, count: int, kind: Any) -> None:
+def _check_size(files: Mapping[str, bytes], name: str, count: int, kind: Kind | None) -> None:
     """Raise ModelError where a file has not the size of `count` values of a type."""
     data = files.get(name)
     if data is None or kind is None:
         return
-    if kind == binary.BOOL1:
+    if kind == TRUTH:
         good = -(-count // 8) <= len(data) <= 8 * -(-count // 64)
     else:
-        good = len(data) * 8 == count * kind.size_bits
+        good = len(data) * 8 == count * kind.bits
     if not good:
         raise _damaged(f"a file of {len(data):,} bytes for {count:,} values", name)
 
 
-def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
+def _check_kind(system: System, files: Mapping[str, bytes]) -> None:
     """Raise ModelError unless this is a chain or an MDP, no larger than its file."""
     kinds = {
         f"time is {system.time}": system.time != "discrete",
-        f"{system.num_players} players": system.num_players > 1,
-        f"{system.num_observations} observations": system.num_observations > 0,
+        f"{system.players} players": system.players > 1,
+        f"{system.observations} observations": system.observations > 0,
     }
     for what, wrong in kinds.items():
         if wrong:
@@ -346,20 +339,23 @@ def _check_kind(system: Any, files: Mapping[str, bytes]) -> None:
             )
     # A state, choice or branch takes at least eight bytes where there are many of them.
     core = sum(len(data) for name, data in files.items() if "/" not in name)
-    most = max(*_sizes(system).values(), system.num_choice_actions)
+    most = max(*_sizes(system).values(), system.actions)
     if most > max(core // 8, ANY_SIZE):
         raise _damaged(f"the index claims {most:,} entries in {core:,} bytes", "index.json")
 
 
 def _actions(
-    system: Any, files: Any, state_to_choices: Integers
+    system: System, files: Mapping[str, bytes], state_to_choices: Integers
 ) -> tuple[Integers, tuple[str, ...], tuple[str, ...]]:
     """Return each choice's action, the names of actions, and these as the file lists them."""
-    count, folder = system.num_choice_actions, "actions/choices"
+    count, folder = system.actions, "actions/choices"
     listed: tuple[str, ...] = ()
     if count and f"{folder}/string-mapping.bin" in files:
-        mapping = f"{folder}/string-mapping.bin"
-        listed = tuple(files.read_strings(f"{folder}/strings.bin", filename_csr=mapping))
+        ends = np.frombuffer(files[f"{folder}/string-mapping.bin"], "<u8").tolist()
+        text = files[f"{folder}/strings.bin"]
+        if ends[-1] > len(text):
+            raise _damaged("the names end beyond their file", "actions")
+        listed = tuple(text[a:b].decode("utf-8") for a, b in pairwise(ends))
     given = None
     names = tuple(name or "unnamed" for name in listed) or tuple(f"a{k}" for k in range(count))
     if count and f"{folder}/values.bin" in files:

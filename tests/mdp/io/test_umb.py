@@ -6,6 +6,7 @@ That nothing is lost is tested for all formats together, in `test_formats`.
 from __future__ import annotations
 
 import gzip
+import json
 import lzma
 import sys
 import tarfile
@@ -24,8 +25,9 @@ from saved_models import MODELS
 
 from exact_mdp import certify
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io import umb, umb_read
+from exact_mdp.mdp.io import umb
 from exact_mdp.mdp.io.load import load
+from exact_mdp.mdp.io.umb_index import index_of
 from exact_mdp.mdp.lazy import later
 
 F = Fraction
@@ -330,17 +332,16 @@ def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
         umb.save(FLOATS, tmp_path / "nowhere" / "model.umb")
 
 
-def test_without_umbi_the_error_names_the_extra(
+def test_without_umbi_files_are_read_and_to_write_one_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    umb.save(FLOATS, tmp_path / "model.umb")
     for name in [name for name in sys.modules if name.partition(".")[0] == "umbi"]:
         monkeypatch.setitem(sys.modules, name, None)
-    for module in (umb, umb_read):
-        monkeypatch.setattr(module, "encoding", later("umbi.umb.umb_to_tar"))
+    monkeypatch.setattr(umb, "encoding", later("umbi.umb.umb_to_tar"))
     with pytest.raises(ModelError, match=r"exact-mdp\[umb\]"):
         umb.save(FLOATS, tmp_path / "model.umb")
-    with pytest.raises(ModelError, match=r"exact-mdp\[umb\]"):
-        umb.load(tmp_path / "model.umb")
+    assert umb.load(tmp_path / "model.umb").n_states == FLOATS.n_states
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, lzma.compress])
@@ -410,3 +411,47 @@ def test_labels_names_and_variables_of_others(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert certify(mdp.reaching("The goal")).start_value == 1
     assert umb.load(path, discount=1, start="x=3, on=true").start == ((2, 1),)
+
+
+def test_the_index_says_what_umbi_reads_in_it(tmp_path: Path) -> None:
+    data = members_of_care(tmp_path)["index.json"]
+    ours, theirs = index_of(data), umbi.umb.index.UmbIndex.from_json(json.loads(data))
+    system = theirs.transition_system
+    sizes = (system.num_states, system.num_choices, system.num_branches, system.num_choice_actions)
+    mine = ours.system
+    assert (mine.states, mine.choices, mine.branches, mine.actions) == sizes
+    assert mine.probability is not None
+    assert mine.probability.bits == system.branch_probability_type.size_bits
+    for group, named in theirs.annotations.items():
+        assert set(ours.annotations[group]) == set(named)
+        for key, about in named.items():
+            found = ours.annotations[group][key]
+            assert (found.alias or None, list(found.over)) == (about.alias, about.applies_to)
+            assert (found.kind.type, found.kind.bits) == (
+                about.type.type.value,
+                about.type.size_bits,
+            )
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value", "message"),
+    [
+        ("transition-system", "#states", 0, "initial states of 0"),
+        ("transition-system", "#states", True, "not of type int"),
+        ("transition-system", "#choices", None, 'no "#choices"'),
+        ("transition-system", "branch-probability-type", {"type": "int"}, "probabilities of type"),
+        ("transition-system", "branch-probability-type", {"type": "x"}, "unknown type x"),
+        ("annotations", "aps", {"a": 3}, "a is not a JSON object"),
+        ("annotations", "aps", {"a": {"applies-to": ["states"]}}, "has no type"),
+        ("annotations", "aps", {"a": {"type": {"type": "double", "size": 32}}}, "32 bits for a"),
+        ("annotations", "aps", {"a": {"type": {"type": "rational", "size": 65}}}, "65 bits for a"),
+        ("valuations", "states", {}, 'no "classes"'),
+    ],
+)
+def test_indices_of_another_form(
+    tmp_path: Path, part: str, key: str, value: object, message: str
+) -> None:
+    index = json.loads(members_of_care(tmp_path)["index.json"])
+    index[part][key] = value
+    with pytest.raises(ValueError, match=message):
+        index_of(json.dumps(index).encode())
