@@ -36,6 +36,7 @@ MOST_ENTRIES = 100_000_000  # in each factor: 1.2 GB with their places, 2.4 GB f
 MOST_OPERATIONS = 1e11  # about a minute or two
 ENTRY = 12  # bytes
 MOST_ORDERED = 1_000_000  # transitions that COLAMD orders within seconds, whatever they are
+ROOM = 20
 NO_FALL = "the chain does not fall along the order given"
 
 Solve = Callable[[Floats], Floats]
@@ -155,6 +156,20 @@ def sparse(chain: sp.csr_array, discount: float) -> Solve:
         return value
 
     return solve
+
+
+def in_room(chain: sp.csr_array, discount: float) -> Solve | None:
+    """Return elimination whose factors have at most `ROOM` times the entries of the matrix.
+
+    Where they would have more, SuperLU drops small ones: the caller has to look at the residual.
+    None where it fails.
+    """
+    matrix: Any = _narrow(matrix_of(chain, discount)).tocsc()
+    try:
+        factors: Any = linalg.spilu(matrix, drop_tol=0.0, fill_factor=ROOM)
+    except RuntimeError:
+        return None
+    return lambda constant: np.asarray(factors.solve(constant))
 
 
 def fill(matrix: sp.csc_array) -> int | None:

@@ -211,6 +211,11 @@ class LinearSystem:
         size = float(np.abs(constant).max(initial=0.0))
         if size == 0.0 or not np.isfinite(size):
             return np.full(len(constant), 0.0 if size == 0.0 else np.nan)
+        if self._within_room is not None:
+            value = self._within_room(constant)
+            left = np.abs(self._residual(constant, value)).max()
+            if left <= max(rtol * size, self._floor(constant, value)):
+                return value
         scaled = constant / size  # tests for breakdown are absolute
         if self._mixes[0]:
             found = sweeping(self.transition, self.discount, scaled, rtol)
@@ -227,6 +232,12 @@ class LinearSystem:
         if found is None:
             raise TooLarge(self._last_resort.detail)
         return np.asarray(found * size)
+
+    @cached_property
+    def _within_room(self) -> Solve | None:
+        """Elimination in little room, of chains too small for compiled loops to pay."""
+        small = self.transition.nnz < COMPILED
+        return elimination.in_room(self.transition, self.discount) if small else None
 
     @cached_property
     def _mixes(self) -> list[bool]:

@@ -16,6 +16,9 @@ digits are taken. So short solutions are found early. Once d is known, half the 
 to find it are enough for N, so that another right side of the same equations, or of their
 transpose, takes half the time: its denominator is that of the first one, as a rule.
 
+Cycles of small models are long and thin: elimination in rationals is then faster. It comes first,
+and is given up once it takes longer, or longer than loading compiled loops where they are not.
+
 A pivot may vanish modulo p: another prime is taken. A few equations, and those that no prime of a
 few suits, as all singular ones, are left to FLINT's dense solver.
 """
@@ -24,13 +27,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from heapq import heapify, heappop, heappush
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import later, worth_compiling
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.elimination import fill_order
 
@@ -45,6 +49,7 @@ LARGEST_PRIME = 2**31 - 1
 PRIMES = 4  # tried before A is taken to be singular
 FEW, MANY = 40, 4_000  # equations that FLINT solves faster, or that are too many for it
 FIRST, GROWTH = 16, 1.3  # digits before the first test, and how many more before the next
+THIN, SLOW = 4, 20_000  # steps of elimination: for each entry; those as long as to load numba
 SPARE = 40  # bits by which a reconstruction has to be shorter than chance makes it
 LEAF = 8  # digits to a prime below 2³¹ that 32-bit limbs hold, with a sign
 LACKING = 300  # bits, half of which a factor may have that a guess of the denominator lacks
@@ -75,8 +80,65 @@ class Equations:
 
         `below` is a guess of the denominator, which saves half the time where it is one.
         """
-        found = self.lifting(right, below) if len(self.pivot) > FEW else None
+        found = None
+        if len(self.pivot) > FEW:
+            most = THIN * len(self.row) if worth_compiling(len(self.row)) else SLOW
+            found = self.eliminated(right, most) or self.lifting(right, below)
         return found or self.dense(right)
+
+    def eliminated(self, right: Sequence[fmpz], most: int) -> tuple[list[fmpz], fmpz] | None:
+        """Return x by elimination in rationals, None if a pivot is 0, or over `most` steps long.
+
+        The equation with the fewest entries goes first, so that long thin cycles stay thin
+        (after Markowitz, Management Science 3, 1957).
+        """
+        size, work = len(self.pivot), 0
+        value = [flint.fmpq(number) for number in right]
+        rows = [{k: flint.fmpq(number)} for k, number in enumerate(self.pivot)]
+        users: list[set[int]] = [set() for _ in range(size)]
+        none = flint.fmpq(0)
+        entries = zip(self.row.tolist(), self.column.tolist(), self.weight.tolist(), strict=True)
+        for i, j, weight in entries:
+            rows[i][j] = rows[i].get(j, none) - weight
+            if i != j:
+                users[j].add(i)
+        waiting = [(len(rows[k]) * len(users[k]), k) for k in range(size)]
+        heapify(waiting)
+        order = list[int]()
+        gone = [False] * size
+        while waiting:
+            price, k = heappop(waiting)
+            if gone[k]:
+                continue
+            if price < len(rows[k]) * len(users[k]):
+                heappush(waiting, (len(rows[k]) * len(users[k]), k))
+                continue
+            work += price
+            pivot = rows[k].pop(k)
+            if pivot == 0 or work > most:
+                return None
+            gone[k] = True
+            order.append(k)
+            own = rows[k] = {j: number / pivot for j, number in rows[k].items()}
+            value[k] /= pivot
+            for j in own:
+                users[j].discard(k)
+            for i in users[k]:
+                row = rows[i]
+                share = row.pop(k)
+                value[i] -= share * value[k]
+                for j, number in own.items():
+                    row[j] = row.get(j, none) - share * number
+                    if i != j:
+                        users[j].add(i)
+                heappush(waiting, (len(row) * len(users[i]), i))
+        for k in reversed(order):
+            for j, number in rows[k].items():
+                value[k] -= number * value[j]
+        below = flint.fmpz(1)
+        for number in value:
+            below = below.lcm(number.q)
+        return [number.p * (below // number.q) for number in value], below
 
     def lifting(
         self, right: Sequence[fmpz], below: fmpz | None = None

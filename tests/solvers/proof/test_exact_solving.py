@@ -242,6 +242,10 @@ def test_lifting_agrees_with_rational_elimination(prime: int, data: st.DataObjec
             guessed = system.lifted(right, prime, guess)
             assert guessed is not None
             assert ratios(guessed) == ratios(found)
+    eliminated = system.eliminated(right, 10**6)
+    assert eliminated is not None
+    assert ratios(eliminated) == [F(int(x.p), int(x.q)) for x in wanted]
+    assert system.eliminated(right, 0) is None
     assert ratios(system.solve(right)) == [F(int(x.p), int(x.q)) for x in wanted]
 
 
