@@ -111,10 +111,10 @@ def later(name: str) -> Any:
     return _Later(name)
 
 
-LARGE = 200_000  # steps of a loop in Python that take about as long as loading numba
+LARGE = 200_000  # steps of a loop in Python that take about as long as loading compiled code
 
 
-def worth_compiling(steps: int) -> bool:
+def worth_compiling(steps: int, package: str = "numba") -> bool:
     """Return whether a loop is for compiled code: where that is loaded, or once it pays to load it.
 
     Examples
@@ -122,7 +122,7 @@ def worth_compiling(steps: int) -> bool:
     >>> worth_compiling(10**6)
     True
     """
-    return "numba" in sys.modules or steps >= LARGE
+    return package in sys.modules or steps >= LARGE
 
 
 def names_later(

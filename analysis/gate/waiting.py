@@ -20,23 +20,21 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.analysis.gate.forgiveness import Flags
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.chain import closure, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.proof.certificate import Certificate
-from exact_mdp.solvers.values.policy_chain import PolicyChain, closure
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import ended
 from exact_mdp.solvers.values.visits import visits
-
-csgraph = later("scipy.sparse.csgraph")
 
 
 def kept(chain: PolicyChain) -> Integers:
     """Return (S,) the number of the class that a state is in and a policy never leaves, or -1."""
     graph, mdp = chain.graph, chain.mdp
-    count, label = csgraph.connected_components(graph, directed=True, connection="strong")
+    label = strong_components(graph)
     source = np.repeat(np.arange(mdp.n_states), np.diff(graph.indptr))
-    left = np.zeros(count, dtype=bool)
+    left = np.zeros(int(label.max()) + 1, dtype=bool)
     left[label[source[label[source] != label[graph.indices]]]] = True
     return np.where(left[label] | mdp.terminal, -1, label)
 

@@ -28,8 +28,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.chain import strong_components
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
@@ -38,7 +38,6 @@ from exact_mdp.solvers.proof.rationals import fractions, primes_of
 from exact_mdp.solvers.solution import SolverError, Status
 
 Mask = NDArray[np.bool_]
-csgraph = later("scipy.sparse.csgraph")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +59,7 @@ class Classes:
     def of(cls, graph: sp.csr_array) -> Classes:
         """Return the classes of a graph (S, S): what is never left, once entered."""
         graph = sp.csr_array(graph, copy=True)  # a search takes no views of other arrays
-        _, part = csgraph.connected_components(graph, directed=True, connection="strong")
+        part = strong_components(graph)
         source = np.repeat(np.arange(len(part)), np.diff(graph.indptr))
         closed = np.ones(int(part.max()) + 1, dtype=bool)
         closed[part[source[part[source] != part[graph.indices]]]] = False

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp import chain
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
-csgraph = later("scipy.sparse.csgraph")
 FIRST = 16  # layers that may be narrow
 
 
@@ -25,10 +24,10 @@ def strong_components(source: Numbers, target: Numbers, count: int) -> Integers:
     [1, 0, 0]
     """
     graph = sp.csr_array((np.ones(len(source)), (source, target)), (count, count))
-    _, label = csgraph.connected_components(graph, directed=True, connection="strong")
+    label = chain.strong_components(graph)
     if (label[source] < label[target]).any():
         raise RuntimeError("strongly connected components are not numbered from the last one on")
-    return np.asarray(label, dtype=np.int64)
+    return label
 
 
 def layers(source: Numbers, target: Numbers, label: Integers, *, least: int = 0) -> Integers | None:

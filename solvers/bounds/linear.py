@@ -8,10 +8,11 @@ have to be empty (`policy_chain` does that).
 
 Solving: where an order of the states is known along which the chain only falls, by substitution;
 where all transitions are to near numbers, or that costs little, by elimination within that band; up
-to 500 states, by sparse elimination. Otherwise by sweeps, where a few lead there, as in chains that
-mix soon; else by BiCGSTAB, which does not fill the matrix. Where that does not converge soon, by
-sparse elimination, if there is room for its factors; if not, by GMRES, and by BiCGSTAB with more
-patience. Steps of iterative refinement follow.
+to 500 states, by sparse elimination, as are larger ones of few transitions where the factors stay
+small: loading compiled loops would take longer. Otherwise by sweeps, where a few lead there, as in
+chains that mix soon; else by BiCGSTAB, which does not fill the matrix. Where that does not converge
+soon, by sparse elimination, if there is room for its factors; if not, by GMRES, and by BiCGSTAB
+with more patience. Steps of iterative refinement follow.
 
 Bounding: let k be at least |c + γ P x - x|, its rounding errors included. If e ≥ 0 satisfies
 e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is nonnegative. So the error solves the same

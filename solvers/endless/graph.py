@@ -26,12 +26,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.chain import join
+from exact_mdp.mdp.chain import join, strong_components
 from exact_mdp.mdp.lazy import later, worth_compiling
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
-csgraph = later("scipy.sparse.csgraph")
 kernel = later("exact_mdp.solvers.kernels.graph")
 Mask = NDArray[np.bool_]
 
@@ -121,7 +120,7 @@ class Graph:
             here, there = self._edges(inside)
             shape = (self.states, self.states)
             graph = sp.csr_array((np.ones(len(here), dtype=np.int8), (here, there)), shape)
-            _, label = csgraph.connected_components(graph, directed=True, connection="strong")
+            label = strong_components(graph)
             crossing = np.zeros(len(inside), dtype=bool)
             apart = label[self.next] != label[np.repeat(self.pair_state, np.diff(self.offsets))]
             crossing = np.logical_or.reduceat(apart, self.offsets[:-1]) & inside

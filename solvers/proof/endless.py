@@ -48,12 +48,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.chain import strong_components
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 
-csgraph = later("scipy.sparse.csgraph")
 Mask = NDArray[np.bool_]
 FAR = np.iinfo(np.int64).max
 
@@ -336,8 +335,8 @@ def _apart(following: Sequence[Sequence[int]]) -> list[list[int]]:
     count = len(following)
     ends = [(i, j) for i, after in enumerate(following) for j in after]
     graph = sp.csr_array((np.ones(len(ends)), tuple(np.transpose(ends))), (count, count))
-    number, label = csgraph.connected_components(graph, directed=False)
-    return [np.flatnonzero(label == part).tolist() for part in range(number)]
+    label = strong_components(sp.csr_array(graph + graph.T))
+    return [np.flatnonzero(label == part).tolist() for part in range(int(label.max()) + 1)]
 
 
 def aperiodic(following: Sequence[Sequence[int]], states: Sequence[int]) -> bool:

@@ -21,9 +21,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.chain import closure
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import divided
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.table import (
@@ -38,8 +38,6 @@ from exact_mdp.mdp.table import (
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
 from exact_mdp.solvers.solver import Criterion, solve
-
-csgraph = later("scipy.sparse.csgraph")
 
 Mask = NDArray[np.bool_]
 SHOWN = 4
@@ -279,19 +277,6 @@ class PolicyChain:
         if self.mdp.discount_exact == 1:
             return self.undiscounted
         return LinearSystem(self.transition, rate, order=self.order, roundings=self.roundings)
-
-
-def closure(matrix: sp.csr_array, first: Mask) -> Mask:
-    """Return (S,) True for states that can be reached from `first` (S,) along a matrix's rows."""
-    # One more node that leads to all the first ones, so that a single search serves.
-    states, begin = len(first), np.flatnonzero(first)
-    indices = np.concatenate([matrix.indices, begin])
-    offsets = np.append(matrix.indptr, len(indices))
-    graph = sp.csr_array((np.ones(len(indices)), indices, offsets), (states + 1, states + 1))
-    found = csgraph.breadth_first_order(graph, states, return_predecessors=False)
-    seen = np.zeros(states + 1, dtype=bool)
-    seen[found] = True
-    return seen[:-1]
 
 
 def _checked(mdp: MDP, weights: Floats) -> Floats:

@@ -14,17 +14,16 @@ from math import inf
 
 import numpy as np
 
+from exact_mdp.mdp.chain import closure, strong_components
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import per_step
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.average.evaluate import evaluated
-from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 
-csgraph = later("scipy.sparse.csgraph")
 SILENT = ("gain", "gain_doubt")
 
 
@@ -151,7 +150,7 @@ def _resting(chain: PolicyChain) -> Mask:
 
 def _recurrent(chain: PolicyChain, busy: Mask | None = None) -> Mask:
     """Return (S,) True in recurrent classes without any of some outcomes (N,)."""
-    _, label = csgraph.connected_components(chain.graph, directed=True, connection="strong")
+    label = strong_components(chain.graph)
     source, target = chain.source, chain.table.next
     leaves = label[source] != label[target]
     out = np.zeros(int(label.max()) + 1, dtype=bool)

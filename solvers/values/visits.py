@@ -17,11 +17,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.chain import closure
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, transposed
-from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, closure
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 
 _VISITS: WeakKeyDictionary[LinearSystem, tuple[Floats, FixedPoint]] = WeakKeyDictionary()
 

@@ -6,13 +6,14 @@ from functools import cache
 import networkx as nx
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from cases import CASES
 from cases.reference import every_policy_ends
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import Rows, model_of, models
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp import MDP, ModelError, Scenario, chain
 from exact_mdp.mdp.chain import (
     components,
     is_acyclic,
@@ -155,3 +156,21 @@ def test_a_thousand_subtasks_fall_level_by_level() -> None:
     assert levels.max() == 5000
     assert check_rank(mdp, levels)
     assert check_rank(mdp, termination(mdp).rank)
+
+
+@given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
+def test_small_graphs_are_searched_as_scipy_searches_large_ones(
+    size: int, ends: list[tuple[int, int]], data: st.DataObject
+) -> None:
+    """The numbers of the components are the same, too: answers do not depend on what is loaded."""
+    graph = np.zeros((size, size))
+    for source, target in ends:
+        graph[source % size, target % size] = 1
+    first = np.array(data.draw(st.lists(st.booleans(), min_size=size, max_size=size)))
+    found = []
+    for large in (False, True):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(chain, "_large", lambda _, large=large: large)
+            parts = chain.strong_components(sp.csr_array(graph)).tolist()
+            found.append((parts, chain.closure(sp.csr_array(graph), first).tolist()))
+    assert found[0] == found[1]

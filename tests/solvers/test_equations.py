@@ -227,6 +227,7 @@ def test_a_slowly_mixing_chain_is_solved_by_elimination(
     assert (LinearSystem(chain)._direct is not None) == (side == 40)  # small and banded enough
     monkeypatch.setattr(linear, "CHEAP", 0)
     monkeypatch.setattr(linear, "STEPS", 5)
+    monkeypatch.setattr(linear, "COMPILED", 0)
     system = LinearSystem(chain)
     found = system.solve(np.ones(side**2))
     assert "_last_resort" in vars(system)
@@ -236,6 +237,23 @@ def test_a_slowly_mixing_chain_is_solved_by_elimination(
     same = other.solve(np.ones(side**2))
     assert "_last_resort" not in vars(other)
     assert (np.abs(found.value - same.value) <= found.error + same.error).all()
+
+
+@pytest.mark.parametrize(("room", "enough"), [(20, True), (0.5, False)])
+def test_small_chains_are_eliminated_in_little_room_or_iterated(
+    monkeypatch: pytest.MonkeyPatch, room: float, enough: bool
+) -> None:
+    """Where SuperLU drops entries for want of room, the residual tells, and iteration answers."""
+    chain = slow_walk(40)
+    known = LinearSystem(chain).solve(np.ones(1600))
+    monkeypatch.setattr(linear, "CHEAP", 0)
+    monkeypatch.setattr(elimination, "ROOM", room)
+    system, iterated = LinearSystem(chain), list[int]()
+    inner = linear.quickly
+    monkeypatch.setattr(linear, "quickly", lambda *of: iterated.append(1) or inner(*of))
+    found = system.solve(np.ones(1600))
+    assert (not iterated) == enough
+    assert (np.abs(found.value - known.value) <= found.error + known.error).all()
 
 
 def test_where_factors_would_be_too_large_iteration_has_patience(
