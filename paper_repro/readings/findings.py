@@ -185,7 +185,7 @@ def sentences(
     """
     main = next(iter(found.values()))
     return [
-        *_fit(main, found[ALIKE]),
+        *_fit(main, found.get(ALIKE)),
         *_options(main.support, "", found.get(WITHOUT_RANDOM)),
         *_options(main.completion_support(), "the policy's"),
         *_variants(found),
@@ -222,7 +222,7 @@ def method(main: Evidence) -> list[Sentence]:
     return [Sentence("method", text) for text in texts]
 
 
-def _fit(found: Evidence, alike: Evidence) -> Iterator[Sentence]:
+def _fit(found: Evidence, alike: Evidence | None) -> Iterator[Sentence]:
     space = found.search.space
     first, second = found.ranking[:2].tolist()
     ratio, default = np.exp(found.marginal[first] - found.marginal[[second, 0]]).tolist()
@@ -233,12 +233,19 @@ def _fit(found: Evidence, alike: Evidence) -> Iterator[Sentence]:
         f"second; {len(found.credible())} of {len(space):,} readings are needed for 95 % of the "
         f"weight, and the weights are as spread as {found.effective_number:.0f} equal ones.",
     )
+    unweighed = (
+        ""
+        if alike is None
+        else (
+            f" Were all completions alike, it would be number {alike.rank():,} with "
+            f"{100 * alike.weights[0]:.2g}%."
+        )
+    )
     yield Sentence(
         "fit",
         f"The default reading is number {found.rank():,} in the order, with "
         f"{100 * found.weights[0]:.2g}% of the weight; the best supported reading makes the "
-        f"reported numbers {default:,.0f} times as likely. Were all completions alike, it would be "
-        f"number {alike.rank():,} with {100 * alike.weights[0]:.2g}%.",
+        f"reported numbers {default:,.0f} times as likely.{unweighed}",
     )
 
 
