@@ -149,7 +149,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: psa(SMALL, 50, rng=0),
     "PosteriorInterval": lambda: (
-        check(recorded().mdp, "always:wait", confidence=0.95, by=Posterior(n=50, rng=0)).interval
+        check(recorded().mdp, "always:wait", confidence=0.95, by=Posterior(n=80, rng=0)).interval
     ),
     "PolicyComparison": lambda: compare(care(), {"a": "random", "b": "optimal"}),
     "PriceOfPerception": lambda: price_of_perception(care(), ROUGH, tol=1),

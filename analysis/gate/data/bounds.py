@@ -28,7 +28,9 @@ allow, to the optimum and to the policy, so that they may cost the whole range.
 
 Every bound is that of a monotone operator T, a contraction where γ < 1: T v ≤ v + e gives
 v + e / (1 - γ) as an upper bound, whatever v is, and policy iteration finds a good v. At discount 1
-T is applied to a range that the user states, and keeps it valid however often.
+T is applied to a range that the user states, and keeps it valid however often. Ends are worth 0 at
+any discount, so that the range shrinks in every state by the chance to get there; it stays for ever
+only where episodes were cut off, and where the sets allow that an episode never ends.
 """
 
 from __future__ import annotations
@@ -45,6 +47,7 @@ from exact_mdp.analysis.gate.data.sets import Rows, RowSets
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 
@@ -113,6 +116,14 @@ class RobustBounds:
         least = min(0.0, self.sets.rewards[0], *certain) / float(1 - rate)
         most = max(0.0, self.sets.rewards[1], *certain) / float(1 - rate)
         return least * SLACK, most * SLACK
+
+    @cached_property
+    def over(self) -> Flags:
+        """(S,) ends, worth 0 in every model of the sets: no row counted, nobody cut off."""
+        counted = self.sets.counted > 0
+        left = np.logical_or.reduceat(counted, self.mdp.pair_offsets[:-1])
+        found: Flags = self.mdp.terminal & ~left & ~self.sets.unknown
+        return found
 
     @cached_property
     def own_low(self) -> Floats:
@@ -309,11 +320,11 @@ class RobustBounds:
     ) -> Floats:
         """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
 
-        `first` (S,) are such bounds, the ends of the range unless given; `near` is the name of the
-        values to begin with.
+        `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over;
+        `near` is the name of the values to begin with.
         """
         sign, take = (1, np.minimum) if side else (-1, np.maximum)
-        known = np.full(self.mdp.n_states, self.range[side]) if first is None else first
+        known = np.where(self.over, 0.0, self.range[side]) if first is None else first
         rate, left = self.mdp.discount, float(1 - self.mdp.discount_exact)
         scale = self.small * (self.range[1] - self.range[0])
         if not left:

@@ -33,6 +33,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
+from math import nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,7 +80,11 @@ class Needed(Pictured):
     expected : bool
         The verdict if more records show what was seen.
     possible : bool
-        Whether records can decide it: not where the estimated regret equals the limit.
+        Whether more records of the same kind can decide it: not where the estimated regret equals
+        the limit, nor where states in which episodes were cut off, the range of rewards or, at
+        discount 1, that of totals hold it open.
+    known : float
+        The deciding end if all rows that were counted were known; NaN where nothing is open.
     pairs : (K,) int64
         Pairs that are worth knowing better, or of which the plan asks for more.
     worth : (K,)
@@ -109,6 +114,7 @@ class Needed(Pictured):
     planned: tuple[float, float]
     chance: Probability | None = None
     rest: tuple[int, float] = (0, 0.0)
+    known: float = nan
 
     picture = "exact_mdp.analysis.plots.records:plot_needed"
 
@@ -122,7 +128,11 @@ class Needed(Pictured):
         if self.decided is not None:
             return f"decided, {'passes' if self.decided else 'fails'}"
         if not self.possible:
-            return "open, and the estimate is at the limit itself"
+            side = "upper" if self.expected else "lower"
+            return (
+                "open, and no more records of this kind decide it: if all rows that were counted "
+                f"were known, the {side} end would be {self.known:.6g}"
+            )
         return (
             f"open; {int(self.more.sum()):,} more observations of "
             f"{np.count_nonzero(self.more)} pairs let it {'pass' if self.expected else 'fail'} if "
@@ -183,12 +193,14 @@ def needed(
 
     decided = True if high <= limit else False if low > limit else None
     worth, more, possible, rest = np.zeros(mdp.n_pairs), np.zeros(mdp.n_pairs), True, (0, 0.0)
+    last = nan
     if decided is None:
         asked = _promising(today, most=expected)
         together = np.setdiff1d(sets.pairs, asked)
         worth, known = _worth(asked, together, partial(end, start=False), mdp.n_pairs)
         rest = len(together), known
-        possible = short(np.where(sets.counted > 0, EXACTLY, 0.0)) <= 0
+        last = end(np.where(sets.counted > 0, EXACTLY, 0.0))
+        possible = signed(last) <= 0
         if possible:
             more = _plan(sets.counted, worth, asked, together, short)
     planned = bounds(sets.with_more(more))
@@ -217,6 +229,7 @@ def needed(
         if more.any()
         else None,
         rest=rest,
+        known=last,
     )
 
 

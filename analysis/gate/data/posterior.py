@@ -12,9 +12,11 @@ Every draw is a model: it is solved by policy iteration, the policy is evaluated
 difference at the start is one draw of the regret. Draws come in blocks with a stream of random
 numbers each: the same seed gives the same bytes wherever the work is done.
 
-The credible interval goes from 0 to the quantile of the confidence, moved upward by the 95 %
-interval of the sample's quantile, so that more draws narrow it. It has no lower end above 0,
-because none would be honest: the regret is a maximum, so that the noise of every draw adds to it.
+The credible interval goes from 0 to an order statistic of the draws that is at least the
+posterior's quantile of the confidence in 97.5 % of samples, so that more draws narrow it: the k-th
+smallest of n, with the least k of P(Binomial(n, confidence) < k) ≥ 0.975. Of too few draws not even
+the greatest is one, and they are refused: 72 are enough at a confidence of 0.95, 368 at 0.99, 3,688
+at 0.999. It has no lower end above 0, because none would be honest: the regret is a maximum, so that the noise of every draw adds to it.
 Where the policy is optimal, as where actions tie, the true regret is 0, but some other action looks
 better in nearly every draw, the more states there are, and an interval of equal tails misses the 0
 in nearly every data set. To the upper end the same bias only adds. So a posterior lets a policy
@@ -39,7 +41,13 @@ from numpy.random import SeedSequence
 from exact_mdp.analysis.gate.data.interval import RegretInterval, named, observations_of, of_process
 from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded, whole_number
-from exact_mdp.analysis.sensitivity.psa.intervals import quantiles, share_of, wilson
+from exact_mdp.analysis.sensitivity.psa.intervals import (
+    quantiles,
+    require_draws,
+    share_of,
+    upper_quantile,
+    wilson,
+)
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.horizon import by_time
@@ -91,6 +99,7 @@ class PosteriorInterval(RegretInterval):
 
     def within(self, limit: Fraction) -> Probability:
         """Return the probability that the regret is at most `limit`, as the draws show it."""
+        limit = exact(limit)
         found, count = int((self.draws <= float(limit)).sum()), len(self.draws)
         share, (low, high) = share_of(found, count), wilson(found, count)
         return Probability(
@@ -112,7 +121,7 @@ class Posterior:
     prior : number
         Observations that each row begins with, spread evenly over all states.
     n : int
-        Draws.
+        Draws; few do not show a high quantile, and are refused.
     rng : int or Generator
     n_jobs, scheduler, folder, progress
         Where the work is done, as `solvers.parallel.many.many` takes it; results do not change.
@@ -142,7 +151,7 @@ class Posterior:
     def interval(
         self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
     ) -> PosteriorInterval:
-        """Return the interval; raises ModelError without counts, for a bad prior or number."""
+        """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
         if (unknown := transitions.cut_off(mdp)).any():
             raise ModelError(
                 f"episodes were cut off in {named(mdp, unknown)}, which no record leaves: no prior "
@@ -152,6 +161,7 @@ class Posterior:
             )
         prior, seed = _prior(self.prior), seed_of(self.rng)
         count = whole_number(self.n, "draws", 2)
+        require_draws(count, float(confidence))
         own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
         model = _Model.of(mdp, own, prior)
         pieces, _ = seeded(seed, count, BLOCK)
@@ -179,10 +189,10 @@ class Posterior:
         )
         draws = joined(blocks)["regret"]
         tail = float((1 - confidence) / 2)
-        low, high, top = quantiles(draws, [tail, 1 - tail, float(confidence)])
+        low, high = quantiles(draws, [tail, 1 - tail])
         return PosteriorInterval(
             low=0.0,
-            high=top.high,
+            high=upper_quantile(draws, float(confidence)),
             confidence=float(confidence),
             by=self.by,
             assumptions=(
@@ -190,6 +200,8 @@ class Posterior:
                 f"before the records, rows are Dirichlet, each worth {prior:g} observations that "
                 "are spread evenly over all states",
                 "rewards are among those that were seen",
+                "of the draws the upper end is one that is at least the posterior's quantile in "
+                "97.5 % of samples",
                 "the confidence is a probability by the posterior, no share of data sets; no lower "
                 "end above 0 is stated, as draws of a maximum do not tell a small loss from none",
             ),

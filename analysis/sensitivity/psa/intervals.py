@@ -18,14 +18,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil, log
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.solution import Estimated
 
+special = later("scipy.special")
+
 NORMAL = 1.959963984540054
+SURE = 0.975  # that an end of order statistics is beyond the quantile
 FEW = 50.0  # draws that carry a mean
 QUANTILES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
@@ -129,6 +135,43 @@ def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> lis
             )
         )
     return found
+
+
+def upper_quantile(values: Floats, probability: float) -> float:
+    """Return an order statistic that is at least a quantile, but for the chance 0.025.
+
+    The k-th smallest of n is below the quantile only where at least k draws are, of which there are
+    no more than a binomial number of n and p: the k is the least of which that chance is small.
+
+    Examples
+    --------
+    >>> upper_quantile(np.arange(1.0, 101.0), 0.95)
+    100.0
+    """
+    require_draws(len(values), probability)
+    chance = special.bdtr(np.arange(len(values)), len(values), probability)
+    return float(np.sort(values)[np.searchsorted(chance, SURE)])
+
+
+def require_draws(count: int, probability: float) -> None:
+    """Raise ModelError where even the greatest of the draws may be below a quantile: p^n > 0.025.
+
+    Examples
+    --------
+    >>> require_draws(72, 0.95)
+    >>> require_draws(71, 0.95)
+    Traceback (most recent call last):
+    exact_mdp.mdp.errors.ModelError: 71 draws do not show where 95 % of the posterior ends
+      where: draws
+      fix:   give 72 or more (--draws 72, n=72)
+    """
+    least = ceil(log(1 - SURE) / log(probability))
+    if count < least:
+        raise ModelError(
+            f"{count:,} draws do not show where {100 * probability:.10g} % of the posterior ends",
+            where="draws",
+            fix=f"give {least:,} or more (--draws {least}, n={least})",
+        )
 
 
 def wilson(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:

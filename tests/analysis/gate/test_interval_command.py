@@ -175,7 +175,7 @@ def test_the_page_runs(
 
 @pytest.mark.parametrize("by", ["robust", "posterior", "off-policy"])
 def test_a_horizon_leaves_no_counts_behind(by: str, folder: Path) -> None:
-    more = ["--draws=50"] if by == "posterior" else ["--rewards=0,1"]
+    more = ["--draws=80"] if by == "posterior" else ["--rewards=0,1"]
     more += [f"--records={folder / 'records.csv'}"] * (by == "off-policy")
     words = ("check", folder / "model.npz", "always:a", f"--by={by}", "--confidence=0.95", *more)
     alone, one = (run(*words, *late, "--json").result for late in ([], ["--horizon=1"]))

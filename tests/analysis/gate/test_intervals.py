@@ -27,7 +27,7 @@ from exact_mdp.analysis.gate.data.posterior import Posterior, PosteriorInterval,
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.analysis.gate.data.stages import staged
-from exact_mdp.analysis.sensitivity.psa.intervals import wilson
+from exact_mdp.analysis.sensitivity.psa.intervals import upper_quantile, wilson
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.horizon import by_time
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -214,7 +214,7 @@ def test_states_that_were_only_entered_are_named() -> None:
     chain = PolicyChain.of(mdp, "always:risky")
     for kind, by in (
         ("robust", Robust(rewards="known")),
-        ("posterior", Posterior(n=50)),
+        ("posterior", Posterior(n=80)),
         ("off-policy", OffPolicy(records=frame, rewards="known")),
     ):
         found = by.interval(mdp, chain, LEVEL)  # type: ignore[attr-defined]
@@ -276,7 +276,7 @@ def test_what_is_cut_off_without_a_next_state_counts(limit: int) -> None:
         assert found.low <= treated - waits <= found.high
         assert any("cut off" in each for each in found.assumptions)
     with pytest.raises(ModelError, match="cut off in"):
-        Posterior(n=20).interval(mdp, chain, LEVEL)
+        Posterior(n=80).interval(mdp, chain, LEVEL)
 
 
 def test_trajectories_tell_nothing_of_another_start() -> None:
@@ -489,6 +489,67 @@ def test_at_discount_1_a_range_of_returns_is_needed() -> None:
         check(mdp, POLICY, confidence=0.95, by=Robust(rewards=(0, 1), returns=(0, 0.5)))
 
 
+def test_at_discount_1_the_interval_is_that_of_episodes_that_stop_late() -> None:
+    """By backward induction from 0, in place of a range that shrinks; the range itself is gone."""
+    mdp = MDP.from_transitions(recorded(np.random.default_rng(1), 3000))
+    own = PolicyChain.of(mdp, POLICY).weights
+    sets = RowSets.of(mdp, 0.05, (0, 1))
+    for most in (50.0, 5000.0):
+        found = RobustBounds(sets=sets, own=own, returns=(-most, most))
+        late = staged(sets, np.tile(own, (300, 1)))
+        assert found.over.tolist() == [False, False, False, True]
+        for name in ("own_low", "own_high", "best_low", "best_high"):
+            assert vars(late)[name] == pytest.approx(getattr(found, name), abs=1e-5)
+        assert found.regret == pytest.approx(late.regret, abs=1e-5)
+    sets = sets.with_more(np.where(sets.counted > 0, 1e14, 0.0))
+    found = RobustBounds(sets=sets, own=own, returns=(-50, 50))
+    wanted = float(check(mdp, POLICY).value.value)
+    assert found.regret == (pytest.approx(wanted, abs=1e-4), pytest.approx(wanted, abs=1e-4))
+
+
+@pytest.mark.parametrize("kind", ["robust", "off-policy"])
+@pytest.mark.parametrize("end", ["well", None])
+def test_at_discount_1_ends_are_worth_nothing(kind: str, end: str | None) -> None:
+    """Who waits is ill for 5 days, who is treated for 2: 5 less 2 times 1.25 is lost."""
+    rng, rows = np.random.default_rng(0), []
+    for n in range(3000):
+        state: str | None = "ill"
+        while state == "ill":
+            action = ("wait", "treat")[rng.integers(2)]
+            cured = rng.random() < (0.5 if action == "treat" else 0.2)
+            state = end if cured else "ill"
+            rows.append((n, "ill", action, -1 if action == "wait" else -1.25, state))
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame)
+    how: dict[str, Any] = {"rewards": "known", "returns": (-60, 0)}
+    by = Robust(**how)
+    if kind == "off-policy":
+        by = OffPolicy(records=frame, behaviour="random", n=10, **how)  # type: ignore[assignment]
+    found = by.interval(mdp, PolicyChain.of(mdp, "always:wait"), LEVEL)
+    assert found.low <= 2.5 <= found.high
+    assert found.high < (4 if kind == "robust" else 58)
+    least, most = found.found["optimal_value"]
+    assert -2.8 < least <= -2.5 <= most < -2.2
+    best = by.interval(mdp, PolicyChain.of(mdp, "always:treat"), LEVEL)
+    assert best.low == 0
+    assert kind != "robust" or best.high < 1e-6
+
+
+def test_at_discount_1_where_episodes_were_cut_off_the_range_stays() -> None:
+    """No number of records decides it, and the plan says so, not that the estimate is close."""
+    rows = [(n, "s", "ab"[n % 2], n % 2, ("u", None)[n % 2], n % 2 == 0) for n in range(200)]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=[*NAMES, "truncated"]))
+    by = Robust(rewards="known", returns=(0, 10))
+    audit = check(mdp, "always:b", max_regret="1/10", confidence=0.95, by=by)
+    assert audit.regret_interval is not None
+    assert audit.regret_interval[1] == pytest.approx(9.0, abs=0.5)
+    found = audit.needed()
+    assert (found.possible, found.decided, found.expected) == (False, None, True)
+    assert "no more records of this kind decide it" in found.told
+    assert found.known == pytest.approx(9, abs=1e-4)
+    assert f"the upper end would be {found.known:.6g}" in found.told
+
+
 # ---- episodes that stop --------------------------------------------------------------------------
 
 STAGES = np.array([[0, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0]])  # actions (N, S), by time
@@ -577,9 +638,9 @@ def test_with_ever_more_records_it_is_the_regret_within_the_horizon() -> None:
     assert found == (pytest.approx(wanted, abs=1e-4), pytest.approx(wanted, abs=1e-4))
     with pytest.raises(ModelError, match="without a horizon"):
         audit.needed(5)
-    long = check(mdp, policy=POLICY, horizon=300, confidence=0.95, by=Posterior(n=20))
+    long = check(mdp, policy=POLICY, horizon=300, confidence=0.95, by=Posterior(n=80))
     assert long.interval is not None
-    other = check(mdp, POLICY, confidence=0.95, by=Posterior(n=20)).interval
+    other = check(mdp, POLICY, confidence=0.95, by=Posterior(n=80)).interval
     assert other is not None
     assert long.interval.high == pytest.approx(other.high, rel=1e-6)  # all are over by then
 
@@ -717,6 +778,29 @@ def test_the_bootstrap_holds_the_value_where_weights_are_even() -> None:
         low, high = drawn.interval(0.95, (0.0, 1.0), 200, seed)
         found += low <= 0.3 <= high
     assert float(wilson(found, 100)[1]) >= float(LEVEL)
+
+
+@pytest.mark.parametrize(("level", "least"), [("1/2", 6), (0.95, 72), (0.99, 368), (0.999, 3688)])
+def test_too_few_draws_show_no_upper_end(level: Any, least: int) -> None:
+    """As many as are needed for the greatest to be above the quantile in 97.5 % of samples."""
+    assert 1 - float(F(str(level))) ** least >= 0.975 > 1 - float(F(str(level))) ** (least - 1)
+    mdp, chain = estimated(recorded(np.random.default_rng(4), 100))
+    with pytest.raises(ModelError, match=f"{least - 1:,} draws do not show") as caught:
+        Posterior(n=least - 1).interval(mdp, chain, F(str(level)))
+    assert f"n={least})" in str(caught.value)
+    found = Posterior(n=least).interval(mdp, chain, F(str(level)))
+    assert found.high == found.draws.max()
+
+
+@pytest.mark.parametrize("count", [72, 73, 150, 2000])
+@pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
+def test_the_upper_end_is_the_order_statistic_that_covers(level: float, count: int) -> None:
+    """Its coverage by another library's distribution, and that none lower has it; and in draws."""
+    rank = int(upper_quantile(np.arange(1.0, count + 1), level))
+    below = stats.binom(count, level).cdf
+    assert below(rank - 1) >= 0.975 > below(rank - 2)
+    samples = np.sort(np.random.default_rng(count).random((4000, count)), axis=1)
+    assert (samples[:, rank - 1] >= level).mean() >= 0.975 - 4 * (0.975 * 0.025 / 4000) ** 0.5
 
 
 def test_the_probability_is_a_share_of_the_draws() -> None:
