@@ -288,6 +288,10 @@ def constrained_violations(
     bound p₀ r(π) + Σ p c(π) by μ V; a flow that keeps the limits and meets the bound is optimal.
     """
     wrong, (reward, *each) = sound(of, proof), price
+    gain, below = of.mdp.table.expected_gain_exact()
+    scale = of.sign * of.rows.scale.astype(object)[of.mdp.pair_state]
+    if (of.amounts[0] * below.astype(object) != gain * scale).any():
+        wrong.append("what is maximised is not the reward")
     if reward not in (0, 1) or min(each, default=0) < 0 or shift < 0 or (reward and shift):
         wrong.append("a price or the step of the limits is negative")
     if not _flows(of, flow):

@@ -35,7 +35,7 @@ here imports a solver.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, ClassVar
@@ -120,12 +120,13 @@ class ObjectivesProof:
         """Return what a sound proof proves."""
         of = Objectives.of(mdp, self.objectives)
         if self.kind == FRONT:
-            return {"names": of.names, "vertices": len(self.content["vertices"])}
+            return {"names": of.texts, "vertices": len(self.content["vertices"])}
         if self.kind == CHAIN:
-            return {"names": of.names, "vertices": len(corners(of, self.content["chain"]))}
+            return {"names": of.texts, "vertices": len(corners(of, self.content["chain"]))}
         feasible = self.content["price"][0] == 1
         value = of.sign * totals_of(of, self.content["flow"])[0] if feasible else None
-        limits = [str(limit) for limit in self.content["limits"]]
+        text = dict(zip(of.names, of.texts, strict=True))  # a name may be given to any sum
+        limits = [str(replace(each, name=text[each.name])) for each in self.content["limits"]]
         return {"limits": limits, "feasible": feasible, "exact_start_value": value}
 
     def save(self, path: str | Path) -> None:

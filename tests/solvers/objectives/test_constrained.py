@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from exact_mdp import Scenario, certify, evaluate, solve
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers.objectives.checker import Values
 from exact_mdp.solvers.objectives.constrained import ConstrainedSolution, limits_of
+from exact_mdp.solvers.objectives.file import ObjectivesProof
 from exact_mdp.solvers.objectives.simplex import maximise
 
 F = Fraction
@@ -128,6 +130,24 @@ def test_what_is_no_limit(limits: Any, message: str) -> None:
     with pytest.raises(ModelError, match="have one solver"):
         solve(MDP.from_arrays([[[1]]], [0]), "value-iteration", subject_to={"steps": "<= 1"})
     assert str(limits_of({"a": "<=  -1/2"})[0]) == "a <= -1/2"
+
+
+def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
+    """Names in a file may stand for any sum: the reward is checked, and sums are written out."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2", components={"help": [0, 4, 0], "calm": [5, 0, 0]})
+    held = solve(mdp, subject_to={"calm=2*calm": ">= 5"})
+    held.save(path := tmp_path / "held.json")
+    proof = ObjectivesProof.load(path, "limits")
+    assert proof.violations(mdp) == []
+    assert proof.found(mdp)["limits"] == ["calm=2*calm >= 5"]
+    twice = replace(proof, objectives=("return=2*reward", *proof.objectives[1:]))
+    dual = proof.content["dual"]
+    content = {**proof.content, "dual": Values([2 * v for v in dual.top], dual.below)}
+    content["price"] = [F(1), 2 * proof.content["price"][1]]
+    assert replace(twice, content=content).violations(mdp) == [
+        "what is maximised is not the reward"
+    ]
 
 
 def test_the_checker_notices() -> None:
