@@ -27,7 +27,7 @@ BOUNDS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(1, 7), F(1), F(5, 2)])
 @settings(max_examples=40)
 @given(mdp=with_components(2), bounds=st.tuples(BOUNDS, BOUNDS))
 def test_a_basis_and_mixtures_give_the_same_optimum(mdp: MDP, bounds: tuple[F, F]) -> None:
-    of = Objectives.of(mdp, ["return=c0+c1", "c0", "c1"])
+    of = Objectives.of(mdp, ["reward", "c0", "c1"])
     limits = limits_of({"c0": f">= {bounds[0]}", "c1": f"<= {bounds[1]}"})
     found, wanted = by_basis(of, limits), relaxed(of, limits)
     if found is not None:
