@@ -108,7 +108,9 @@ def statements(levels: tuple[float, ...] = (0.99, 0.95, 0.9, 0.8)) -> list[State
 
 
 def once(mdp: MDP, status: str, action: str) -> list[Fraction]:
-    """Return what an action loses in each state with a status, taken once, all else optimal.
+    """Return what an action loses in each state with a status and a choice, taken once.
+
+    All else is optimal.
 
     Examples
     --------
@@ -117,7 +119,8 @@ def once(mdp: MDP, status: str, action: str) -> list[Fraction]:
     (15, True)
     """
     value, discount = certify(mdp).value, mdp.discount_exact
-    at = np.flatnonzero((mdp.space.values("status") == int(status, 2)) & ~mdp.terminal)
+    chosen = (mdp.space.values("status") == int(status, 2)) & ~mdp.forced & ~mdp.terminal
+    at = np.flatnonzero(chosen)
     rows = [(state, mdp.table.row(mdp.pair(state, action))) for state in at.tolist()]
     return [
         value[state] - sum(p * (gain + discount * value[after]) for p, after, gain in row)

@@ -66,6 +66,7 @@ class Finding:
     shown: str = ""  # how it reads, where it is not a plain number
     difference: float | None = None  # exact less paper
     standard_error: float | None = None  # the exact one, of the paper's average
+    judged: Finding | None = None  # with the number that the verdict is of, where it is another
     details: Mapping[str, Any] = field(default_factory=dict)  # more, for `numbers.json`
 
     @property

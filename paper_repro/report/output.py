@@ -45,8 +45,8 @@ def stated(value: float, *, unit: str = "") -> str:
 
 
 def cells(each: Judged) -> dict[str, str]:
-    """Return the cells of a claim by name."""
-    claim, found = each.claim, each.finding
+    """Return the cells of a claim by name; its number is the one that the verdict is of."""
+    claim, found = each.claim, each.finding.judged or each.finding
     apart, errors = found.difference, found.standard_errors
     sign = "+" if apart is not None and apart > 0 else ""
     paper = "" if claim.paper is None else stated(float(claim.paper), unit=claim.unit)
@@ -88,6 +88,7 @@ def entry_of(each: Judged) -> dict[str, Any]:
         "error_bound": value.error if isinstance(value, Bounded) else None,
         "estimate_standard_error": value.standard_error if isinstance(value, Estimated) else None,
         "standard_error": found.standard_error,
+        "judged": None if found.judged is None else found.judged.exact,
         "difference_in_standard_errors": found.standard_errors,
         "approximate": claim.rule == "plotted",
         "rule": claim.rule,
@@ -191,8 +192,8 @@ def print_table(judged: Sequence[Judged]) -> None:
     screen.print(counted(judged), soft_wrap=True)
     screen.print(
         f"in s.e.: exact standard errors of an average over {reported.EXPERIMENTS:,} "
-        "experiments; ≈: read off a plot by the authors.\nThe averages are shown with "
-        "“respectively” as written, and judged by the best joint fit that training ends with."
+        "experiments; ≈: read off a plot by the authors.\nThe averages are those of the best joint "
+        "fit that training ends with, by which they are judged."
     )
 
 

@@ -53,6 +53,7 @@ SIGNS = {
     Verdict.NOT_REPRODUCED: "✗",
     Verdict.NOT_DETERMINED: "?",
 }
+NUMBERS = ("learning.converged.", "return.random", "return.reported.")  # of the summary
 MOVED = "reward.assist.directive"  # the number that the page's slider moves
 CLAIM_WORDS = {
     Claim.CERTIFIED: "exact rational number, with a proof that a separate checker accepts",
@@ -137,7 +138,7 @@ def summary(
     numbers = [
         cells(each)
         for each in judged
-        if each.claim.id.startswith("return.") and each.finding.difference is not None
+        if each.claim.id.startswith(NUMBERS) and each.finding.difference is not None
     ]
     data = _first_page(judged, reading, main) | {"numbers": numbers, "shown": _shown(record)}
     return str(page.get_template("summary.html.j2").render(data))

@@ -19,9 +19,10 @@ from exact_mdp.paper_repro.agents.claims import once
 from exact_mdp.paper_repro.claims import Judged, Verdict, all_claims, chosen, judge
 from exact_mdp.paper_repro.claims.claim import RULES, event, usual
 from exact_mdp.paper_repro.claims.judge import disagreements, expected
-from exact_mdp.paper_repro.reading import QUICK, Reading, Store, alternatives, default
+from exact_mdp.paper_repro.reading import QUICK, Reading, Store, alternatives, changed, default
 from exact_mdp.paper_repro.readings.search import averages
 from exact_mdp.paper_repro.report.figures import choice_losses, status_law, trial_flow
+from exact_mdp.paper_repro.report.output import cells
 from exact_mdp.paper_repro.reported import COMPLETIONS, PLACES, SECTIONS, STARTS, section_of
 from exact_mdp.solvers import evaluate
 
@@ -216,6 +217,15 @@ def test_the_averages_are_judged_by_the_learnable_completion_that_fits_all_three
         near = abs(found.details["best_fit_in_standard_errors"]) <= 3
         assert (found.verdict is Verdict.REPRODUCED) == near
         assert found.details["as_written"] == pytest.approx(found.exact, rel=1e-12)
+        # The number beside the verdict is the judged one, its distance by the rule too.
+        policy = reported.policy(start, COMPLETIONS[int(completions.fitting)])
+        worth, shown = evaluate(view.mdp, policy), cells(judged[f"return.reported.{start}"])
+        apart = worth.mean - reported.AVERAGE_RETURN[start]
+        assert shown["exact"] == f"{worth.mean:.3f}"
+        assert float(shown["errors"].replace("−", "-")) == pytest.approx(
+            apart / (worth.sd / sqrt(reported.EXPERIMENTS)), abs=0.05
+        )
+        assert f"{worth.mean:.1f}" in judged["return.ranking"].finding.shown
     together = judged["return.together"].finding
     assert together.details["probability_of_any"] == pytest.approx(0.799, abs=1e-3)
     assert together.details["probability"] == pytest.approx(0.0292, abs=1e-4)
@@ -328,6 +338,28 @@ def test_a_skip_with_a_timestep_of_its_own_breaks_table_1(view: Reading) -> None
     assert each.verdict is Verdict.REPRODUCED
     assert each.others is not None
     assert each.others.reproduced == 1
+
+
+@pytest.mark.parametrize(
+    "change, name, told",
+    [
+        ("readings.skip_timestep=own", "agents.confusion-supported", "optimal in"),
+        ("readings.evaluation_discount=0.95", "return.ranking.by-experiments", "open, because"),
+        ("reward.timestep=-1.001", "return.ranking.by-experiments", "open, because"),
+    ],
+)
+def test_a_claim_that_a_reading_leaves_open_ends_no_run(
+    view: Reading, change: str, name: str, told: str
+) -> None:
+    found = chosen(name).find(changed(view, [change]))
+    assert told in found.why
+    assert (found.verdict is Verdict.NOT_DETERMINED) == (told == "open, because")
+
+
+@pytest.mark.slow
+def test_every_claim_has_a_verdict_under_every_reading_with_one_change(view: Reading) -> None:
+    for other in alternatives(view):
+        assert {each.finding.verdict for each in judge(EXACT, other)} <= set(Verdict), other.label
 
 
 def test_the_readings_tried_are_named_as_they_are_and_counted_once(view: Reading) -> None:
