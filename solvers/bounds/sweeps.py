@@ -168,17 +168,23 @@ class Sweeps:
         """Follow the policy until the error within it is at most `goal`; 0 asks for all there is.
 
         `value` (S,) changes in place. Returns whether `most` sweeps were enough, and the shift;
-        sweeps end where errors that go on falling as they do would miss the goal.
+        sweeps end where errors that go on falling as they do would miss the goal. The error is
+        that of V + δ w, δ the middle of the ratios d / m: where δ is more than the error, and no
+        shift c takes it up, the values themselves have to move by it.
         """
         errors: list[float] = []
         while len(errors) < most:
             step, low, high = self.follow(value, shift)
             error = (high - low) / 2
-            if goal == 0 and errors and not error < min(errors):
+            middle, idle = (low + high) / 2, goal == 0 and errors and not error < min(errors)
+            if not self.uniform and (idle or not error > goal) and abs(middle) > error:
+                value += middle * self.weights.value
+                return True, shift
+            if idle:
                 return True, shift
             value += step
             if self.uniform:
-                shift += self.mdp.discount * ((low + high) / 2)
+                shift += self.mdp.discount * middle
             if not error > goal:
                 return True, shift
             errors.append(error)
@@ -395,7 +401,8 @@ class CompiledSweeps(Sweeps):
         self._hold(self._pairs)
         limits = bellman.Slow(FIRST_SWEEPS, APART, LEAST)
         what = (shift, float(goal), most, limits, self.uniform, self._step, np.empty(most + 2))
-        done, shift = bellman.settle(self.model, self._memory.policy, value, *what)
+        known = self.model, self._memory.policy, self.weights.value
+        done, shift = bellman.settle(*known, value, *what)
         return bool(done), float(shift)
 
     def _hold(self, pairs: Integers) -> None:

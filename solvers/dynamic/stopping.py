@@ -368,7 +368,9 @@ class Iterate:
         kept, shift = self.value.copy(), self.shift
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
-            before, error = error, (high - low) / 2
+            # Only where a shift takes up what errors have in common is the rest all there is.
+            before = error
+            error = (high - low) / 2 if self.sweeps.uniform else max(-low, high)
             if not error <= before:  # it went astray
                 self.value[:], self.shift = kept, shift
                 return

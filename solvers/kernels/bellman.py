@@ -365,6 +365,7 @@ def follow(
 def settle(
     model: Model,
     policy: Known,
+    weights: Floats,
     value: Floats,
     shift: float,
     goal: float,
@@ -380,12 +381,17 @@ def settle(
         follow(0, states, model, policy, value, shift, step, extremes)
         low, high = extremes[0], extremes[1]
         error = (high - low) / 2
-        if goal == 0 and count and not error < least:
+        middle, idle = (low + high) / 2, goal == 0 and count > 0 and not error < least
+        if not uniform and (idle or not error > goal) and abs(middle) > error:
+            for state in range(states):
+                value[state] += middle * weights[state]
+            return True, shift
+        if idle:
             return True, shift
         for state in range(states):
             value[state] += step[state]
         if uniform:
-            shift += model.discount * ((low + high) / 2)
+            shift += model.discount * middle
         if not error > goal:
             return True, shift
         errors[count], least = error, min(least, error)

@@ -138,8 +138,9 @@ def rounds(
             hold(model, pairs, policy)
             goal = 0.0 if ready else goal_of(half, idle, weight, settings.tol)
             found, shift = settle(
-                model, policy, value, shift, goal, settings.most, limits, uniform, step, errors
-            )
+                model, policy, weights, value, shift, goal, settings.most, limits, uniform, step,
+                errors,
+            )  # fmt: skip
             swept += found
             slow = not found
             if found:

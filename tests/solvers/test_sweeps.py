@@ -471,3 +471,49 @@ def test_a_correction_that_goes_astray_is_taken_back(monkeypatch: pytest.MonkeyP
     iterate._correct(1e-9)
     assert (iterate.value == before).all()
     assert iterate.shift == shift
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_policy_counts_as_evaluated_only_once_its_values_are_near(data: st.DataObject) -> None:
+    """Against the equations solved: states that still change alike are not near."""
+    living = data.draw(st.integers(1, 4))
+    rng = np.random.default_rng(data.draw(st.integers(0, 10**6)))
+    last, ending = np.zeros(living + 1), data.draw(st.sampled_from([0.0, 1e-6, 0.3]))
+    last[-1] = 1.0
+    rows = rng.dirichlet(np.ones(living), living) * (1 - ending)
+    rows = np.vstack([np.column_stack([rows, np.full(living, ending)]), last])
+    reward = np.append(rng.normal(3, data.draw(st.sampled_from([0.0, 1.0])), living), 0.0)
+    discount = data.draw(st.sampled_from([0.9, 0.999, 1 - 1e-7]))
+    mdp = MDP.from_arrays([rows], reward[:, None], discount=discount)
+    equations = np.eye(living) - mdp.discount * mdp.transition.toarray()[:living, :living]
+    exact = np.append(np.linalg.solve(equations, reward[:living]), 0.0)
+    goal = data.draw(st.sampled_from([1e-1, 1e-3])) * np.abs(exact).max()
+    for kind in (Sweeps, LoadedSweeps, CompiledSweeps):
+        sweeps = kind(mdp, margin_weights(mdp))
+        value = np.append(1.0 + np.arange(living), 0.0)
+        sweeps.improve(value)
+        done, _ = sweeps.settle(value, 0.0, goal / sweeps.weights.value.max(), 100)
+        assert not done or np.abs(value - exact).max() <= goal * (1 + 1e-6)
+        fresh = Iterate(sweeps, np.append(1.0 + np.arange(living), 0.0), slow=True)
+        fresh.improve()
+        fresh.evaluate(goal / sweeps.weights.value.max(), 0)
+        assert np.abs(fresh.value - exact).max() <= goal * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("discount", ["999/1000", "99999/100000", "9999999/10000000"])
+@pytest.mark.parametrize("tol", [None, 1e-3, 1e-9])
+@pytest.mark.parametrize("reward", [1.1, 100002.12593686389])
+def test_one_living_state_is_solved_at_once(
+    discount: str, tol: float | None, reward: float
+) -> None:
+    """V = r / (1 - γ); values that all change alike are no sign that they are reached."""
+    stay, go = [[1, 0], [0, 1]], [[0.5, 0.5], [0, 1]]
+    mdp = MDP.from_arrays([stay, go], [[reward, 1], [0, 0]], discount)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = solve(mdp, tol=tol)
+    exact = F(reward) / (1 - F(discount))
+    assert abs(F(float(found.value[0])) - exact) <= F(float(found.error_bound))
+    assert found.error_bound <= 1e-9 * exact
+    assert found.iterations <= 25
