@@ -196,7 +196,9 @@ class ProofFile:
             if isinstance(error, ModelError):
                 raise
             raise ModelError(
-                "the file is not JSON", where=self.path, fix="write it with Certificate.save"
+                "the file is not JSON",
+                where=self.path,
+                fix="write it again, with save or --certificate",
             ) from error
         self.data = data if isinstance(data, dict) else {}
         for key, value in {"format": FORMAT, "version": VERSION, "kind": kind}.items():

@@ -16,9 +16,10 @@ The credible interval goes from 0 to an order statistic of the draws that is at 
 posterior's quantile of the confidence in 97.5 % of samples, so that more draws narrow it: the k-th
 smallest of n, with the least k of P(Binomial(n, confidence) < k) ≥ 0.975. Of too few draws not even
 the greatest is one, and they are refused: 72 are enough at a confidence of 0.95, 368 at 0.99, 3,688
-at 0.999. It has no lower end above 0, because none would be honest: the regret is a maximum, so that the noise of every draw adds to it.
-Where the policy is optimal, as where actions tie, the true regret is 0, but some other action looks
-better in nearly every draw, the more states there are, and an interval of equal tails misses the 0
+at 0.999. It has no lower end above 0, because none would be honest: the regret is a maximum, so
+that the noise of every draw adds to it. Where the policy is optimal, as where actions tie, the true
+regret is 0, but some other action looks better in nearly every draw, the more states there are, and
+an interval of equal tails misses the 0
 in nearly every data set. To the upper end the same bias only adds. So a posterior lets a policy
 pass, or leaves it open with the probability that it is within the limit (`within`); it proves no
 loss. That the upper end holds in the stated share of data sets nobody guarantees either: for that
