@@ -2,6 +2,10 @@
 
 A policy is held as the probabilities of the model's (state, action) pairs, so that it can be
 evaluated at other values of the parameters, where the pairs are the same.
+
+Analyses compare values at several parameters, and optima with policies. A total reward at discount
+1 may be infinite, and ∞ - ∞ is no number: `finite_optimum` and `finite_worth` refuse such a value
+by name, and every analysis that compares takes its values from them.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
+from math import isinf
 from operator import attrgetter
 
 import numpy as np
@@ -20,8 +25,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Family, Parametric, Posed
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers import solve
-from exact_mdp.solvers.solution import Solution
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.solution import Bounded, Solution
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 
@@ -42,7 +47,7 @@ class BaseCase:
     @cached_property
     def solution(self) -> Solution:
         """The optimum."""
-        return solve(self.mdp)
+        return finite_optimum(self.mdp, "today's parameters")
 
     @property
     def sign(self) -> int:
@@ -59,6 +64,30 @@ class BaseCase:
         mdp = self.mdp
         taken = mdp.pair_action == np.asarray(choice)[mdp.pair_state]
         return np.where(mdp.forced[mdp.pair_state], 1.0, taken.astype(float))
+
+
+def finite_optimum(mdp: MDP, where: str) -> Solution:
+    """Return the optimum; raises ModelError where it is infinite at the start."""
+    found = solve(mdp)
+    _refuse_infinite("the optimum", found.start, where)
+    return found
+
+
+def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
+    """Return a policy's value at the start; raises ModelError where it is infinite."""
+    found = evaluate(mdp, policy).start
+    _refuse_infinite("the policy held fixed", found, where)
+    return found
+
+
+def _refuse_infinite(what: str, value: Bounded, where: str) -> None:
+    if isinf(value.value):
+        raise ModelError(
+            f"{what} is worth {'+' if value.value > 0 else '-'}∞, so that nothing can be compared",
+            where=f"the total reward at discount 1, {where}",
+            fix="give a discount below 1, a number of steps (--horizon N), another policy, or "
+            "ranges in which every value is finite",
+        )
 
 
 def maximised(model: Parametric, policy: PolicyLike) -> tuple[Parametric, PolicyLike]:

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exact_mdp.analysis.sensitivity.base_case import finite_optimum, finite_worth
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
@@ -152,8 +153,12 @@ def multi_model(
     ([0, 0], 1.5, 2.5)
     """
     problem = _Problem(models, weights, columns)
-    optima = tuple(solve(mdp).start for mdp in problem.models)
-    tried = {"mean-value policy": problem.fitted(solve(problem.mean).pairs)}
+    optima = tuple(finite_optimum(mdp, f"model {k}").start for k, mdp in enumerate(problem.models))
+    tried = {
+        "mean-value policy": problem.fitted(
+            finite_optimum(problem.mean, "the mean of the models").pairs
+        )
+    }
     if (order := levels(problem.mean)) is not None:
         tried["weight-select-update"] = problem.fitted(_weight_select_update(problem, order))
     found = {name: (problem.value(pairs), pairs) for name, pairs in tried.items()}
@@ -249,7 +254,7 @@ class _Problem:
     def values(self, pairs: Integers) -> tuple[Bounded, ...]:
         """Return a policy's value in each model; pairs (S,) are those that it takes."""
         chosen = self.chosen(pairs)
-        return tuple(evaluate(mdp, chosen).numbers["mean"] for mdp in self.models)
+        return tuple(finite_worth(mdp, chosen, f"model {k}") for k, mdp in enumerate(self.models))
 
     def value(self, pairs: Integers) -> Bounded:
         """Return its weighted value."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.sensitivity.base_case import BaseCase
+from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
@@ -28,7 +28,6 @@ from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
@@ -195,7 +194,7 @@ def one_way(
     Raises
     ------
     ModelError
-        For unknown names, empty ranges, fewer than 2 points.
+        For unknown names, empty ranges, fewer than 2 points, and where a value is infinite.
 
     Examples
     --------
@@ -207,7 +206,7 @@ def one_way(
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points, "one-way")
     held = BaseCase(mdp=family.at({})).held(policy)
-    found = tuple(_point(family.at({name: value}), value, held) for value in values)
+    found = tuple(_point(family, name, value, held) for value in values)
     return Curve(parameter=parameter_of(family, name), points=found)
 
 
@@ -243,7 +242,7 @@ def tornado(
     Raises
     ------
     ModelError
-        For unknown names and empty ranges.
+        For unknown names and empty ranges, and where a value is infinite.
 
     Examples
     --------
@@ -259,20 +258,21 @@ def tornado(
     held = base.held(policy)
     bars = []
     for name, span in spans.items():
-        low = _point(family.at({name: span.low}), span.low, held)
+        low = _point(family, name, span.low, held)
         high = low
         if span.high > span.low:
-            high = _point(family.at({name: span.high}), span.high, held)
+            high = _point(family, name, span.high, held)
         bars.append(Bar(parameter=parameter_of(family, name), low=low, high=high))
     bars.sort(key=lambda bar: -bar.swing)
-    fixed = evaluate(base.mdp, held).numbers["mean"]
+    fixed = finite_worth(base.mdp, held, "today's parameters")
     today = Values(optimal=base.solution.start, fixed=fixed, sense=base.mdp.sense)
     return Tornado(today=today, bars=tuple(bars))
 
 
-def _point(mdp: MDP, at: Fraction, held: Floats) -> Point:
-    fixed = evaluate(mdp, held).numbers["mean"]
-    return Point(at=at, optimal=solve(mdp).start, fixed=fixed, sense=mdp.sense)
+def _point(family: Parametric, name: str, at: Fraction, held: Floats) -> Point:
+    mdp, where = family.at({name: at}), f"{name} = {at}"
+    fixed = finite_worth(mdp, held, where)
+    return Point(at=at, optimal=finite_optimum(mdp, where).start, fixed=fixed, sense=mdp.sense)
 
 
 def grid(span: Range, points: int, where: str) -> list[Fraction]:

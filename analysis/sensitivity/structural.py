@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.analysis.sensitivity.base_case import digest
+from exact_mdp.analysis.sensitivity.base_case import digest, finite_optimum, finite_worth
 from exact_mdp.analysis.sensitivity.carried_optimum import Today, best_pairs
 from exact_mdp.analysis.sensitivity.draws.blocks import How
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
@@ -44,7 +44,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, exact
-from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.parallel.many import many
 from exact_mdp.solvers.solution import Bounded, Solution
 
@@ -333,7 +333,7 @@ def structural(
                 f"a {what} called {name!r}", where="structural", fix="call it something else"
             )
     mdp = compile_scenario(model)
-    optimum = solve(mdp)
+    optimum = finite_optimum(mdp, f"reading {PRESENT!r}")
     everything: dict[str, Mapping[str, object]] = {PRESENT: {}, **chosen}
     variants = {PRESENT: model} | {n: _variant(model, n, each) for n, each in chosen.items()}
     _warn_of_excess(variants)
@@ -426,13 +426,14 @@ def _outputs(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)  # the caller has warned of all readings
         mdp = scenario.compile()
-        solution = solve(mdp)
+        where = f"reading {label!r}"
+        solution = finite_optimum(mdp, where)
         choices, changes = today.carried(scenario, mdp, solution)
         weights = [
             _weights(mdp, label, name, form, perception)
             for name, form in {"optimum": choices, **held}.items()
         ]
-        values = [solution.start, *(evaluate(mdp, each).numbers["mean"] for each in weights)]
+        values = [solution.start, *(finite_worth(mdp, each, where) for each in weights)]
         optimal, actions = _first_actions(scenario, mdp, solution)
         top, elasticity = _top(scenario) if elasticities else ("", np.nan)
         return {

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base_case import BaseCase
+from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
 from exact_mdp.analysis.sensitivity.curves.exact_map import ExactMap, exact_map
 from exact_mdp.analysis.sensitivity.one_way import grid
 from exact_mdp.analysis.sensitivity.ranges import ranges_of
@@ -29,7 +29,6 @@ from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers import evaluate, solve
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -135,7 +134,8 @@ def two_way(
     Raises
     ------
     ModelError
-        For unknown names, twice the same one, empty ranges, fewer than 2 points.
+        For unknown names, twice the same one, empty ranges, fewer than 2 points, and where a value
+        is infinite.
 
     Examples
     --------
@@ -165,7 +165,8 @@ def two_way(
     places = list(product(range(points), repeat=2))
     for place in tqdm.tqdm(places, desc="two-way", disable=None, leave=False):
         mdp = family.at({x: across[place[1]], y: along[place[0]]})
-        solution, mean = solve(mdp), evaluate(mdp, held).numbers["mean"]
+        where = f"{x} = {across[place[1]]}, {y} = {along[place[0]]}"
+        solution, mean = finite_optimum(mdp, where), finite_worth(mdp, held, where)
         value[place], fixed[place] = solution.start.value, mean.value
         error[place] = solution.start.error + mean.error
         choices[place] = solution.policy

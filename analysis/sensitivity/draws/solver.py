@@ -7,20 +7,23 @@ parametric model is built, solved and evaluated draw by draw. Both answer with t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import inf
 from typing import TypeAlias
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base_case import BaseCase
+from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.table import Floats, Integers, Numbers
-from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
 from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.solution import Solution
+
+SHOWN = 3  # parameters of a draw that an error names
 
 
 def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
@@ -64,6 +67,13 @@ def models(
             raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
+def _at(names: Sequence[str], draw: Floats) -> str:
+    """Return the parameters of a draw in words, the first few of many."""
+    drawn = zip(names[:SHOWN], draw.tolist(), strict=False)
+    more = ", …" if len(names) > SHOWN else ""
+    return ", ".join(f"{name} = {x:g}" for name, x in drawn) + more
+
+
 class ModelSolver:
     """One draw after the other; labels are the states in which there is a choice.
 
@@ -101,18 +111,18 @@ class ModelSolver:
         """
         mdp, count = self.base.mdp, len(draws)
         start, error = np.empty(count), np.empty(count)
-        best = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
+        counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
         first = [state for state, _ in mdp.start]
         lost = np.full((count, mdp.n_actions if len(first) == 1 else 0), np.nan)
         policies = np.empty((count, mdp.n_states), dtype=np.int16)
         for d, drawn in models(self.model, names, draws):
-            solution = solve(drawn)
+            solution = finite_optimum(drawn, _at(names, draws[d]))
             start[d], error[d] = solution.start.value, solution.start.error
-            gap = self.base.sign * (solution.value[mdp.pair_state] - drawn.backup(solution.value))
+            gap, noise = self._gaps(drawn, solution)
             error_there = solution.state_error
             doubt = error_there[mdp.pair_state] + drawn.discount * (drawn.transition @ error_there)
-            near = gap <= doubt + gains(drawn, solution.value).noise
-            best[mdp.pair_state[near], mdp.pair_action[near]] += 1
+            near = gap <= doubt + noise
+            counts[mdp.pair_state[near], mdp.pair_action[near]] += 1
             policies[d] = solution.policy
             if len(first) == 1:
                 here = mdp.pair_state == first[0]
@@ -121,12 +131,31 @@ class ModelSolver:
         return {
             "start": start,
             "error": error,
-            "best": best[self.choosing],
+            "best": counts[self.choosing],
             "lost": lost,
             "rows": rows,
             "which": which,
             "cut": np.zeros(count, dtype=bool),
         }
+
+    def _gaps(self, mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
+        """Return what each pair (L,) loses, and the rounding of that.
+
+        Some states may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that,
+        else one that leads to +∞ that; it loses nothing where its state is worth the same.
+        """
+        value, here = solution.value, mdp.pair_state
+        far = np.isinf(value)
+        known = np.where(far, 0.0, value)
+        found = gains(mdp, known)
+        gap = self.base.sign * (known[here] - mdp.backup(known))
+        if far.any():
+            ahead = np.zeros(mdp.n_pairs)
+            for sign in (inf, -inf):
+                ahead[mdp.transition @ (value == sign).astype(float) > 0] = sign
+            off = far[here] | np.isinf(ahead)
+            gap[off] = np.where(value[here] == ahead, 0.0, inf)[off]
+        return gap, found.noise
 
     def values(
         self,
@@ -144,8 +173,9 @@ class ModelSolver:
         value = np.empty((len(draws), optimum + len(policies)))
         error = np.empty_like(value)
         for d, drawn in models(self.model, names, draws, first):
-            found = [solve(drawn).start] if optimum else []
-            found += [evaluate(drawn, weights).start for weights in policies]
+            where = _at(names, draws[d]) if first is None else f"draw {first + d}"
+            found = [finite_optimum(drawn, where).start] if optimum else []
+            found += [finite_worth(drawn, weights, where) for weights in policies]
             value[d], error[d] = [x.value for x in found], [x.error for x in found]
         return {"value": value, "error": error}
 

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from exact_mdp.analysis.sensitivity.base_case import finite_optimum
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.analysis.sensitivity.ranges import Range, admitted, around, checked, unit_of
 from exact_mdp.analysis.sensitivity.robust.care import BoxBounds, CareBox
@@ -40,7 +41,7 @@ from exact_mdp.mdp.parametric.polynomial_rows import fraction
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact
-from exact_mdp.solvers import certify, solve
+from exact_mdp.solvers import certify
 from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -324,7 +325,7 @@ def box_optimum(
             continue
         seen.add(key)
         there = family.at(found.point)
-        best = solve(there)
+        best = finite_optimum(there, f"worst point {len(seen)}")
         most = -best.start.interval[0] if costs else best.start.interval[1]
         if most < ceiling:
             ceiling, lowest = most, there

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exact_mdp.analysis.sensitivity.base_case import finite_worth
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
@@ -30,7 +31,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, Objective, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_of
@@ -244,12 +244,12 @@ def robust(
     return Robust(
         mdp=model,
         policy=chain.weights,
-        value=evaluate(model, chain).start,
+        value=finite_worth(model, chain, "today's laws"),
         worst=held(chain.weights, "worst"),
         best=held(chain.weights, "best"),
         robust=best,
         optimistic=solve_robust(model, sets, nature="best"),
-        robust_value=evaluate(model, own).start,
+        robust_value=finite_worth(model, own, "today's laws"),
         robust_best=held(own, "best"),
     )
 

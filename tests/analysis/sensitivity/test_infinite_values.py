@@ -1,0 +1,162 @@
+"""Totals of ±∞ at discount 1: analyses that compare refuse them by name, and give no number."""
+
+import warnings
+from collections.abc import Callable
+from fractions import Fraction as F
+from math import isfinite
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+from cli_runner import run
+
+from exact_mdp.analysis.sensitivity import (
+    morris,
+    one_way,
+    psa,
+    sobol,
+    tornado,
+    two_way,
+)
+from exact_mdp.analysis.sensitivity.draws.solver import ModelSolver
+from exact_mdp.analysis.sensitivity.multi_model import multi_model
+from exact_mdp.analysis.sensitivity.robust.box import box_optimum
+from exact_mdp.analysis.sensitivity.robust.robust import robust
+from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp.parametric import Parametric, moving, parametric
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.solvers import certify, solve
+
+GAINS = MDP.from_outcomes(  # +∞ whatever is done, though "always:1" throws 5 away
+    [
+        (0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]),
+        (1, 0, [(1, 1, 1)]),
+        (2, 0, [(1, 3, 5)]),
+        (2, 1, [(1, 3, 0)]),
+        (3, 0, [(1, 3, 0)]),
+    ]
+)
+LOSES = MDP.from_outcomes(  # action 0 loses for ever with probability 1/2; the optimum is 3
+    [
+        (0, 0, [("1/2", 1, -2), ("1/2", 2, 3)]),
+        (0, 1, [("1/2", 0, -1), ("1/2", 2, 4)]),
+        (1, 0, [(1, 1, -1)]),
+        (2, 0, [(1, 2, 0)]),
+    ],
+    labels={"g": [False, False, True]},
+)
+BOTH = MDP.from_outcomes(  # half the runs gain for ever, half lose twice as much
+    [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, -2)])]
+)
+QUIET = {"n_jobs": 1, "progress": False}
+ANALYSES: dict[str, Callable[[MDP, PolicyLike], object]] = {
+    "tornado": lambda mdp, policy: tornado(mdp, policy=policy),
+    "one-way": lambda mdp, policy: one_way(mdp, "discount", ("1/2", 1), policy=policy, points=3),
+    "two-way": lambda mdp, policy: two_way(
+        chances(mdp),
+        "p",
+        "discount",
+        policy=policy,
+        points=2,
+        ranges={"p": ("1/4", "1/2"), "discount": ("1/2", 1)},
+    ),
+    "psa": lambda mdp, policy: psa(chances(mdp), 4, rng=0, policy=policy, **QUIET),
+    "sobol": lambda mdp, policy: sobol(chances(mdp), n=4, rng=0, policy=policy, **QUIET),
+    "morris": lambda mdp, policy: morris(chances(mdp), n=4, rng=0, policy=policy, **QUIET),
+}
+
+
+def chances(mdp: MDP) -> Parametric:
+    """Return the model with a chance of its first state that moves."""
+    return moving(mdp, {"p": [(0, 1)]})
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+@pytest.mark.parametrize(
+    ("mdp", "policy", "what"),
+    [
+        (GAINS, "optimal", r"\+∞"),
+        (GAINS, "always:1", r"\+∞"),
+        (LOSES, "always:0", "the policy held fixed is worth -∞"),
+        (BOTH, "optimal", "-∞"),
+    ],
+)
+def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str) -> None:
+    """∞ - ∞ is no regret of 0: what is infinite is named, and no bare warning comes before it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ModelError, match=rf"{what}[\s\S]*nothing can be compared[\s\S]*where"):
+            ANALYSES[name](mdp, policy)
+
+
+def test_other_analyses_refuse_them() -> None:
+    """The worst case, a shared box and several models refuse them, too."""
+    for ask in (
+        lambda: multi_model([GAINS, GAINS]),
+        lambda: multi_model([BOTH]),
+        lambda: box_optimum(chances(GAINS), {"p": ("1/4", "1/2")}),
+        lambda: robust(GAINS, policy="always:1"),
+    ):
+        with pytest.raises(ModelError, match=r"nothing can be compared|needs every episode to end"):
+            ask()
+
+
+@pytest.mark.parametrize("kind", ["tornado", "psa --samples 4", "sobol --samples 4"])
+@pytest.mark.parametrize(
+    ("mdp", "more", "worth"),
+    [
+        (GAINS, "--policy always:1", "+∞"),
+        (LOSES, "--until g --policy always:0", "+∞"),
+        (BOTH, "", "-∞"),
+    ],
+)
+def test_commands(kind: str, mdp: MDP, more: str, worth: str, tmp_path: Path) -> None:
+    """Exit status 2, with what, where and fix; no word of the range of floats."""
+    mdp.save(tmp_path / "model.npz")
+    found = run("sensitivity", tmp_path / "model.npz", *kind.split(), *more.split())
+    assert (found.status, found.out) == (2, "")
+    assert f"is worth {worth}, so that nothing can be compared" in found.err
+    assert "where: the total reward at discount 1" in found.err
+    assert "fix:" in found.err
+    assert "floats" not in found.err
+    assert "warning" not in found.err
+
+
+def test_a_state_of_infinite_value_disturbs_nothing() -> None:
+    """The optimum is 3, one action of the start is worth -∞, and every draw prefers the other."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = psa(chances(LOSES), 4, rng=0, **QUIET)
+    assert found.counts[0].tolist() == [0, 4]
+    assert np.isfinite(found.optimal).all()
+    assert found.lost.min(axis=1).tolist() == [0] * 4
+    assert (found.lost.max(axis=1) == np.inf).all()
+
+
+def test_optimal_actions_beside_infinite_states() -> None:
+    """The pairs that lose nothing in a draw are those that the exact certificate calls optimal."""
+    compared = 0
+    for seed in range(100):
+        rng, sign = Random(seed), 1 - 2 * (seed % 2)
+        size = rng.randint(3, 5)
+        rows = [(0, 0, [(1, size, 2 * sign)]), (size, 0, [(1, size, 0)])]
+        for state in range(size):
+            for action in range(not state, rng.randint(1, 2) + (not state)):
+                to = rng.sample(range(size), rng.randint(1, 2))
+                gains = [F(sign * rng.choice([-2, -1, -1, 0, 1])) for _ in to]
+                row = [(F(1, len(to)), t, gain) for t, gain in zip(to, gains, strict=True)]
+                rows.append((state, action, row))
+        mdp = MDP.from_outcomes(rows).with_(sense="max" if sign > 0 else "min")
+        try:
+            exact, found = certify(mdp), solve(mdp)
+        except ModelError:
+            continue
+        if not isfinite(exact.start_value) or np.isfinite(found.value).all():
+            continue
+        compared += 1
+        gap, noise = ModelSolver(parametric(mdp))._gaps(mdp, found)
+        doubt = found.state_error
+        near = gap <= doubt[mdp.pair_state] + mdp.transition @ doubt + noise
+        assert near.tolist() == exact.optimal_pairs.tolist()
+    assert compared >= 10
