@@ -246,8 +246,9 @@ class Reading:
     def power(self) -> float:
         """How fast a falling step falls: 0.5 n^-power at the n-th update of an entry.
 
-        Where the end is not masked, values are four times as large, and n^-0.7 has not reached them
-        after 6,000 epochs: they still grow with four times as many, and those of n^-0.55 do not.
+        Where the end is not masked, values are 5.5 to 7 times as large, and n^-0.7 has not reached
+        them after 6,000 epochs: they still grow with four times as many, and those of n^-0.55 do
+        not.
         """
         return 0.55 if self.training.get("bootstrap_end") else 0.7
 

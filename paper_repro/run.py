@@ -18,7 +18,7 @@ import click
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.lazy import later
-from exact_mdp.paper_repro.claims import Judged, PaperClaim, all_claims, chosen, judge
+from exact_mdp.paper_repro.claims import Judged, PaperClaim, Verdict, all_claims, chosen, judge
 from exact_mdp.paper_repro.claims.judge import (
     best_supported,
     candidates,
@@ -208,15 +208,30 @@ def run_claims(
 
 
 def compare(sets: Sequence[str], sizes: Sizes, store: Store, *, quick: bool) -> None:
-    """Print which verdicts change under KEY=VALUE changes; a quick run leaves learning out."""
+    """Print which verdicts change under KEY=VALUE changes; a quick run leaves learning out.
+
+    A default verdict that changes is shown as the page has it, other readings tried.
+    """
     reading = default(sizes, store)
     other = changed(reading, sets)
     claims = [claim for claim in all_claims() if not (quick and claim.learns)]
+    if quick:
+        left = len(all_claims()) - len(claims)
+        click.echo(f"{left} claims take training runs; --quick leaves them out, all of them")
+        if other.training:
+            click.echo("so no claim about training is compared: leave --quick out for these")
     before = judge(claims, reading, progress=_say)
     after = judge(claims, other, progress=_say)
-    output.print_changes(other.label, before, after)
-    if quick:
-        click.echo("without the claims that take training, which --quick leaves out")
+    pairs = [
+        (was, now)
+        for was, now in zip(before, after, strict=True)
+        if was.finding.verdict is not now.finding.verdict
+    ]
+    unsure = [was.claim for was, _ in pairs if was.finding.verdict is Verdict.NOT_REPRODUCED]
+    again = run_claims(unsure, sizes, store, quick=quick) if unsure else []
+    page = {each.claim.id: each for each in again}
+    shown = [(page.get(was.claim.id, was), now) for was, now in pairs]
+    output.print_changes(other.label, shown, len(claims))
 
 
 def _say(what: str) -> None:

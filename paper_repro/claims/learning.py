@@ -8,7 +8,7 @@ in general by whether most runs here do so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -34,9 +34,10 @@ from exact_mdp.paper_repro.claims.claim import (
     usual,
 )
 from exact_mdp.paper_repro.reading import Reading
-from exact_mdp.paper_repro.readings.training import CONVERGED, SETTINGS, SHOWN
+from exact_mdp.paper_repro.readings.training import CONVERGED, SETTINGS, SHOWN, settings_of
 from exact_mdp.paper_repro.reported import ANGRY, CONVERGED_RETURN, NUMBER, ORDERS, UNIQUE_POLICIES
-from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp.solvers.learning.schedules import PAPER_DECAYING, Exponential
 from exact_mdp.solvers.solution import Bounded, Estimated
 
 CLAIMS = Claims()
@@ -44,31 +45,39 @@ SETTLED = 0.95  # share of runs with one action, from which on a status counts a
 
 # ---- settings, as the code that uses them holds them -------------------------------------------
 
-_CODE = SETTINGS["constant"]
+_POLICY = "Each epoch's policy is that of its 10th episode"
+_CURVE = "Each point of a learning curve is the average of 40 experiments"
 _CHOSEN = "The final policy is chosen among the five suggested most often"
 
 
 def _epsilon(reading: Reading, epoch: int, paper: float) -> Finding:
-    value = float(PAPER_DECAYING.values(epoch + 1)[epoch])
-    last, error = float(PAPER_DECAYING.values(6000)[-1]), 1e-12
+    code = settings_of("decaying", reading.training)
+    falling, error = code.exploration, 1e-12
+    assert isinstance(falling, Exponential)
+    value, last = float(falling.values(epoch + 1)[epoch]), float(falling.values(code.epochs)[-1])
     return statement(
         abs(value - paper) <= error,
-        f"with λ = {PAPER_DECAYING.decay:.6g}; it ends at ε = {last:.4f}",
+        f"with λ = {falling.decay:.6g}; it ends at ε = {last:.4f}",
         Bounded(value=value, error=error),
         difference=value - paper,
     )
 
 
-def _setting(name: str, source: str, says: str, paper: str, held: object) -> None:
-    CLAIMS.entry(name, source, says, paper, lambda reading: Fraction(str(held)))
+def _setting(
+    name: str, source: str, says: str, paper: str, held: Callable[[QLearning], object]
+) -> None:
+    def work(reading: Reading) -> Fraction:
+        return Fraction(str(held(settings_of("constant", reading.training))))
+
+    CLAIMS.entry(name, source, says, paper, work)
 
 
 for _name, _paper, _held, _says in (
-    ("rate", "1/20", _CODE.rate.values(1)[0], "Learning rate."),
-    ("discount", "19/20", _CODE.discount, "Discount factor in training."),
-    ("epochs", "6000", _CODE.epochs, "Epochs."),
-    ("episodes", "30", _CODE.episodes, "Episodes of an epoch."),
-    ("epsilon", "1/10", PAPER_CONSTANT.value, "Constant ε."),
+    ("rate", "1/20", lambda code: code.rate.values(1)[0], "Learning rate."),
+    ("discount", "19/20", lambda code: code.discount, "Discount factor in training."),
+    ("epochs", "6000", lambda code: code.epochs, "Epochs."),
+    ("episodes", "30", lambda code: code.episodes, "Episodes of an epoch."),
+    ("epsilon", "1/10", lambda code: code.exploration.value, "Constant ε."),
 ):
     _setting(f"training.{_name}", "Section 3.2.4", f"{_says} Used as stated.", _paper, _held)
 for _epoch, _value in ((0, 1.0), (300, 0.8)):
@@ -76,11 +85,21 @@ for _epoch, _value in ((0, 1.0), (300, 0.8)):
     _keep = CLAIMS.add(_name, "Equation 2", says=_says, kind="input", paper=_value)
     _keep(partial(_epsilon, epoch=_epoch, paper=_value))
 _says = "The least ε that the decay comes down to. Used as stated."
-_setting("equation2.minimum", "Equation 2", _says, "3/100", PAPER_DECAYING.minimum)
+_setting("equation2.minimum", "Equation 2", _says, "3/100", lambda code: PAPER_DECAYING.minimum)
 for _name, _paper, _held, _says in (
-    ("snapshot", "10", _CODE.snapshot_episode, "Each epoch's policy is that of its 10th episode"),
-    ("experiments", "40", POINT, "Each point of a learning curve is the average of 40 experiments"),
-    ("candidates", "5", CANDIDATES, _CHOSEN),
+    (
+        "snapshot",
+        "10",
+        lambda code: code.snapshot_episode,
+        _POLICY,
+    ),
+    (
+        "experiments",
+        "40",
+        lambda code: POINT,
+        _CURVE,
+    ),
+    ("candidates", "5", lambda code: CANDIDATES, _CHOSEN),
 ):
     _setting(f"training.{_name}", "Section 3.2.5", f"{_says}.", _paper, _held)
 
@@ -360,8 +379,12 @@ def _unsettled(reading: Reading) -> Finding:
         f"with the paper's constant learning rate {_shares(reading, kept)}, over "
         f"{int(kept.sum())} runs; with a step of 0.5 n^-{reading.power:g} "
         f"{_shares(reading, fallen)}, over {total}: {kind} action. Model, chance and "
-        "exploration are the same. "
-        f"What is learned of non-directive less directive in 0000: {gaps}",
+        "exploration are the same; the falling step starts ten times as large, and what counts is "
+        "how small it ends. "
+        f"What the table says of non-directive less directive in 0000 at the end: {gaps}. With a "
+        "constant step this is no difference in worth: the action that looks worse is tried by "
+        "exploration alone, so its entry is seldom corrected and stays low; a falling step brings "
+        "both entries to what they are worth",
         Estimated(value=settled / total, standard_error=share_error(settled, total)),
         f"{settled} of {total} runs settle when the step falls",
         constant_step=kept.tolist(),

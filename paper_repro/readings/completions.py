@@ -80,8 +80,8 @@ def log_weights(shares: Floats) -> Floats:
     return np.asarray(both - special.logsumexp(both, axis=-1, keepdims=True))
 
 
-def learnable(logs: Floats) -> NDArray[np.bool_]:
-    """Return (…, C) the fewest completions that hold all of the weight but `LEFT_OUT`.
+def learnable(logs: Floats, left_out: float = LEFT_OUT) -> NDArray[np.bool_]:
+    """Return (…, C) the fewest completions that hold all of the weight but `left_out`.
 
     >>> learnable(np.log([0.001, 0.5, 0.499])).tolist()
     [False, True, True]
@@ -90,7 +90,7 @@ def learnable(logs: Floats) -> NDArray[np.bool_]:
     falling = np.exp(np.take_along_axis(logs, order, axis=-1))
     before = np.cumsum(falling, axis=-1) - falling
     found = np.zeros(logs.shape, dtype=bool)
-    np.put_along_axis(found, order, before < 1 - LEFT_OUT, axis=-1)
+    np.put_along_axis(found, order, before < 1 - left_out, axis=-1)
     return np.asarray(found)
 
 

@@ -109,6 +109,13 @@ class Averages:
         at = self.fitting[..., None]
         return np.take_along_axis(self.probabilities, at, axis=-1)[..., 0]
 
+    @cached_property
+    def expected_probability(self) -> Floats:
+        """(…) the chances averaged over all completions, by their weights."""
+        if self.log_weights is None:
+            return np.asarray(self.probabilities.mean(axis=-1))
+        return np.asarray((np.exp(self.log_weights) * self.probabilities).sum(axis=-1))
+
     # ---- of one reading ----
 
     def best(self, order: str = "as written") -> int:

@@ -208,18 +208,17 @@ def print_claim(each: Judged) -> None:
             screen.print(f"  {label + ':':16}{found[name]}", soft_wrap=True)
 
 
-def print_changes(label: str, before: Sequence[Judged], after: Sequence[Judged]) -> None:
-    """Print the claims whose verdict differs between the default reading and another."""
+def print_changes(label: str, pairs: Sequence[tuple[Judged, Judged]], compared: int) -> None:
+    """Print the claims whose verdict differs: under the default reading, and under another."""
     screen = _console(132)
     table = rich.Table(title=label, title_justify="left", box=None, pad_edge=False)
     for heading in ("claim", "default", "changed", "why"):
         table.add_column(heading, no_wrap=heading != "why")
-    pairs = [(a, b) for a, b in zip(before, after, strict=True) if a.verdict is not b.verdict]
     for was, now in pairs:
         table.add_row(was.claim.id, str(was.verdict), str(now.verdict), now.finding.why)
     if pairs:
         screen.print(table)
-    screen.print(f"{len(pairs)} of {len(before)} verdicts change under {label}", soft_wrap=True)
+    screen.print(f"{len(pairs)} of {compared} verdicts change under {label}", soft_wrap=True)
 
 
 def print_places(out: Path) -> None:

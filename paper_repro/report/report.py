@@ -23,7 +23,7 @@ from exact_mdp.analysis.pages.explorer import explore
 from exact_mdp.analysis.pages.page import environment
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims import Judged, Verdict
-from exact_mdp.paper_repro.claims.claim import RULES
+from exact_mdp.paper_repro.claims.claim import JOINT_LIMIT, RULES
 from exact_mdp.paper_repro.claims.policies import optimal_actions
 from exact_mdp.paper_repro.reading import Reading
 from exact_mdp.paper_repro.readings.evidence import Evidence
@@ -266,16 +266,24 @@ def bottom_line(reading: Reading, main: Evidence) -> str:
         reading.evaluations[name].mean for name in ("optimal", "random", f"reported.{FINAL}")
     )
     advice = {**dict.fromkeys(ANGRY, "supportive"), **reported.STATED, "0000": FINAL}
-    wrong = [
-        f"{STATUS_WORDS[status]} and nothing else, {PLAIN_ACTIONS[action]} is not"
-        for status, action in advice.items()
-        if not all(NUMBER[action] in best for best in optimal_actions(reading, status))
-    ]
+    wrong, other = (
+        [
+            f"{STATUS_WORDS[status]} and nothing else, {PLAIN_ACTIONS[action]} is not"
+            for status, action in {**advice, **order}.items()
+            if not all(NUMBER[action] in best for best in optimal_actions(reading, status))
+        ]
+        for order in reported.ORDERS.values()
+    )
+    swapped = _swapped(reading)
     return str(WORDS["bottom"]).format(
         stated=len(advice),
         statuses=len(STATUSES),
         right=len(advice) - len(wrong),
-        wrong="".join(f"; where the person is {each}" for each in wrong),
+        wrong=_where(wrong),
+        other_right=len(advice) - len(other),
+        other_wrong=_where(other),
+        swapped=swapped,
+        swapped_lost=(optimum - swapped) / optimum,
         reported=final,
         optimum=optimum,
         random=random,
@@ -285,6 +293,15 @@ def bottom_line(reading: Reading, main: Evidence) -> str:
         readings=len(main.search.space),
         weight=100 * main.weights[0],
     )
+
+
+def _where(wrong: Sequence[str]) -> str:
+    return "".join(f"; where the person is {each}" for each in wrong)
+
+
+def _swapped(reading: Reading) -> float:
+    """Return the final policy's value with the order swapped, the rest filled in at its best."""
+    return float(reading.averages.mean[reading.averages.best("swapped"), 0])
 
 
 def perfect(reading: Reading) -> Fraction:
@@ -317,8 +334,8 @@ def plain(judged: Sequence[Judged], reading: Reading, search: ReadingSearch) -> 
         reading.evaluations[name].mean for name in ("optimal", "random", f"reported.{FINAL}")
     )
     found = reading.weighed
-    fitting, filled = float(found.mean[int(found.fitting), 0]), COMPLETIONS[int(found.fitting)]
-    near, far = sorted((optimum - final, optimum - fitting))
+    swapped, filled = _swapped(reading), COMPLETIONS[int(found.fitting)]
+    near, far = sorted((optimum - final, optimum - swapped))
     audited = by_name.get("policy.final-is-optimal")
     costs = audited.finding.details["cost_by_status"] if audited else {}
     numbers = {
@@ -326,15 +343,14 @@ def plain(judged: Sequence[Judged], reading: Reading, search: ReadingSearch) -> 
         "random": random,
         "plotted": reported.RANDOM_RETURN,
         "reported": final,
-        "fitting": fitting,
+        "swapped": swapped,
         "near": near,
         "far": far,
-        "least": optimum - found.range(FINAL)[1],
         "kindest": float(search.regret.min()),
         "readings": len(search.space),
         "confused": costs.get("0100", 0.0),
-        "ways": len(COMPLETIONS),
-        "learnable": int(found.learnable.sum()),
+        "chance": 100 * float(found.expected_probability),
+        "limit": 100 * JOINT_LIMIT,
         "one": PLAIN_ACTIONS[filled["1000"]],
         "other": PLAIN_ACTIONS[filled["0100"]],
         "order": reported.order(filled),

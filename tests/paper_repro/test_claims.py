@@ -230,6 +230,16 @@ def test_the_averages_are_judged_by_the_learnable_completion_that_fits_all_three
     assert together.details["probability_of_any"] == pytest.approx(0.799, abs=1e-3)
     assert together.details["probability"] == pytest.approx(0.0292, abs=1e-4)
     assert together.details["weight_of_any"] < 1e-9
+    weights = np.exp(ENDS.log_weights)
+    expected = sum(w * p for w, p in zip(weights, completions.probabilities, strict=True))
+    assert together.shown == "p = 0.01"
+    assert completions.expected_probability == pytest.approx(expected, rel=1e-9)
+    assert together.details["expected_probability"] == pytest.approx(expected, rel=1e-9)
+    # The line of what is learnable moves the best fit, and hardly the average.
+    low, high = together.details["probability_interval"]
+    assert low < 0.0292 < 0.0329 < 0.1338 < high
+    low, high = together.details["expected_probability_interval"]
+    assert 0.009 < low < expected < high < 0.011
 
 
 @pytest.mark.parametrize(
