@@ -133,6 +133,9 @@ class Certified:
         said = text if 0 < len(text) <= 24 else f"≈ {_decimal(value):.12g}"
         return f"{said} ({self.claim})"
 
+    def __float__(self) -> float:
+        return in_float(self.value)
+
     def __neg__(self) -> Certified:
         return Certified(value=-self.value)
 
@@ -169,6 +172,9 @@ class Bounded:
     def __str__(self) -> str:
         return f"{self.value:.12g} ± {self.error:.1g} ({self.claim})"
 
+    def __float__(self) -> float:
+        return self.value
+
     def __neg__(self) -> Bounded:
         return Bounded(value=0.0 - self.value, error=self.error)
 
@@ -193,6 +199,9 @@ class Estimated:
         """The normal 95 % interval."""
         half = 1.959963984540054 * self.standard_error
         return self.value - half, self.value + half
+
+    def __float__(self) -> float:
+        return self.value
 
     def __str__(self) -> str:
         return f"{self.value:.6g} ± {self.standard_error:.1g} s.e. ({self.claim})"

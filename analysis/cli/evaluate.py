@@ -16,6 +16,7 @@ from exact_mdp.solvers.values.simulate import simulate as sample
 
 MOST_EPISODES = 10**9
 LISTED_RETURNS = 1000  # longer distributions are left to --json
+UNDEFINED = "undefined: the mean is infinite"
 LISTED_STATES = 1000  # models with more states are left to Python for the numbers of each
 
 
@@ -145,7 +146,7 @@ def returns(*, exact: bool, **shared: Any) -> Report:
 
 
 def _spread(mean: Bounded, sd: Bounded) -> Bounded | str:
-    return sd if math.isfinite(mean.value) else "undefined: the mean is infinite"
+    return sd if math.isfinite(mean.value) else UNDEFINED
 
 
 def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
@@ -155,6 +156,7 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
     model = asked.endless.mdp if asked.question is None else asked.question(asked.endless.mdp)
     found = sample(model, asked.policy, count, first, horizon=asked.steps)
     steps, error = float(found.steps.mean()), found.standard_error / 10
+    finite = math.isfinite(found.mean)
     result = {
         "claim": found.claim,
         "mean": found.mean,
@@ -172,12 +174,12 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
     cut = "" if asked.steps else f", each return within {at_most(found.truncation_error)}"
     facts = {
         "episodes": f"{found.episodes:,}, seed {first}",
-        "mean": found.value,
-        "95 % interval": between(*found.value.interval, error),
-        "sd": number(found.sd, error),
+        "mean": found.value if finite else f"{found.mean} ({found.claim})",
+        "95 % interval": between(*found.value.interval, error) if finite else None,
+        "sd": number(found.sd, error) if finite else UNDEFINED,
         "steps": steps,
         **{f"share with a {name}": share for name, share in found.events.items()},
-        "never end": f"{found.never_ends:.4g} of them, and their return is infinite"
+        "never end": f"a share of {found.never_ends:.4g} of the episodes, of infinite return"
         if found.never_ends
         else None,
         "cut off": f"{found.truncated:,} episodes{cut}" if found.truncated else None,

@@ -77,7 +77,7 @@ def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
     finite = found.returns[np.isfinite(found.returns)]
     ax.hist(finite, bins=min(40, len(np.unique(finite)) + 1), color="0.6", ec="0.3")
     if found.never_ends:
-        ax.plot([], [], color="white", label=f"{found.never_ends:.4g} of them never end")
+        ax.plot([], [], color="white", label=f"a share of {found.never_ends:.4g} never ends")
     else:
         ax.axvspan(*found.value.interval, color="0.85", zorder=0)
         ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=str(found.value))

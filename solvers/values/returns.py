@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from math import inf, lcm, sqrt
+from math import inf, lcm, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -69,6 +69,9 @@ class ReturnDistribution(Pictured):
     unending : {inf: Bounded or Certified, -inf: …}
         The probabilities of runs that never end and whose return is infinite. Runs that come to
         rest, where nothing is earned any more, have a return as any other.
+    infinite_mean : float
+        The mean where some returns are infinite: inf or -inf. Where both are, the mean reward of
+        the whole decides, as in `evaluate`.
 
     Examples
     --------
@@ -87,6 +90,7 @@ class ReturnDistribution(Pictured):
     remaining: float
     exact: tuple[Fraction, ...] | None = None
     unending: Mapping[float, Bounded | Certified] = field(default_factory=dict)
+    infinite_mean: float = 0.0
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
@@ -127,20 +131,17 @@ class ReturnDistribution(Pictured):
 
     @cached_property
     def mean(self) -> float:
-        """Mean of the returns; infinite where some are, or where it is beyond the range of floats.
-
-        NaN where some are +∞ and others -∞.
-        """
+        """Mean of the returns; infinite where some are, and beyond the range of floats."""
         if self.unending:
-            return sum(self.unending)
+            return self.infinite_mean
         scaled, power = self._scaled
         return times(float(self.probabilities @ scaled), power)
 
     @cached_property
     def sd(self) -> float:
-        """Standard deviation; infinite where a return is, or beyond the range of floats."""
+        """Standard deviation; NaN where a return is infinite, ∞ beyond the range of floats."""
         if self.unending:
-            return inf
+            return nan
         scaled, power = self._scaled
         spread = sqrt(float(self.probabilities @ (scaled - self.probabilities @ scaled) ** 2))
         return times(spread, power)
@@ -189,8 +190,9 @@ class ReturnDistribution(Pictured):
         return pandas.DataFrame(columns, index=pandas.Index([*law], name="return"))
 
     def __repr__(self) -> str:
+        count = len(self.multiples) + len(self.unending)
         return (
-            f"ReturnDistribution({len(self.multiples)} returns, mean {self.mean:.6g}, "
+            f"ReturnDistribution({count} returns, mean {self.mean:.6g}, "
             f"sd {self.sd:.6g}, remaining {self.remaining:.1g}"
             + (f", infinite with probability {self.never_ends:.6g})" if self.unending else ")")
         )
@@ -232,8 +234,9 @@ def return_distribution(
     Raises
     ------
     ModelError
-        Below discount 1; where rewards cancel for ever, so that a return has no limit; where there
-        are too many different returns; where `max_sweeps` do not suffice.
+        Below discount 1; where rewards cancel for ever, so that a return has no limit; where gains
+        and losses for ever have a mean of 0; where there are too many different returns; where
+        `max_sweeps` do not suffice.
 
     Examples
     --------
@@ -270,6 +273,7 @@ def return_distribution(
             remaining=0.0,
             exact=tuple(shares),
             unending={sign: _exact_share(each) for sign, each in flows.items()},
+            infinite_mean=parts.worth,
         )
     if gain.dtype == np.int64 and np.abs(gain).max(initial=0) <= DENSE_RANGE:
         found = carry_dense(flow, max_sweeps)
@@ -282,6 +286,7 @@ def return_distribution(
         relative_error=float(gamma(found.roundings)) * SLACK,
         remaining=found.remaining * SLACK,
         unending={sign: _share(each, max_sweeps) for sign, each in flows.items()},
+        infinite_mean=parts.worth,
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, inf, log, log1p, sqrt
+from math import ceil, inf, log, log1p, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -57,6 +57,9 @@ class Simulation(Pictured):
     truncation_error : float
         How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ). A horizon is no
         error: its returns are those of episodes that stop there.
+    infinite_mean : float
+        The mean where some episodes gain or lose for ever: inf or -inf. Where some gain and others
+        lose, no sample decides: the mean reward of the whole does, as in `evaluate`.
 
     Examples
     --------
@@ -70,6 +73,7 @@ class Simulation(Pictured):
     events: dict[str, float]
     truncated: int
     truncation_error: float
+    infinite_mean: float = 0.0
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
     picture = "exact_mdp.analysis.plots.returns:plot_simulation"
@@ -101,17 +105,17 @@ class Simulation(Pictured):
 
     @property
     def mean(self) -> float:
-        """Mean return; infinite where a return is, NaN where some are +∞ and others -∞."""
+        """Mean return; infinite where a return is."""
         if self.never_ends:
-            return float(sum({*self.returns[np.isinf(self.returns)].tolist()}))
+            return self.infinite_mean
         scaled, power = self._scaled
         return times(scaled.mean(), power)
 
     @property
     def sd(self) -> float:
-        """Standard deviation of the returns; infinite where one is, and for one episode."""
+        """Standard deviation of the returns; NaN where one is infinite, ∞ for one episode."""
         if self.never_ends:
-            return inf
+            return nan
         scaled, power = self._scaled
         return times(scaled.std(ddof=1), power) if self.episodes > 1 else inf
 
@@ -163,8 +167,8 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 where rewards cancel for ever, or an episode takes
-        longer than `max_steps`.
+        For no episodes or no seed; at discount 1 where rewards cancel for ever, where gains and
+        losses for ever have a mean of 0, or where an episode takes longer than `max_steps`.
 
     Examples
     --------
@@ -221,6 +225,7 @@ def simulate(
         events={name: float(((happened >> bit) & 1).mean()) for bit, name in enumerate(mdp.events)},
         truncated=len(running) + stopped,
         truncation_error=rest,
+        infinite_mean=parts.worth,
     )
 
 

@@ -22,6 +22,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.average.evaluate import evaluated
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 
 SILENT = ("gain", "gain_doubt")
@@ -63,10 +64,14 @@ class Parted:
         With ends wherever one of these is certain.
     lost : {inf: (S,) bool, -inf: (S,) bool}
         The ends that stand for an infinite return, where there are some.
+    worth : float
+        The mean return where some are infinite: inf or -inf. Where returns of +∞ and -∞ come
+        together, the mean reward of the whole decides.
     """
 
     chain: PolicyChain
     lost: dict[float, Mask]
+    worth: float = 0.0
 
     @property
     def ends(self) -> Mask:
@@ -80,7 +85,8 @@ class Parted:
 def parted(chain: PolicyChain) -> Parted:
     """Return where a policy's runs end, rest, or gain or lose for ever.
 
-    Raises ModelError where rewards cancel for ever, so that a return has no limit.
+    Raises ModelError where rewards cancel for ever, so that a return has no limit, and where
+    gains and losses for ever have a mean of 0, so that the mean return has none.
     """
     mdp = chain.mdp
     if mdp.discount_exact != 1 or arrives(chain):
@@ -93,7 +99,9 @@ def parted(chain: PolicyChain) -> Parted:
         lost = _for_ever(chain, chain.reached & _recurrent(chain) & ~rest & ~mdp.terminal)
     gone = np.logical_or.reduce([rest, *lost.values()])
     ending = PolicyChain(mdp=ended(mdp, gone), chosen=chain.chosen, policy=chain.policy)
-    return Parted(chain=ending, lost={sign: each for sign, each in lost.items() if each.any()})
+    lost = {sign: each for sign, each in lost.items() if each.any()}
+    worth = solve(model_of(chain)).start_value if len(lost) == 2 else sum(lost)
+    return Parted(chain=ending, lost=lost, worth=worth)
 
 
 def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable
 from fractions import Fraction as F
+from json import loads
 from math import isfinite
 from pathlib import Path
 from random import Random
@@ -27,6 +28,7 @@ from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers import certify, solve
+from exact_mdp.solvers.solution import Bounded, Certified, Estimated
 
 GAINS = MDP.from_outcomes(  # +∞ whatever is done, though "always:1" throws 5 away
     [
@@ -160,3 +162,23 @@ def test_optimal_actions_beside_infinite_states() -> None:
         near = gap <= doubt[mdp.pair_state] + mdp.transition @ doubt + noise
         assert near.tolist() == exact.optimal_pairs.tolist()
     assert compared >= 10
+
+
+def test_commands_about_one_policy_agree(tmp_path: Path) -> None:
+    """Where half the runs gain for ever and half lose: one mean, no sd, and no bare dash."""
+    BOTH.save(tmp_path / "both.npz")
+    for words in ("evaluate", "returns", "simulate --episodes 50"):
+        name, *more = words.split()
+        found = run(name, tmp_path / "both.npz", "optimal", *more)
+        assert "-inf (" in found.out
+        assert "undefined: the mean is infinite" in found.out
+        assert "to -\n" not in found.out
+        stated = loads(run(name, tmp_path / "both.npz", "optimal", *more, "--json").out)
+        assert (stated["mean"], stated["sd"]) == ("-inf", None)
+
+
+def test_a_claim_is_a_number() -> None:
+    """`float` takes the value of each kind of claim, an exact one beyond the floats, too."""
+    claims = [Certified(value=F(1, 2)), Bounded(value=0.5, error=0), Certified(value=F(10) ** 400)]
+    claims.append(Estimated(value=0.5, standard_error=0.1))
+    assert [float(each) for each in claims] == [0.5, 0.5, np.inf, 0.5]

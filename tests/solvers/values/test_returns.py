@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from fractions import Fraction as F
 from itertools import product
-from math import inf
+from math import inf, isnan
 from random import Random
 
 import numpy as np
@@ -287,7 +287,14 @@ def test_runs_without_end_are_a_return_of_their_own(model: Pairs) -> None:
             with pytest.raises(ModelError, match="cancel for ever"):
                 return_distribution(mdp, [0] * size)
             return
+    whole = sum(star[0][t] * reward[t] for t in range(size))
+    if sum(p > 0 for p in lost.values()) == 2 and not whole:
+        with pytest.raises(ModelError, match="gains and losses without end cancel"):
+            return_distribution(mdp, [0] * size)
+        return
     found = return_distribution(mdp, [0] * size)
+    if found.unending:
+        assert found.mean == (inf if whole > 0 else -inf)
     assert found.unending.keys() == {sign for sign, p in lost.items() if p}
     for sign, number in found.unending.items():
         assert abs(F(float(number.value)) - lost[sign]) <= F(number.error)
@@ -304,11 +311,34 @@ def test_runs_without_end_are_a_return_of_their_own(model: Pairs) -> None:
         low = sum((p for (s, total), p in moving.items() if s in resting and total == value), F(0))
         assert low - F(error) <= F(law[value]) <= low + left + F(error)
     assert sum(law.values()) == pytest.approx(1, abs=1e-9)
-    if found.unending and len(found.unending) == 1:
+    if found.unending:
         assert found.mean == evaluate(mdp, [0] * size).mean
         sampled = simulate(mdp, [0] * size, 400, 0)
         assert sampled.never_ends == pytest.approx(found.never_ends, abs=0.15)
         assert sampled.mean == found.mean or not sampled.never_ends
+
+
+@pytest.mark.parametrize(("gain", "loss", "mean"), [(1, 2, -inf), (2, 1, inf), (1, 1, None)])
+def test_runs_of_both_infinities_have_one_mean(gain: int, loss: int, mean: float | None) -> None:
+    """Half the runs gain for ever and half lose: the mean reward decides, in every answer."""
+    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, gain)]), (2, 0, [(1, 2, -loss)])]
+    mdp = MDP.from_outcomes(rows)
+    answers = (
+        lambda: evaluate(mdp, "optimal"),
+        lambda: return_distribution(mdp, "random"),
+        lambda: return_distribution(mdp, "random", exact=True),
+        *(lambda n=n: simulate(mdp, "random", n, 0) for n in (1, 2, 100)),
+    )
+    for ask in answers:
+        if mean is None:
+            with pytest.raises(ModelError, match="gains and losses without end cancel"):
+                ask()
+            continue
+        found = ask()
+        assert (found.mean, isnan(found.sd)) == (mean, True)
+        assert f"mean {mean}" in repr(found)
+    if mean is not None:
+        assert "2 returns, " in repr(return_distribution(mdp, "random"))
 
 
 def test_runs_that_miss_a_goal() -> None:
@@ -318,7 +348,7 @@ def test_runs_that_miss_a_goal() -> None:
         found = return_distribution(mdp.with_(sense=sense).until("home"), "random", exact=True)
         assert found.as_dict() == {F(3): 0.25, inf: 0.75}
         assert found.unending[inf].value == F(3, 4)
-        assert (found.mean, found.sd, found.never_ends) == (inf, inf, 0.75)
+        assert (found.mean, found.never_ends, isnan(found.sd)) == (inf, 0.75, True)
         assert [found.quantile(q) for q in (0.2, 0.25, 0.3, 1)] == [3, 3, inf, inf]
         assert found.cdf(10) == 0.25
         assert found.frame()["probability"].sum() == 1
