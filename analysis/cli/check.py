@@ -23,7 +23,7 @@ from exact_mdp.analysis.cli.options import (
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate import github
-from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit, share_of
+from exact_mdp.analysis.gate.check import PLANNED, UNEXPLAINED, Audit, share_of
 from exact_mdp.analysis.gate.disagreements import Disagreement
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
@@ -110,7 +110,7 @@ def check(
     result |= {} if plan is None else {"needed": _needed(plan)}
     report = asked.report(
         result,
-        _facts(audit, why) | ({} if plan is None else {"needed": plan.told}),
+        _facts(audit, why, plan),
         [*_tables(result, audit), *([] if plan is None else [_needed_table(plan)])],
         notes=_notes(audit, explain=not no_explain),
         status=PASSED if audit.passed else FAILED,
@@ -416,11 +416,13 @@ def _reasons(audit: Audit, why: Representation | None) -> dict[str, Any]:
     }
 
 
-def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
+def _facts(audit: Audit, why: Representation | None, plan: Needed | None) -> dict[str, Any]:
     lost, relative = audit.regret, audit.relative_regret
     facts: dict[str, Any] = {"verdict": "passed" if audit.passed else "FAILED"}
     for each in audit.verdicts:
-        facts[each.name] = f"{'yes' if each.passed else 'no'}: {each.text}"
+        word = "yes" if each.passed else "not decided" if each.undecided else "no"
+        text = each.text if plan is None else each.text.replace(PLANNED, " (see what is needed)")
+        facts[each.name] = f"{word}: {text}"
     if audit.interval is not None:
         facts["regret of the process"] = f"{audit.interval} ({audit.claim})"
         for name, value in _of_interval(audit)["interval"].items():
@@ -462,6 +464,8 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
         facts[f"best policy that reads {_read(best.columns)}"] = f"{cell(best.value)} ({proof})"
         facts["lost because of what it reads"] = why.loss
         facts["lost by learning"] = why.learning_error
+    if plan is not None:
+        facts["needed"] = plan.told
     return facts
 
 

@@ -169,12 +169,13 @@ of_interval = together(
         "columns",
         multiple=True,
         metavar="NAME=COLUMN",
-        help="off-policy: what FILE calls episode, state, action, reward or next_state.",
+        help="off-policy: what FILE calls episode, state, action, reward, next_state or truncated.",
     ),
     click.option(
         "--behaviour",
         metavar="POLICY",
-        help="off-policy: the policy that chose the recorded actions; estimated unless given.",
+        help="off-policy: the policy that chose the recorded actions, a .npy of its probabilities; "
+        "estimated unless given.",
     ),
     click.option(
         "--needed",
@@ -245,8 +246,8 @@ def data() -> None:
 
     The columns are episode, state, action, reward and next_state, in the order of time, one episode
     after the other; without a next state the episode is over. A sixth column, truncated (true or
-    false), marks the rows after which an episode was cut off, as by a time limit. The numbers of
-    observations are kept in the model.
+    false), marks the rows after which an episode was cut off, as by a time limit; --column
+    truncated=NAME where it is called otherwise. The numbers of observations are kept in the model.
     """
 
 

@@ -177,6 +177,11 @@ def data(
     if ends:
         facts["ends"] = f"{_some(list(ends[:SHOWN]), ends)} (entered, never left)"
     notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
+    notes += [
+        f"the column {name!r} is not used: where it marks the rows after which an episode was cut "
+        f"off, add --column truncated={name}; where it marks the ends, leave next_state empty there"
+        for name in record.ignored
+    ]
     unknown = [mdp.space.label(s) for s in np.flatnonzero(transitions.cut_off(mdp)).tolist()]
     stopped = record.n_cut_off
     result |= {"cut_off": stopped, "cut_off_states": unknown}

@@ -81,6 +81,11 @@ class Verdict:
     text: str
 
     @property
+    def undecided(self) -> bool:
+        """Whether it does not pass because bounds or records leave it open."""
+        return not self.passed and (OPEN in self.text or self.text.endswith(UNDECIDED))
+
+    @property
     def told(self) -> str:
         """What was found, as a sentence: the name of a check that fails is not what was found.
 
@@ -91,8 +96,7 @@ class Verdict:
         """
         if self.passed:
             return f"{self.name}: {self.text}"
-        open_ = OPEN in self.text or self.text.endswith(UNDECIDED)
-        words = "is not known to be" if open_ else "is not"
+        words = "is not known to be" if self.undecided else "is not"
         return f"{self.name.replace(' is', f' {words}', 1)}: {self.text}"
 
 
@@ -319,7 +323,7 @@ class Audit(Pictured):
             limit = self.max_regret or Fraction(0)
             share = self.interval.within(limit).value
             return f"{OPEN}: it is kept with probability {share:.3g} by the posterior"
-        how = " (audit.needed() or --needed says which)" if self.interval.by == "robust" else ""
+        how = PLANNED if self.interval.by == "robust" else ""
         return f"{OPEN}: more records decide it{how}, or give a limit above the interval"
 
     @cached_property
@@ -492,6 +496,7 @@ UNDECIDED = (
 )
 
 OPEN = "which leaves the limit open"
+PLANNED = " (audit.needed() or --needed says which)"
 
 
 def share_of(cost: float, lost: float) -> float | None:

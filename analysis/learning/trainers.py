@@ -137,10 +137,16 @@ class TrainerAudit(Pictured):
     def message(self) -> str:
         """Return in words what was found, and of the run that lost most why."""
         low, high = self.interval
-        told = {True: "is", False: "is not", None: "is not known to be"}[self.proven]
+        what, least = "the share of runs within the limits", shown(self.share, 10)
+        told = {
+            True: f"{what} is at least {least}",
+            False: f"{what} is not at least {least}",
+            None: f"{what} is not proven to be below {least}"
+            if self.passed
+            else f"{what} is not proven to be at least {least}",
+        }[self.proven]
         lines = [
-            f"{'passed' if self.passed else 'failed'}: the share of runs within the limits {told} "
-            f"at least {shown(self.share, 10)}",
+            f"{'passed' if self.passed else 'failed'}: {told}",
             f"{self.within} of {len(self.audits)} runs are, of {self.runs} at most; the share of "
             f"all is from {float(low):.4f} to {float(high):.4f}, wrong with probability "
             f"{shown(self.alpha, 10)} at most, whenever one stops",

@@ -52,6 +52,12 @@ COLUMNS = ("episode", "state", "action", "reward", "next_state")
 TRUNCATED = "truncated"  # the column that a table may have besides
 CUT_OFF = "cut off"  # the label of states in which episodes were cut off, and which nobody left
 FLAGS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
+# What other tables call a column that says how an episode stopped, without capitals and marks.
+LIKE_TRUNCATED = frozenset(
+    ("truncated", "truncation", "truncate", "istruncated", "cut", "cutoff", "wascutoff", "timeout",
+     "timelimit", "timedout", "censored", "terminated", "terminal", "termination", "isterminal",
+     "done", "dones", "end", "ended", "last", "islast")
+)  # fmt: skip
 # What programs write where there is no value: no names, as pandas.read_csv has it.
 NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
@@ -219,7 +225,7 @@ def _parquet(file: Any, path: str, used: list[str]) -> Generator[DataFrame]:
     parquet = later("pyarrow.parquet")
     try:
         table = parquet.ParquetFile(file)
-        found = [name for name in used if name in table.schema_arrow.names]
+        found = [name for name in table.schema_arrow.names if name in used or _like_cut(name)]
         for batch in table.iter_batches(ROWS, columns=found):
             yield batch.to_pandas()
     except (OSError, ValueError) as error:
@@ -235,9 +241,16 @@ def _name(value: Any) -> Any:
     if isinstance(value, str):
         found = WHOLE.fullmatch(value)
         return found[1] if found else value
+    if isinstance(value, bool | np.bool_):
+        return str(value)  # no number: True is not 1
     if isinstance(value, float | np.floating) and value.is_integer():
         return int(value)
     return value
+
+
+def _like_cut(name: object) -> bool:
+    """Return whether a column is called like one that says how an episode stopped."""
+    return "".join(filter(str.isalpha, str(name).lower())) in LIKE_TRUNCATED
 
 
 class _Names:
@@ -246,6 +259,7 @@ class _Names:
     def __init__(self, read: Callable[[Any], Any] = _name) -> None:
         self.numbers: dict[Any, int] = {}
         self.read = read
+        self.blank: set[str] = set()  # names of spaces only
 
     def of(self, column: Series) -> Integers:
         """Return the number of each value; -1 where there is none."""
@@ -257,6 +271,16 @@ class _Names:
                 where=f"column {column.name}",
                 fix="give numbers or text",
             ) from error
+        # Python takes True for 1, and so does pandas.
+        asked = column.dtype == object and any(value in (0, 1) for value in values)
+        either = column.dropna() if asked else ()
+        if len({isinstance(v, bool | np.bool_) for v in either if v in (0, 1)}) > 1:
+            raise ModelError(
+                "the column holds both truth values and the numbers 0 or 1",
+                where=f"column {column.name}",
+                fix="use one kind of names",
+            )
+        self.blank.update(value for value in values if isinstance(value, str) and value.isspace())
         known = [self.numbers.setdefault(self.read(v), len(self.numbers)) for v in values]
         found: Integers = np.array([*known, -1], dtype=np.int64)[codes]
         return found
@@ -275,11 +299,23 @@ class Record:
         self.starts: dict[int, int] = {}
         self.stops: dict[tuple[int, bool], int] = {}  # by next state, and whether it was cut off
         self.rows = 0
+        self.ignored: tuple[str, ...] = ()  # columns called like `truncated` that are not read
         self.last = (-1, -1, False)  # episode, next state, whether it was cut off
 
     def row(self, number: int) -> str:
-        """Return how a row is called, in messages."""
-        return f"{self.where}, {'line' if self.file else 'row'} {number + 2 * self.file}"
+        """Return how a row is called, in messages: in a file by its line, blank ones counted."""
+        if not self.file:
+            return f"{self.where}, row {number}"
+        with opened(self.where, most=LARGEST_FILE) as file:
+            text = io.TextIOWrapper(file, "utf-8-sig", newline="")
+            lines = csv.reader(text)
+            left, before = number + 1, 0  # the header is one, too
+            for line in lines:
+                if line and not left:
+                    break
+                left, before = left - bool(line), lines.line_num
+            text.detach()
+        return f"{self.where}, line {before + 1}"
 
     def refuse(self, bad: Any, what: str, fix: str) -> None:
         """Raise ModelError that names the first rows of those marked."""
@@ -298,12 +334,17 @@ class Record:
                     fix="give each column a name of its own",
                 )
             if column not in chunk:
+                spaced = [each for each in map(str, chunk.columns) if each.strip() == column]
                 near = suggest(column, map(str, chunk.columns))
+                if spaced:
+                    near = f"it is called {spaced[0]!r}, with spaces"
                 fix = f"{near}; name it (--column {name}=…, columns={{{name!r}: …}})"
                 if len(chunk.columns) == 1 and {";", "\t", "|"} & set(str(chunk.columns[0])):
                     fix = "separate columns by commas: the first line has none"
                 raise ModelError(f"no column {column!r}", where=self.where, fix=fix)
         parts = {name: chunk[column] for name, column in self.columns.items()}
+        used = {TRUNCATED, *self.columns.values()}
+        self.ignored = tuple(str(c) for c in chunk.columns if c not in used and _like_cut(c))
         cut = self._cut(chunk)
         episode, state, action = (
             names.of(parts[name])
@@ -322,6 +363,12 @@ class Record:
             ("episode", episode, self.episodes), ("state", state, self.states),
             ("action", action, self.actions), ("next state", then, self.states),
         ):  # fmt: skip
+            for word in names.blank:
+                self.refuse(
+                    codes == names.numbers[word],
+                    f"the {name} is {word!r}, spaces only",
+                    "leave it empty where there is none (next_state alone may be)",
+                )
             for word in NO_NAMES & names.numbers.keys():
                 self.refuse(
                     codes == names.numbers[word],
@@ -367,7 +414,8 @@ class Record:
             try:
                 exact(value)
             except ModelError as error:
-                self.refuse(reward == code, f"the reward is {value!r}", error.fix)
+                fix = f"{error.fix}, or leave the row out"
+                self.refuse(reward == code, f"the reward is {value!r}", fix)
             # Floats stay floats: a model knows which of its numbers were rounded.
             self.values.append(exact(value) if isinstance(value, str) else value)
 
@@ -390,6 +438,11 @@ class Record:
             goes_on & over,
             "an episode goes on after it was cut off",
             "mark its last row alone as truncated, or give what follows another episode number",
+        )
+        self.refuse(
+            goes_on & (left == -1),
+            "an episode goes on after it was over: the row before leads nowhere",
+            "give the next state there, or give what follows another episode number",
         )
         self.refuse(
             goes_on & (left != state),

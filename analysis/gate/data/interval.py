@@ -155,6 +155,11 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
             else []
         ),
         *([f"what nobody took is not to be had: {_some(untaken)}"] if untaken else []),
+        *(
+            ["only one action was ever taken, and no other is to be had: nothing can be lost"]
+            if mdp.n_actions == 1
+            else []
+        ),
     )
 
 

@@ -69,8 +69,9 @@ class OffPolicy:
     columns : mapping, optional
         The names that the table has for its columns.
     behaviour : PolicyLike, optional
-        The policy that chose the recorded actions; unless given it is estimated from the model's
-        counts, which the interval then takes for true.
+        The policy that chose the recorded actions; an array, or the file of one, holds its
+        probabilities, never action values. Unless given it is estimated from the model's counts,
+        which the interval then takes for true.
     rewards, returns
         As in `Robust`; rewards have to be stated here, too, for the optimum.
     n : int
@@ -190,7 +191,7 @@ class OffPolicy:
     def _behaviour(self, mdp: MDP) -> Floats:
         """Return (L,) the probabilities of the behaviour."""
         if self.behaviour is not None:
-            return PolicyChain.of(mdp, self.behaviour).weights
+            return PolicyChain.of(mdp, self.behaviour, kind="policy").weights
         seen = observations_of(mdp).astype(np.float64)
         total = np.add.reduceat(seen, mdp.pair_offsets[:-1])[mdp.pair_state]
         return np.divide(seen, total, out=np.ones_like(seen), where=total > 0)

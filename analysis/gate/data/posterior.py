@@ -153,7 +153,11 @@ class Posterior:
         self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
     ) -> PosteriorInterval:
         """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
-        if (unknown := transitions.cut_off(mdp)).any():
+        unknown = transitions.cut_off(mdp)
+        # By the prior an episode may begin in any state, and go to any: after one step from a start
+        # that is known it is over, and nothing of them matters.
+        over = horizon == 1 and mdp.episodes is None and not mdp.start_distribution[unknown].any()
+        if unknown.any() and not over:
             raise ModelError(
                 f"episodes were cut off in {named(mdp, unknown)}, which no record leaves: no prior "
                 "says what follows there",

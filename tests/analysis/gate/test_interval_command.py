@@ -74,6 +74,7 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
     for text in (done.out, page.read_text("utf-8"), report.read_text("utf-8")):
         assert shown in text
         assert "leaves the limit open" in text
+        assert "no: it is in" not in text
         assert ("audit.needed" in text) == (kind == "robust")
     assert page.read_text("utf-8").count("no medical advice") == 1
     assert "no medical advice" in done.out
@@ -94,6 +95,8 @@ def test_what_more_records_decide(folder: Path, tmp_path: Path) -> None:
     assert (tmp_path / "needed.svg").read_text("utf-8").startswith("<?xml")
     done = run(*words, "--needed", f"--html={tmp_path / 'page.html'}")
     assert done.status == 1
+    assert "not decided: it is in" in " ".join(done.out.split())
+    assert "--needed says which" not in done.out
     for text in (done.out, (tmp_path / "page.html").read_text("utf-8")):
         assert "what more records of a pair are worth" in text
 

@@ -254,6 +254,41 @@ def test_where_episodes_were_cut_off_anything_may_follow() -> None:
     assert Robust(rewards="known").interval(ended, chain, LEVEL).low > 0.1  # an end, worth 0
 
 
+def test_what_follows_a_cut_does_not_matter_after_one_step_from_a_known_start() -> None:
+    rows = [(n, "s", "ab"[n % 2], n % 2, "u", True) for n in range(100)]
+    frame = pd.DataFrame(rows, columns=[*NAMES, "truncated"])
+    known = MDP.from_transitions(frame, start="s")
+    how: dict[str, Any] = {"confidence": 0.95, "by": Posterior(n=80)}
+    assert check(known, "always:a", horizon=1, **how).regret_interval == (0, 1)
+    for mdp, horizon in ((known, 2), (MDP.from_transitions(frame), 1)):
+        with pytest.raises(ModelError, match="cut off in"):
+            check(mdp, "always:a", horizon=horizon, **how)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_one_action_alone_every_interval_says_so(kind: str) -> None:
+    frame = pd.DataFrame([(n, "s", "a", n % 2, None) for n in range(80)], columns=NAMES)
+    mdp = MDP.from_transitions(frame, "1/2")
+    found = KINDS[kind](frame, 0).interval(mdp, PolicyChain.of(mdp, "always:a"), LEVEL)
+    assert any("only one action was ever taken" in each for each in found.assumptions)
+
+
+def test_a_behaviour_in_an_array_is_one_of_probabilities(tmp_path: Path) -> None:
+    frame = recorded(np.random.default_rng(4), 100)
+    mdp, chain = estimated(frame)
+    shares = np.full((4, 2), 0.5)
+    np.save(tmp_path / "behaviour.npy", shares)
+
+    def by(behaviour: Any) -> tuple[float, float]:
+        how = OffPolicy(records=frame, rewards=(0, 1), n=10, behaviour=behaviour)
+        found = how.interval(mdp, chain, LEVEL)
+        return found.low, found.high
+
+    assert by(shares) == by(str(tmp_path / "behaviour.npy")) == by("random")
+    with pytest.raises(ModelError):  # a Q-table
+        by(np.array([[3.0, 1.0]] * 4))
+
+
 @pytest.mark.parametrize("limit", [1, 2])
 def test_what_is_cut_off_without_a_next_state_counts(limit: int) -> None:
     """Who is not cured within the limit is cut off: to leave these rows out would cure them all."""
@@ -809,6 +844,8 @@ def test_the_probability_is_a_share_of_the_draws() -> None:
     share = found.within(F(1, 2))
     assert share.value == np.mean(found.draws <= 0.5)
     assert share.interval == tuple(float(end) for end in wilson(share.value * 600, 600))
+    with pytest.raises(ModelError):
+        found.within(float("nan"))  # type: ignore[arg-type]
     assert found.within(F(1000)).interval[0] < 1  # all draws agree, and some doubt is left
     assert np.quantile(found.draws, 0.95) <= found.high <= np.quantile(found.draws, 0.98)
     low, high = found.found["equal_tails"]

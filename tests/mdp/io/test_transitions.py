@@ -162,6 +162,9 @@ BAD: dict[str, list[tuple[Any, ...]]] = {
     "gap in an episode": [GOOD, (1, "a", "x", 0, "b")],
     "goes on after another": [GOOD, (2, "a", "x", 0, "b"), (1, "b", "x", 0, "b")],
     "no reward": [GOOD, (2, "a", "x", np.nan, "b")],
+    "after it was over": [GOOD, (2, "a", "x", 0, None), (2, "b", "x", 0, "a")],
+    "the state is ' ', spaces only": [GOOD, (2, " ", "x", 0, "b")],
+    "the next state is '  ', spaces only": [GOOD, (2, "a", "x", 0, "  ")],
     "no action": [GOOD, (2, "a", None, 0, "b")],
     "no state": [GOOD, (2, None, "x", 0, "b")],
     "reward is inf": [GOOD, (2, "a", "x", np.inf, "b")],
@@ -186,9 +189,51 @@ def test_a_bad_row_is_named(what: str, tmp_path: Path) -> None:
     assert not (tmp_path / "m.npz").exists()
 
 
+@pytest.mark.parametrize("blank", ["\n", "\r\n", "\n\n"])
+def test_blank_lines_count_among_the_lines(blank: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = f'{",".join(NAMES)}\n1,"a",x,0,b\n{blank}1,b,"x\ny",0,c\n{blank}1,d,x,0,e\n'
+    path.write_bytes(rows.encode())
+    with pytest.raises(ModelError, match="a gap in an episode") as caught:
+        MDP.from_transitions(path)
+    line = rows[: rows.index("1,d")].count("\n") + 1
+    assert caught.value.where == f"{path}, line {line}"
+
+
+def test_truth_values_are_no_numbers() -> None:
+    """Python takes True for 1: in one column they are refused, in two they are two names."""
+    with pytest.raises(ModelError, match="both truth values and"):
+        MDP.from_transitions(table([(1, True, "x", 0, None), (2, 1, "x", 0, None)]))
+    mdp = MDP.from_transitions(table([(1, 1, "x", 0, True), (2, 1, "x", 0, True)]))
+    assert mdp.space.labels(range(2)) == ["state 1", "state True"]
+    kept = MDP.from_transitions(table([(1, True, "x", 0, False), (2, False, "x", 0, pd.NA)]))
+    assert kept.space.labels(range(3)) == ["state False", "state True", "end"]
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    "name", ["Truncated", "cut", "timeout", "time_limit", "terminated", "done", "note"]
+)
+def test_a_column_that_may_say_how_episodes_stop_is_named(
+    name: str, ending: str, tmp_path: Path
+) -> None:
+    frame, path = table([GOOD]).assign(**{name: True}), tmp_path / f"log.{ending}"
+    frame.to_csv(path, index=False) if ending == "csv" else frame.to_parquet(path)
+    told = run("data", path, "--out", tmp_path / "m.npz")
+    assert told.status == 0
+    assert (f"'{name}' is not used" in " ".join(told.err.split())) == (name != "note")
+    if name != "note":
+        used = run("data", path, "--out", tmp_path / "m.npz", "--column", f"truncated={name}")
+        assert "is not used" not in used.err
+        assert "1 episode" in used.out
+    assert "truncated=NAME" in " ".join(run("data", "--help").out.split())
+
+
 def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="no column 'next_state'"):
         MDP.from_transitions(table([GOOD]).rename(columns={"next_state": "next_stat"}))
+    with pytest.raises(ModelError, match="it is called ' state', with spaces"):
+        MDP.from_transitions(table([GOOD]).rename(columns={"state": " state"}))
     with pytest.raises(ModelError, match="unknown column 'sate'"):
         MDP.from_transitions(table([GOOD]), columns={"sate": "s"})
     with pytest.raises(ModelError, match="stands for state and next_state"):
