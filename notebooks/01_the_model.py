@@ -18,6 +18,8 @@
 # decision process, look up any row of its transition matrix as exact fractions, and change any
 # number of its tables or any reading of its text.
 #
+# This is software for research, and no medical advice.
+#
 # A robot helps a person living with dementia through a task of several subtasks. The person has
 # four statuses, each present or absent: forgetfulness, confusion, anger, disengagement. In every
 # trial the robot does one of four things, the statuses move, and the trial succeeds if none is

@@ -18,6 +18,8 @@
 # exact value of each learned policy, and separate two kinds of loss: what a table over statuses
 # cannot express, and what was learned badly.
 #
+# This is software for research, and no medical advice.
+#
 # The learner sees samples only. We know the model, so that nothing about its result has to be
 # estimated by further sampling, except the variation from seed to seed.
 

@@ -18,6 +18,8 @@
 # which value of an entry the best action changes, and how sure one can be of the policy when the
 # entries are uncertain.
 #
+# This is software for research, and no medical advice.
+#
 # The probabilities of the care model are judgements. A policy computed from them is only as good as
 # the entries that it depends on. Which ones are these?
 

@@ -18,6 +18,8 @@
 # every policy that the text allows under each of them, exactly, and say which points the reported
 # numbers settle and which they leave open.
 #
+# This is software for research, and no medical advice.
+#
 # The paper gives tables and rules, but some sentences can be understood in two or three ways. It
 # also reports averages: 144.3, 139.2 and 133.5 for three policies, over a thousand experiments
 # each. Do these numbers tell which reading the authors used? Here we look at the 576 readings with

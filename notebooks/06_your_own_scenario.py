@@ -17,6 +17,8 @@
 # **After this notebook you can** write a care scenario of your own as a text file, have it checked,
 # solved and proven, and move one of its numbers to see where the best action changes.
 #
+# This is software for research, and no medical advice.
+#
 # The scenario shipped as `tea` has three statuses, three actions and two tasks. Its numbers are
 # made up. Here we write a smaller one from scratch.
 

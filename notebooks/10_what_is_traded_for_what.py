@@ -18,6 +18,8 @@
 # limits, give its value as a function of a number that you are unsure of, and weigh the mean
 # against the worst episodes. All of it is exact, and carries a proof.
 #
+# This is software for research, and no medical advice.
+#
 # The care model adds up what it wants: completed subtasks earn 50 points each, a moment of anger
 # costs 5. The sum of these weights hides a choice. Who would take fewer completed subtasks for less
 # anger, and how many?
