@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import wraps
+from numbers import Real
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
@@ -436,10 +437,12 @@ def check_settings(solver: Any) -> None:
     check_counts(name, **settings)
 
 
-def check_tolerance(where: str, tol: float | None) -> None:
-    """Raise ModelError for a tolerance that is not positive."""
-    if tol is not None and not 0 < tol < np.inf:
-        raise ModelError(f"tol is {tol}", where=where, fix="choose a positive number, or None")
+def check_tolerance(where: str, tol: Any) -> None:
+    """Raise ModelError for a tolerance that is no positive number; True is none."""
+    number = isinstance(tol, Real) and not isinstance(tol, bool)
+    if tol is not None and not (number and 0 < tol < np.inf):
+        shown = tol if number else repr(tol)
+        raise ModelError(f"tol is {shown}", where=where, fix="choose a positive number, or None")
 
 
 def check_counts(where: str, **counts: Any) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction as F
 from importlib import import_module
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -429,3 +430,23 @@ def test_three_kinds_of_number() -> None:
     ]
     # Python writes no integer of over 4,300 digits
     assert str(Certified(value=F(3**9500, 4**7529))) == "≈ 0.552389135964 (certified)"
+
+
+@pytest.mark.parametrize("tol", ["x", True, 0, -1.0, np.inf, np.nan])
+def test_a_tolerance_is_a_positive_number(tol: Any) -> None:
+    with pytest.raises(ModelError, match="tol is"):
+        solve(MDP.from_arrays([[[1]]], [1], discount="1/2"), tol=tol)
+
+
+@pytest.mark.parametrize("form", [sp.csr_array, sp.csr_matrix, sp.csc_array])
+def test_room_behind_the_entries_of_a_sparse_matrix_is_left_out(form: Any) -> None:
+    rows = form(np.array([[0.5, 0.5], [0.0, 1.0]]))
+    entries, places = np.append(rows.data, [7.0, 8.0]), np.append(rows.indices, [0, 99])
+    roomy = rows.copy()
+    roomy.data, roomy.indices = entries, places
+    found = MDP.from_arrays([roomy], [[1], [0]], discount="1/2")
+    assert found.transition.toarray().tolist() == [[0.5, 0.5], [0.0, 1.0]]
+    assert len(roomy.data) == 5
+    roomy.indptr = roomy.indptr + np.array([0, 0, 9], roomy.indptr.dtype)
+    with pytest.raises(ModelError, match="indptr"):
+        MDP.from_arrays([roomy], [[1], [0]], discount="1/2")
