@@ -48,6 +48,7 @@ loops = later("exact_mdp.solvers.kernels.linear")
 scipy = later("scipy.sparse.linalg")
 
 DIRECT_STATES = 500
+IN_ROOM = 2000  # states: factors with limited fill may take minutes of some larger chains
 MOST_FILL = 4
 CHEAP = 2e7  # multiplications within the band: some milliseconds
 REFINEMENTS = 5
@@ -237,7 +238,7 @@ class LinearSystem:
     @cached_property
     def _within_room(self) -> Solve | None:
         """Elimination in little room, of chains too small for compiled loops to pay."""
-        small = self.transition.nnz < COMPILED
+        small = self.transition.nnz < COMPILED and self.transition.shape[0] <= IN_ROOM
         return elimination.in_room(self.transition, self.discount) if small else None
 
     @cached_property
