@@ -235,7 +235,7 @@ def test_the_schema_takes_what_the_reader_takes(text: str) -> None:
 def test_commands(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     made = run("new", path, "--json")
-    assert made.result == {"written": str(path)}
+    assert made.result["written"] == str(path)
     shipped_line, _, rest = TEMPLATE.partition("\n")
     assert shipped_line == "#:schema schema.json"
     assert path.read_text("utf-8") == rest  # the same on all machines
