@@ -271,8 +271,8 @@ class _Names:
                 where=f"column {column.name}",
                 fix="give numbers or text",
             ) from error
-        # Python takes True for 1, and so does pandas.
-        asked = column.dtype == object and any(value in (0, 1) for value in values)
+        # Python takes True for 1, and so does pandas: as numbers they are one, as names two.
+        asked = self.read is _name and column.dtype == object and any(v in (0, 1) for v in values)
         either = column.dropna() if asked else ()
         if len({isinstance(v, bool | np.bool_) for v in either if v in (0, 1)}) > 1:
             raise ModelError(
