@@ -303,21 +303,32 @@ def join(
                     filled += 1
 
 
+def where_endless(mdp: MDP) -> str:
+    """Return where a policy of an endless model stays for ever, or ends beside the goal."""
+    found = termination(mdp)
+    if found.policy is None:
+        goal = np.zeros(mdp.n_states, dtype=bool) if mdp.goal is None else mdp.goal
+        states, before = np.flatnonzero(mdp.terminal & ~goal), "it ends beside the goal in "
+        named = [f"({mdp.space.label(state)})" for state in states[:SHOWN].tolist()]
+    else:
+        states, before = found.trapped, "it stays for ever in "
+        named = [
+            f"({mdp.space.label(state)}) with action {mdp.actions[found.policy[state]]}"
+            for state in states[:SHOWN].tolist()
+        ]
+    more = len(states) - len(named)
+    return before + ", ".join(named) + (f" and {more} more" if more else "")
+
+
 def require_termination(mdp: MDP) -> None:
     """Raise ModelError, naming a policy that never ends, unless γ < 1 or every policy ends."""
     if mdp.discount_exact < 1:
         return
-    found = termination(mdp)
-    if found.policy is None:
+    if termination(mdp).proven:
         return
-    named = [
-        f"({mdp.space.label(state)}) with action {mdp.actions[found.policy[state]]}"
-        for state in found.trapped[:SHOWN].tolist()
-    ]
-    more = len(found.trapped) - len(named)
     raise ModelError(
         "discount 1 needs every policy to end, and one does not",
-        where="it stays for ever in " + ", ".join(named) + (f" and {more} more" if more else ""),
+        where=where_endless(mdp),
         fix="use solve(mdp) or certify(mdp), give a discount (discount=0.95), stop after N steps "
         f"(--horizon {mdp.time_limit or 'N'}), or add a way out: a terminal state stays put and "
         "earns 0",

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
-from typing import Protocol
 
 import numpy as np
 
@@ -23,25 +22,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
 from exact_mdp.solvers.objectives.occupancy import flow
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
-from exact_mdp.solvers.proof.margins import alike
+from exact_mdp.solvers.proof.margins import Values, alike
 from exact_mdp.solvers.proof.rationals import fraction, on_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-
-class Values(Protocol):
-    """Exact values V(s) = numerator[s] / denominator[group[s]]."""
-
-    @property
-    def numerator(self) -> Sequence[int]:
-        """One for each state."""
-
-    @property
-    def group(self) -> Integers:
-        """(S,) the place of each state's denominator."""
-
-    @property
-    def denominator(self) -> Sequence[int]:
-        """One for each group."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -31,7 +31,7 @@ from math import inf, isfinite
 
 import numpy as np
 
-from exact_mdp.analysis.gate.exact_policy import Values, exact_gaps, exact_policy
+from exact_mdp.analysis.gate.exact_policy import exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import (
     Flags,
     Forgiveness,
@@ -57,6 +57,7 @@ from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.certify import certify
+from exact_mdp.solvers.proof.margins import Values
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain

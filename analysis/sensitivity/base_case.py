@@ -4,7 +4,7 @@ A policy is held as the probabilities of the model's (state, action) pairs, so t
 evaluated at other values of the parameters, where the pairs are the same.
 
 Analyses compare values at several parameters, and optima with policies. A total reward at discount
-1 may be infinite, and ∞ - ∞ is no number: `finite_optimum` and `finite_worth` refuse such a value
+1 may be infinite, and ∞ - ∞ is undefined: `finite_optimum` and `finite_worth` refuse such a value
 by name, and every analysis that compares takes its values from them.
 """
 

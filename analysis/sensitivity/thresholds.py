@@ -120,10 +120,8 @@ class Thresholds(Pictured):
 
     def __repr__(self) -> str:
         low, high = shown(self.range.low), shown(self.range.high)
-        return (
-            f"Thresholds({self.parameter.name} from {low} to {high}: {len(self.found)}, "
-            f"{self.claim})"
-        )
+        count = f"{len(self.found)} threshold{'s' * (len(self.found) != 1)}"
+        return f"Thresholds({self.parameter.name} from {low} to {high}: {count}, {self.claim})"
 
     @property
     def claim(self) -> Claim:

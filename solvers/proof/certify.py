@@ -16,7 +16,7 @@ from typing import Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import endless, reachable
+from exact_mdp.mdp.chain import endless, reachable, where_endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
@@ -108,8 +108,9 @@ def certify(
         )
     if bounded and endless(mdp):
         raise ModelError(
-            "bounds that a checker reads need every policy to end, and one does not",
-            where="certify, at discount 1",
+            "bounds that a checker reads need every policy to end, at the goal where one is set; "
+            "one does not",
+            where=where_endless(mdp),
             fix="leave out bounded=True: the proof is exact; solve() gives floats with bounds",
         )
     if bounded:

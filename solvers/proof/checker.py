@@ -41,11 +41,10 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.proof.endless import (
     EndlessClaims,
     endless_violations,
-    finite_part,
     malformed,
     optimal_infinite,
 )
-from exact_mdp.solvers.proof.equations import equation_violations
+from exact_mdp.solvers.proof.equations import equation_violations, finite_part
 from exact_mdp.solvers.proof.margins import alike, falling, gains, others, undecided
 
 
@@ -176,7 +175,7 @@ def _without_end(found: ExactClaims, claims: EndlessClaims, mdp: MDP, pairs: Int
         wrong.append("below discount 1 no value is infinite")
     step = per_step(mdp)
     rows = bellman_rows(step)
-    part = None if wrong else finite_part(claims, rows)
+    part = None if wrong else finite_part(claims.sign, rows)
     if part is None:
         return wrong or ["a finite state has no pair that leads to finite states only"]
     equations, kept = part

@@ -104,32 +104,6 @@ def malformed(claims: EndlessClaims, states: int) -> list[str]:
     return wrong
 
 
-def finite_part(claims: EndlessClaims, rows: BellmanRows) -> tuple[BellmanRows, Mask] | None:
-    """Return the equations between finite states, and their pairs (L,); None where one has none.
-
-    Infinite states are left with their first pair, as terminal ones.
-    """
-    finite = claims.sign == 0
-    state = rows.pair_state
-    kept = finite[state] & np.logical_and.reduceat(finite[rows.next], rows.offsets[:-1])
-    if not np.logical_or.reduceat(kept, rows.pair_offsets[:-1])[finite].all():
-        return None
-    chosen = kept.copy()
-    chosen[rows.pair_offsets[:-1][~finite]] = True
-    lengths = np.diff(rows.offsets)
-    entries = np.repeat(chosen, lengths)
-    part = BellmanRows(
-        pair_offsets=np.concatenate([[0], np.cumsum(np.bincount(state[chosen]))]),
-        terminal=rows.terminal | ~finite,
-        scale=rows.scale,
-        constant=rows.constant[chosen],
-        offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]),
-        next=rows.next[entries],
-        weight=rows.weight[entries],
-    )
-    return part, chosen
-
-
 def optimal_infinite(claims: EndlessClaims, rows: BellmanRows) -> Mask:
     """Return (L,) the pairs of infinite states that attain their value."""
     sign = claims.sign[rows.pair_state]

@@ -7,12 +7,11 @@ common multiple are judged together (`solvers.proof.losses`), long numbers pair 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from math import lcm
 from operator import mul
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,26 +19,10 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Integers, spans
 from exact_mdp.solvers.proof.losses import losses, short_rows
-from exact_mdp.solvers.proof.margins import Claims
+from exact_mdp.solvers.proof.margins import Claims, Values
 
 FEW = 64  # pairs that are not worth the arrays
 SHORT = 768  # bits of a common denominator, for states to be judged together
-
-
-class Values(Protocol):
-    """Exact values V(s) = numerator[s] / denominator[group[s]]."""
-
-    @property
-    def numerator(self) -> Sequence[int]:
-        """One for each state."""
-
-    @property
-    def group(self) -> Integers:
-        """(S,) the place of each state's denominator."""
-
-    @property
-    def denominator(self) -> Sequence[int]:
-        """Each positive."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,6 +76,32 @@ def equation_violations(rows: BellmanRows, found: Claims) -> list[str]:
                 gaps.add(state)
     wrong += [f"the optimal actions of state {s} are not those of the model" for s in unmarked]
     return wrong + [f"the gap of state {s} is not that of the model" for s in sorted(gaps)]
+
+
+def finite_part(sign: Integers, rows: BellmanRows) -> tuple[BellmanRows, NDArray[np.bool_]] | None:
+    """Return the equations between finite states, and their pairs (L,); None where one has none.
+
+    `sign` (S,) is 0 in finite states. The others keep their first pair, as terminal ones.
+    """
+    finite = sign == 0
+    state = rows.pair_state
+    kept = finite[state] & np.logical_and.reduceat(finite[rows.next], rows.offsets[:-1])
+    if not np.logical_or.reduceat(kept, rows.pair_offsets[:-1])[finite].all():
+        return None
+    chosen = kept.copy()
+    chosen[rows.pair_offsets[:-1][~finite]] = True
+    lengths = np.diff(rows.offsets)
+    entries = np.repeat(chosen, lengths)
+    part = BellmanRows(
+        pair_offsets=np.concatenate([[0], np.cumsum(np.bincount(state[chosen]))]),
+        terminal=rows.terminal | ~finite,
+        scale=rows.scale,
+        constant=rows.constant[chosen],
+        offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]),
+        next=rows.next[entries],
+        weight=rows.weight[entries],
+    )
+    return part, chosen
 
 
 def _repeated(rows: BellmanRows, found: Claims) -> NDArray[np.bool_]:

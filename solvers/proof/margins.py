@@ -28,8 +28,8 @@ LARGE, MIX = 2**61 - 1, np.uint64(0x9E3779B97F4A7C15)  # of a hash
 LONG = 1000  # bits from which on division needs the leading digits alone
 
 
-class Claims(Protocol):
-    """Exact values V(s) = numerator[s] / denominator[group[s]], what is optimal, and gaps."""
+class Values(Protocol):
+    """Exact values V(s) = numerator[s] / denominator[group[s]]."""
 
     @property
     def numerator(self) -> Sequence[int]:
@@ -42,6 +42,10 @@ class Claims(Protocol):
     @property
     def denominator(self) -> Sequence[int]:
         """Each positive."""
+
+
+class Claims(Values, Protocol):
+    """Exact values, what is optimal, and gaps."""
 
     @property
     def optimal_pairs(self) -> NDArray[np.bool_]:

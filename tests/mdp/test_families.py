@@ -299,14 +299,14 @@ def test_thresholds_where_an_absorbing_reward_spans_both_signs(bounds) -> None:
     assert found.claim == Claim.CERTIFIED
 
 
-def test_an_endless_reward_at_discount_1_is_cut_where_its_sign_changes() -> None:
-    """The value is -∞ below 0, 0 there, and +∞ above."""
+def test_an_endless_reward_changes_no_action_where_there_is_one() -> None:
+    """The value is -∞ below 0, 0 there, and +∞ above; it is earned by the only action."""
 
     def build(at):
         return MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, at["r"])])], 1)
 
     family = Family(parameters=(Parameter(name="r", value=F(0)),), build=build)
-    assert "-1 to 1: 0, certified" in repr(thresholds(family, "r", (-1, 1)))
+    assert not thresholds(family, "r", (-1, 1)).found
 
 
 def test_a_tie_at_a_kink_is_a_touch() -> None:
