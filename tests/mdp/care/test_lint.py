@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import own_text
 
+from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.care import schema
 from exact_mdp.mdp.care.lint import lint
@@ -235,7 +236,7 @@ def test_the_schema_takes_what_the_reader_takes(text: str) -> None:
 def test_commands(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     made = run("new", path, "--json")
-    assert made.result["written"] == str(path)
+    assert made.result == {"written": str(path), "notice": ADVICE}
     shipped_line, _, rest = TEMPLATE.partition("\n")
     assert shipped_line == "#:schema schema.json"
     assert path.read_text("utf-8") == rest  # the same on all machines
