@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import text_of
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 

@@ -33,6 +33,7 @@ from exact_mdp.mdp.forms.numbers import (
     picked,
     whole_numbers,
 )
+from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -47,7 +48,6 @@ from exact_mdp.mdp.table import (
     ones,
     rounding_of,
 )
-from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.validate import as_discount, as_start
 
 COMPILING = "exact_mdp.mdp.forms.compiling"

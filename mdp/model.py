@@ -26,8 +26,7 @@ from exact_mdp.mdp import build, lazy, questions
 from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.forms import explore
-from exact_mdp.mdp.horizon import unrolled
-from exact_mdp.mdp.names import Names, object_key, text_of
+from exact_mdp.mdp.forms.names import Names, object_key, text_of
 from exact_mdp.mdp.parametric.symbolic import (
     arrays_degree,
     changed_degree,
@@ -402,7 +401,7 @@ class MDP(Parts):
         )
 
     def action(self, name: object) -> int:
-        """Return the number of an action, given as `mdp.names` says; raises ModelError else."""
+        """Return the number of an action; `mdp.forms.names` says how it is given."""
         with located("actions"):
             return self.action_names.number(name)
 
@@ -602,7 +601,8 @@ class MDP(Parts):
         [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
         """
         return replace(
-            self, **unrolled(self, steps, offsets=self.pair_offsets, terminal=self.terminal)
+            self,
+            **questions.unrolled(self, steps, offsets=self.pair_offsets, terminal=self.terminal),
         )
 
     # ---- construction ------------------------------------------------------------------------
@@ -636,7 +636,7 @@ class MDP(Parts):
             Order of the indices action and state. Needed where A = S: P is (A, S, S) unless this
             is "sas"; elsewhere the shape says it.
         start : state, {state: probability}, or (S,) probabilities
-            The first state unless given; `mdp.names` says how a state is named.
+            The first state unless given; `mdp.forms.names` says how a state is named.
         **names
             `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
             are costs; `labels` {name: (S,) truth values}; `components` {name: amounts as `R` or

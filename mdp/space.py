@@ -18,7 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
-from exact_mdp.mdp.names import Names, ObjectKey, Reading, object_key, parts_of, several, text_of
+from exact_mdp.mdp.forms.names import (
+    Names,
+    ObjectKey,
+    Reading,
+    object_key,
+    parts_of,
+    several,
+    text_of,
+)
 
 Integers = NDArray[np.int64]
 TIME = "time"
@@ -84,7 +92,7 @@ class Column:
         return bool(digits) and all(WHOLE.fullmatch(word) for word in digits)
 
     def number(self, value: object) -> int:
-        """Return the value that a text or a number is: see `mdp.names`."""
+        """Return the value that a text or a number is: see `mdp.forms.names`."""
         if isinstance(value, str):
             return self.parse(value)
         names = Names(
@@ -254,13 +262,13 @@ class StateSpace:
         return self.index(**{column.name: column.number(value) for column, value in cells})
 
     def readings(self, states: Iterable[object]) -> list[Reading]:
-        """Return the one or two readings of states that are given together: see `mdp.names`."""
+        """Return the one or two readings of states given together: see `mdp.forms.names`."""
         return self._names.readings(states)
 
     def number(self, state: object) -> int:
         """Return the number of a state, given as that, as an object, by name or by column values.
 
-        `mdp.names` has the rule; raises ModelError for what is no state, or may be two.
+        `mdp.forms.names` has the rule; raises ModelError for what is no state, or may be two.
 
         Examples
         --------

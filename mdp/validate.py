@@ -21,8 +21,9 @@ from exact_mdp.mdp.errors import (
     located,
     suggest,
 )
+from exact_mdp.mdp.forms.names import ByNumber, labels_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
-from exact_mdp.mdp.names import ByNumber, labels_of
+from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -34,7 +35,6 @@ from exact_mdp.mdp.table import (
     exact,
     shown,
 )
-from exact_mdp.mdp.threads import IN_CACHE, block_ends, run_blocks
 
 Flags = NDArray[np.bool_]
 SENSES = ("max", "min")
@@ -218,7 +218,7 @@ def _check_discount(value: Fraction) -> None:
 def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ...]:
     """Return an initial distribution from a state, from {state: probability}, or from a vector.
 
-    Without any it is the first state. `mdp.names` says which state is meant.
+    Without any it is the first state. `mdp.forms.names` says which state is meant.
     """
     if start is None:
         return ((0, Fraction(1)),)

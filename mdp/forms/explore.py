@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
-from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.table import Given, exact, given, rounding_of
 from exact_mdp.mdp.validate import counted
 

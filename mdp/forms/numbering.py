@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.names import text_of, value_of
+from exact_mdp.mdp.forms.names import text_of, value_of
 from exact_mdp.mdp.space import Column, StateSpace
 
 Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]

@@ -18,8 +18,8 @@ import numpy as np
 from exact_mdp.mdp.components import ComponentTable, completed, of_columns
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import lcm_by_group
+from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,

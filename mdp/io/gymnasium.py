@@ -34,9 +34,9 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, shown_text, suggest
+from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import as_start

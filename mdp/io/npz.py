@@ -52,11 +52,11 @@ import numpy as np
 
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import text_of
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, ones

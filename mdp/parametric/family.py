@@ -26,8 +26,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, suggest
+from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, shown
 

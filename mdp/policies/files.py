@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
+from exact_mdp.mdp.forms.names import Reading, amount_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import Reading, amount_of
 from exact_mdp.mdp.policies.arrays import (
     Parts,
     check_action,

@@ -1,8 +1,9 @@
 """Tables of pandas as policies: rows by the names of states, columns by the names of actions.
 
-Labels say what the keys of a dictionary would, see `mdp.names`; where no names are whole numbers
-they may be all of the numbers 0 … n-1, in any order. Levels that are named stand in any order. What
-comes back is without labels: an array in the model's order, or actions by the number of the state.
+Labels say what the keys of a dictionary would, see `mdp.forms.names`; where no names are whole
+numbers they may be all of the numbers 0 … n-1, in any order. Levels that are named stand in any
+order. What comes back is without labels: an array in the model's order, or actions by the number of
+the state.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.forms.names import ByNumber, Reading, labels_of, parts_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import ByNumber, Reading, labels_of, parts_of
 
 Readings = list[tuple[Any, ModelError | None]]
 """What a table may say, each with the error to raise where it fits besides, and differs."""

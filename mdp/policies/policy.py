@@ -20,11 +20,11 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.policies import files
 from exact_mdp.mdp.policies.arrays import (
     KINDS,
@@ -762,7 +762,7 @@ PolicyLike: TypeAlias = (
 )
 """What is accepted as a policy: a Policy, its name or file, a mapping, a function, an agent with
 `predict`, an array, a Solution. Arrays, lists and agents go by the numbers of states and actions,
-tables of pandas by their labels; `mdp.names` says which state or action is meant elsewhere."""
+tables of pandas by their labels; else `mdp.forms.names` says which state or action is meant."""
 
 
 def _are_actions(model: MDP, given: Sequence[Any], kind: str) -> bool:

@@ -31,7 +31,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp import threads
+from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers

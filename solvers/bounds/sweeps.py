@@ -39,10 +39,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.threads import block_ends, run_blocks
 from exact_mdp.solvers.bounds.gains import (
     COMPILED,
     SLACK,

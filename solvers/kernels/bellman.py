@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.kernels.compiling import Rows, at, compiled, inlined, span
 
 UNIT = 2.0**-53
@@ -435,3 +435,30 @@ def relax(backward: bool, model: Model, value: Floats, shift: float) -> float:
         value[state] = own + best
         largest = max(largest, abs(best))
     return largest
+
+
+@compiled
+def best_pairs(
+    states: Integers,
+    pair_offsets: Integers,
+    rows: Rows,
+    constant: Floats,
+    pivot: Floats,
+    value: Floats,
+    best: Integers,
+) -> None:
+    """Write into `best` (S,) the pair of the greatest Q, and into `value` (S,) that Q.
+
+    pivot · Q = constant + Σ data · value, the sum over the row of the pair.
+    """
+    for k in range(len(states)):
+        state = at(states[k])
+        highest, chosen = 0.0, np.int64(-1)
+        for pair in span(pair_offsets[state], pair_offsets[state + np.uint64(1)]):
+            total = constant[pair]
+            for i in span(rows.indptr[pair], rows.indptr[pair + np.uint64(1)]):
+                total += rows.data[i] * value[at(rows.indices[i])]
+            total /= pivot[pair]
+            if chosen < 0 or total > highest:
+                highest, chosen = total, np.int64(pair)
+        value[state], best[state] = highest, chosen

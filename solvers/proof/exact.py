@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from flint import fmpz
 
 flint = later("flint")
-order = later("exact_mdp.solvers.kernels.order")
+bellman = later("exact_mdp.solvers.kernels.bellman")
 compiling = later("exact_mdp.solvers.kernels.compiling")
 SHORT = 2**31  # numbers of which two products add up to a 64-bit integer
 NONE = np.iinfo(np.int64).max
@@ -281,7 +281,7 @@ class _Solver:
             below = self.denominator[self.group[state]]
             about[state] = quotient(int(self.value[state]), int(below))
         best = np.empty(len(about), dtype=np.int64)
-        order.best_pairs(states, rows.pair_offsets, matrix, constant, pivot, about, best)
+        bellman.best_pairs(states, rows.pair_offsets, matrix, constant, pivot, about, best)
         self.best[choosing] = best[choosing]
         found: list[int] = best.tolist()
         return found

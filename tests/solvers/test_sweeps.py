@@ -19,7 +19,7 @@ from strategies import exact_gains, exact_values
 from workloads import queue
 
 from exact_mdp.mdp import MDP
-from exact_mdp.mdp import threads as blocks
+from exact_mdp.mdp.forms import threads as blocks
 from exact_mdp.solvers import (
     ModifiedPolicyIteration,
     PolicyIteration,

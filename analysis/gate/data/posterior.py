@@ -51,9 +51,9 @@ from exact_mdp.analysis.sensitivity.psa.intervals import (
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.horizon import by_time
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers, exact
 from exact_mdp.solvers import solve

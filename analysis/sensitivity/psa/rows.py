@@ -13,8 +13,8 @@ from dataclasses import replace
 from fractions import Fraction
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.names import ByNumber
 from exact_mdp.mdp.parametric import Family, moving
 
 MOST_ROWS = 2000

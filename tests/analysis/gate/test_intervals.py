@@ -24,13 +24,12 @@ from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import Evidence
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy, mean_at_least
 from exact_mdp.analysis.gate.data.posterior import Posterior, PosteriorInterval, _Model
-from exact_mdp.analysis.gate.data.robust import Robust
+from exact_mdp.analysis.gate.data.robust import Robust, staged
 from exact_mdp.analysis.gate.data.sets import RowSets
-from exact_mdp.analysis.gate.data.stages import staged
 from exact_mdp.analysis.sensitivity.psa.intervals import upper_quantile, wilson
 from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.horizon import by_time
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions import by_time
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 NAMES = ["episode", "state", "action", "reward", "next_state"]
