@@ -272,7 +272,11 @@ def _curve(curve: ValueFunction, sets: _Sets) -> dict[str, Any]:
         "certified": [_exact(point) for point in certified(curve)],
         # Where some policy never ends, the value may be another one where two pieces meet.
         "points": [
-            {"at": _exact(point), "value": _exact(curve.at(point))}
+            {
+                "at": _exact(point),
+                "value": _exact(curve.at(point)),
+                "held": None if (held := curve.fixed_at(point)) is None else _exact(held),
+            }
             for point in certified(curve)
             if curve.pieces[0].proof is not None
         ],

@@ -149,9 +149,10 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
         if piece.value.infinite:
             sign = "+" if piece.value.at(low) > 0 else "-"
             ax.axvspan(x[0], x[-1], facecolor="0.9", hatch="///", label=f"the value is {sign}∞")
-        ax.plot(x, [float(piece.limit(value)) for value in at], color=BLACK)
+        ax.plot(x, [float(piece.value.limit(value, piece.middle)) for value in at], color=BLACK)
         if piece.fixed is not None:
-            ax.plot(x, [float(piece.fixed.at(value)) for value in at], "--", color="0.4")
+            held = [float(piece.fixed.limit(value, piece.middle)) for value in at]
+            ax.plot(x, held, "--", color="0.4")
     ax.plot([], [], color=BLACK, label=OUTPUT["optimal"].removeprefix("start value, "))
     if found.pieces[0].fixed is not None:
         ax.plot([], [], "--", color="0.4", label=OUTPUT["fixed"].removeprefix("start value, "))

@@ -98,6 +98,16 @@ class RationalFunction:
             return inf * int(self.numerator[0])
         return _horner(self.numerator, value) / _horner(self.denominator, value)
 
+    def limit(self, value: Fraction, inside: Fraction) -> Fraction | float:
+        """Return the ratio at a point, or its limit there, coming from `inside`; it may be ±inf.
+
+        It is in its lowest terms, and its denominator has no root between the two.
+        """
+        if self.infinite or _horner(self.denominator, value):
+            return self.at(value)
+        sign = _horner(self.numerator, value) * _horner(self.denominator, inside)
+        return inf if sign > 0 else -inf
+
 
 def _horner(coefficients: Sequence[Fraction], value: Fraction) -> Fraction:
     total = Fraction(0)
@@ -147,12 +157,10 @@ class CurvePiece:
     fixed_values: Values | None = None
     proof: EndlessProof | None = None
 
-    def limit(self, value: Fraction) -> Fraction | float:
-        """Return the optimal value at the start inside, or its limit at an end; it may be ±inf."""
-        if self.value.infinite or _horner(self.value.denominator, value):
-            return self.value.at(value)
-        inner = self.value.at((self.low[1] + self.high[0]) / 2)
-        return inf if inner > 0 else -inf
+    @property
+    def middle(self) -> Fraction:
+        """A point inside."""
+        return (self.low[1] + self.high[0]) / 2
 
 
 def piece_violations(

@@ -15,6 +15,7 @@ brackets, the value is such a ratio or infinite; in a bracket it is worked out a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,7 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.unending import model_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -120,17 +122,27 @@ class ValueFunction(Pictured):
         """
         where = exact(value)
         found = self.around(where)
-        if any(e.proof and not e.low[1] < where < e.high[0] for e in found):
-            start = proven(self.family.at({self.parameter.name: where})).start_value
-            return start if self.mdp.sense == "max" else -start
+        if _cut(found, where):
+            return self._start(self.family.at({self.parameter.name: where}))
         best = max if self.mdp.sense == "max" else min
         return best(piece.value.at(where) for piece in found)
 
     def fixed_at(self, value: object) -> Fraction | float | None:
-        """Return the value of the policy held fixed there."""
+        """Return the value of the policy held fixed there, None without one; as `at` does."""
         where = exact(value)
-        fixed = self.around(where)[0].fixed
-        return None if fixed is None else fixed.at(where)
+        found = self.around(where)
+        if self.chain is None:
+            return None
+        if _cut(found, where):
+            there = self.family.at({self.parameter.name: where})
+            return self._start(model_of(replace(self.chain, mdp=there)))
+        fixed = found[0].fixed
+        assert fixed is not None
+        return fixed.at(where)
+
+    def _start(self, mdp: MDP) -> Fraction | float:
+        start = proven(mdp).start_value
+        return start if self.mdp.sense == "max" else -start
 
     def negated(self, mdp: MDP) -> ValueFunction:
         """Return the function of costs, whose model is given, from that of their negation."""
@@ -212,8 +224,8 @@ class ValueFunction(Pictured):
                 "low": float(piece.low[0]),
                 "high": float(piece.high[1]),
                 "degree": len(piece.value.numerator) - 1,
-                "value_low": float(piece.limit(piece.low[1])),
-                "value_high": float(piece.limit(piece.high[0])),
+                "value_low": float(piece.value.limit(piece.low[1], piece.middle)),
+                "value_high": float(piece.value.limit(piece.high[0], piece.middle)),
                 "claim": str(self.claim),
             }
             for piece in self.pieces
@@ -281,6 +293,11 @@ def value_function(
         chain=chain,
         checked=next((c for e in sections if (c := e.rows.change.checked) is not None), None),
     )
+
+
+def _cut(pieces: Sequence[CurvePiece], at: Fraction) -> bool:
+    """Whether a value may be another one than beside it: where some policy never ends."""
+    return any(each.proof and not each.low[1] < at < each.high[0] for each in pieces)
 
 
 def _pieces(sweep: Sweep | Region, chain: PolicyChain | None) -> list[CurvePiece]:

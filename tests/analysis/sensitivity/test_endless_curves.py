@@ -7,6 +7,7 @@ from dataclasses import replace
 from fractions import Fraction as F
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli_runner import run
@@ -15,6 +16,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from strategies import Row, any_models, model_of
 
+from exact_mdp.analysis.layout import arrange
+from exact_mdp.analysis.pages import explorer
 from exact_mdp.analysis.pages.explorer import explore
 from exact_mdp.analysis.sensitivity import thresholds, value_function
 from exact_mdp.analysis.sensitivity.curves.checker import RationalFunction
@@ -233,6 +236,58 @@ def test_a_policy_held_fixed() -> None:
     assert replace(waits, pieces=(waits.pieces[0], wrong)).violations()
     with pytest.raises(ModelError, match="may go on for ever"):
         value_function(mdp.with_(start=1), "reward.5", (-7, 7), policy=[0, 0, 0])
+
+
+@settings(max_examples=10, deadline=None)
+@given(families(), st.data())
+def test_fixed_policies_of_random_models(
+    given_: tuple[int, Parametric, At, tuple[F, F]], data: st.DataObject
+) -> None:
+    """A policy held fixed is worth the optimum of the model that offers nothing else."""
+    size, family, at, span = given_
+    offered = [[a for s, a, *_ in at(span[0]) if s == state] for state in range(size)]
+    policy = [data.draw(st.sampled_from(own)) for own in offered]
+    try:
+        found = value_function(family, "x", span, policy=policy)
+    except ModelError:
+        return
+    assert found.violations() == []
+    for x in points(found):
+        values, swings = best([row for row in at(x) if row[1] == policy[row[0]]], size)
+        if not swings:
+            assert found.fixed_at(x) == values[0]
+
+
+@pytest.mark.parametrize(
+    ("stays", "ends", "at_0", "limit"),
+    [(0, 1, 0, 1), ("1/2", "-1/2", inf, inf), ("-1/2", "1/2", -inf, -inf)],
+)
+def test_a_policy_that_ends_but_at_one_value(
+    stays: object, ends: object, at_0: F | float, limit: float
+) -> None:
+    """Ending has probability p, so that at 0 it stays: what it earns there is no limit."""
+    rows = [(0, 0, [("1/4", 1, ends), ("3/4", 0, stays)]), (0, 1, [(1, 1, -9)])]
+    mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+    found = value_function(moving(mdp, {"p": [(0, 1)]}), "p", (0, 1), policy="always:0")
+    assert found.fixed_at(0) == at_0
+    assert found.at(0) == max(at_0, -9)
+    held, (piece, *_) = found.fixed_at(F(1, 3)), found.pieces
+    assert held == F(ends) + 2 * F(stays)  # type: ignore[arg-type]
+    assert piece.fixed is not None
+    assert piece.fixed.limit(F(0), piece.middle) == limit
+    if limit > 0:
+        assert found.frame()["value_low"][0] == limit
+    lines = [line.get_ydata()[0] for line in found.plot().lines if len(line.get_xdata())]
+    assert limit in lines
+    (own,) = (e for e in data_of(found)["points"] if e["at"] == "0/1")
+    told = {inf: "1/0", -inf: "-1/0", 0: "0/1"}
+    assert (own["value"], own["held"]) == (told.get(found.at(0), "-9/1"), told[at_0])
+
+
+def data_of(curve: ValueFunction) -> dict[str, Any]:
+    """What a page of the explorer holds of a curve."""
+    layout = arrange(curve.mdp)
+    return explorer._curve(curve, explorer._Sets(curve.mdp, layout))
 
 
 def test_cancelling_rewards_are_refused() -> None:
