@@ -83,21 +83,8 @@ def run(
 ) -> int:
     """Run a command and return its exit status; what goes wrong is reported on standard error.
 
-    Parameters
-    ----------
-    command : click.Command
-        What it returns is the status; None is 0.
-    program : str
-        Its name, as messages give it.
-    words : sequence of str
-        The words after the name.
-    told : callable, optional
-        Called with the status and the message where the command neither passed nor failed.
-
-    Examples
-    --------
-    >>> run(click.Command("say", callback=lambda: 1), "say", [])
-    1
+    What the command returns is the status; None is 0. `program` is its name in messages, `words`
+    are those after the name. Where it neither passed nor failed, `told` hears status and message.
     """
     if not _streams():
         what = "standard output is closed, so the result could not be printed"

@@ -74,34 +74,11 @@ def arrange(
     across: str | Sequence[str] | None = None,
     **at: object,
 ) -> Layout:
-    """Return the places of a model's states.
+    """Return the places of a model's states; raises ModelError where they do not fit.
 
-    Parameters
-    ----------
-    model : MDP
-    shape : (int, int), optional
-        Rows and columns of a grid world whose states are numbered row by row.
-    down, across : str or sequence of str, optional
-        Columns of the state space, or parts of states that are tuples; those that neither names go
-        down.
-    **at
-        Values of columns that are held fixed, such as `trial=0`: other states are left out.
-
-    Returns
-    -------
-    Layout
-
-    Raises
-    ------
-    ModelError
-        For a shape that the states do not fill, or that are not in its order; for unknown columns
-        or values.
-
-    Examples
-    --------
-    >>> model = MDP.from_arrays([[[1 / 6] * 6] * 6], [0] * 6, 0.9)
-    >>> arrange(model, shape=(2, 3)).column.tolist()
-    [0, 1, 2, 0, 1, 2]
+    `shape` is that of a grid world whose states are numbered row by row. `down` and `across` name
+    columns of the state space, or parts of states that are tuples; those that neither names go
+    down. `at` holds columns fixed, such as `trial=0`: other states are left out.
     """
     space, states = _parts(model) or (model.space, np.arange(model.n_states))
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
@@ -338,11 +315,6 @@ def symbols(actions: Sequence[str]) -> list[str]:
     """Return a sign for each action: an arrow where its name is a direction, else a short name.
 
     Names of up to two characters stand for themselves where all are that short.
-
-    Examples
-    --------
-    >>> symbols(["LEFT", "DOWN", "wait"]), symbols(["0", "1"]), symbols(["N", "E", "S", "W"])
-    (['←', '↓', 'a2'], ['0', '1'], ['↑', '→', '↓', '←'])
     """
     names = [name.strip().lower() for name in actions]
     words = [*COMPASS, *(letters for letters in INITIALS if set(letters) <= set(names))]

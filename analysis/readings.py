@@ -120,25 +120,13 @@ def option_label(option: object) -> str:
 
 
 def posterior(log_likelihood: Floats) -> Floats:
-    """Return weights from log likelihoods under a uniform prior.
-
-    Examples
-    --------
-    >>> posterior(np.log([1.0, 3.0])).tolist()
-    [0.25, 0.75]
-    """
+    """Return weights from log likelihoods under a uniform prior."""
     shifted = np.exp(log_likelihood - np.max(log_likelihood))
     return np.asarray(shifted / shifted.sum())
 
 
 def effective_number(weights: Floats) -> float:
-    """Return how many equally supported readings would have the entropy of these weights.
-
-    Examples
-    --------
-    >>> round(effective_number(np.array([0.5, 0.5, 0.0])), 12)
-    2.0
-    """
+    """Return how many equally supported readings would have the entropy of these weights."""
     used = weights[weights > 0]
     return float(np.exp(-(used * np.log(used)).sum()))
 
@@ -174,17 +162,7 @@ class OptionSupport:
 
 
 def support(space: ReadingSpace, log_likelihood: Floats) -> list[OptionSupport]:
-    """Return the support of every option of every reading.
-
-    Examples
-    --------
-    >>> space = ReadingSpace(options={"status_cost": ("next", "current"), "tasks": ((3,), (6,))})
-    >>> found = support(space, np.log([8.0, 0.01, 8.0, 0.01]))
-    >>> [(each.option, round(each.weight, 3), each.verdict) for each in found[:2]]
-    [('next', 0.5, 'not identified'), ('current', 0.5, 'open')]
-    >>> [each.verdict for each in found[2:]]
-    ['identified', 'excluded']
-    """
+    """Return the support of every option of every reading."""
     codes, found = space.codes, []
     whole = float(special.logsumexp(log_likelihood))
     for column, (name, options) in enumerate(space.options.items()):
@@ -226,11 +204,6 @@ def equivalent(values: Floats, tolerance: float) -> Integers:
 
     Rows are equal where all their numbers are: no evidence that depends on these numbers alone can
     tell such readings apart.
-
-    Examples
-    --------
-    >>> equivalent(np.array([[1.0, 2.0], [3.0, 2.0], [1.0, 2.0]]), 1e-9).tolist()
-    [0, 1, 0]
     """
     first = np.arange(len(values))
     order = np.argsort(values[:, 0], kind="stable")

@@ -62,12 +62,6 @@ def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None
 
     These are `states` (K,), by default those of the start; `pairs`, (K,) numbers or (L,) truth
     values, are the only ones to go along, such as those of a policy.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1, 0], [0, 1, 0], [0, 0, 1]]], [1, 0, 1])
-    >>> reachable(mdp).tolist()
-    [True, True, False]
     """
     offsets, successors = _successors(mdp, pairs)
     first = [state for state, weight in mdp.start if weight] if states is None else states
@@ -91,11 +85,6 @@ def strong_components(graph: sp.csr_array) -> Integers:
 
     By Tarjan's depth-first search (SIAM J. Comput. 1, 1972). SciPy's numbers are the same, but its
     graphs take 0.2 s to load: those are for large ones.
-
-    Examples
-    --------
-    >>> strong_components(sp.csr_array([[0, 1, 0], [0, 0, 1], [0, 1, 0]])).tolist()
-    [1, 0, 0]
     """
     if _large(graph):
         found = csgraph.connected_components(graph, directed=True, connection="strong")[1]
@@ -158,11 +147,6 @@ def numbered_in_order(mdp: MDP) -> bool:
     """Return whether every transition leads to a higher number, terminal states apart.
 
     One comparison for each pair, so that finding this structure costs less than using it.
-
-    Examples
-    --------
-    >>> numbered_in_order(MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0]))
-    True
     """
     first = int(mdp.transition.indices[0])  # most others show it at once
     if first <= 0 and not mdp.terminal[0]:
@@ -179,12 +163,6 @@ def topological_levels(mdp: MDP) -> Integers | None:
     """Return (S,) the greatest number of steps to a terminal state, or None where there is a cycle.
 
     Terminal states have level 0; every other transition leads to a strictly smaller level.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1, 0], [0, 0, 1], [0, 0, 1]]], [1, 1, 0])
-    >>> topological_levels(mdp).tolist()
-    [2, 1, 0]
     """
     if numbered_in_order(mdp):
         return _levels_in_order(mdp)
@@ -212,15 +190,6 @@ def termination(mdp: MDP) -> Termination:
     """Return a proof that every policy ends, or a policy that never does from some states.
 
     It is found once for each model.
-
-    Examples
-    --------
-    >>> wait, leave = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
-    >>> termination(MDP.from_arrays([leave], [1, 0])).rank.tolist()
-    [1, 0]
-    >>> found = termination(MDP.from_arrays([leave, wait], [1, 0]))
-    >>> found.proven, found.trapped.tolist(), found.policy.tolist()
-    (False, [0], [1, 0])
     """
     if mdp not in _ENDINGS:
         _ENDINGS[mdp] = _termination(mdp)

@@ -28,15 +28,7 @@ SHOWN = 40
 
 
 def shown_text(text: str, *, lines: bool = False) -> str:
-    r"""Return a text with unsafe characters escaped, ends of lines kept where `lines` says so.
-
-    Examples
-    --------
-    >>> print(shown_text("a" + chr(27) + "[31mb" + chr(0x202E)))
-    a\x1b[31mb\u202e
-    >>> print(shown_text("two" + chr(10) + "lines"))
-    two\nlines
-    """
+    r"""Return a text with unsafe characters escaped, ends of lines kept where `lines` says so."""
 
     def escaped(found: re.Match[str]) -> str:
         return found[0] if lines and found[0] == "\n" else ascii(found[0])[1:-1]

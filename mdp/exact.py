@@ -114,15 +114,6 @@ def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
 
     With `pairs`, (K,) rising numbers with one of each state at least, they are those of these
     pairs, over the scale that these need. Those of all pairs are made once for each model.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_outcomes(
-    ...     [(0, 0, [("1/3", 0, "1/2"), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])], "9/10"
-    ... )
-    >>> rows = bellman_rows(mdp)  # 30 V(0) = 5 + 9 V(0) + 18 V(1), 10 V(1) = 9 V(1)
-    >>> rows.scale.tolist(), rows.constant.tolist(), rows.weight.tolist()
-    ([30, 10], [5, 0], [9, 18, 9])
     """
     if pairs is None or len(pairs) == model.n_pairs:
         if model not in _ROWS:
@@ -167,12 +158,6 @@ def per_step(model: MDP) -> MDP:
     """Return the model in which all steps count alike: discount 1, each row divided by its sum.
 
     An average reward per step needs rows that sum to 1 exactly; those of floats need not.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0.9, 0.1], [0.1, 0.9]]], [1, 0], discount=0.5)
-    >>> mdp.table.sums_to_one, per_step(mdp).table.sums_to_one, per_step(mdp).discount
-    (False, True, 1.0)
     """
     table, parts = model.table, model.component_table
     if not table.sums_to_one:
@@ -273,15 +258,7 @@ def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
 
 
 def fingerprint(model: MDP) -> str:
-    """Return the SHA-256 of the model's exact content in hexadecimal.
-
-    Examples
-    --------
-    >>> half = MDP.from_arrays([[[0.5, 0.5], [0, 1]]], [1.0, 0.0], discount=0.5)
-    >>> same = MDP.from_arrays([[["2/4", "1/2"], [0, 1]]], [1, 0], discount="1/2")
-    >>> fingerprint(half) == fingerprint(same)
-    True
-    """
+    """Return the SHA-256 of the model's exact content in hexadecimal."""
     if model not in _HASHES:
         _HASHES[model] = _fingerprint(model)
     return _HASHES[model]

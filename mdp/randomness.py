@@ -17,28 +17,12 @@ RNG: TypeAlias = int | np.random.Generator
 
 
 def seed_of(rng: RNG) -> int:
-    """Return the whole number that a run starts from.
+    """Return the whole number that a run starts from: the given one, or a draw of the generator.
 
-    Parameters
-    ----------
-    rng : int or numpy.random.Generator
-        A whole number from 0 is taken as it is; a generator draws one.
+    Anything else raises ModelError; a run never takes its seed from the clock.
 
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ModelError
-        For anything else; a run never takes its seed from the clock.
-
-    Examples
-    --------
-    >>> seed_of(7)
-    7
-    >>> seed_of(np.random.default_rng(0)) == seed_of(np.random.default_rng(0))
-    True
+    >>> seed_of(7), seed_of(np.random.default_rng(0)) == seed_of(np.random.default_rng(0))
+    (7, True)
     """
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**63))

@@ -38,12 +38,7 @@ def command(
 ) -> Callable[..., click.Command]:
     """Make a command of a function that holds only its help text.
 
-    Parameters
-    ----------
-    does : str
-        "module:function" of this package: what the command does.
-    help_line : str
-        Its line in the list of commands.
+    What it does is the "module:function" of this package in `does`; `help_line` lists it.
     """
     module, _, name = does.partition(":")
 

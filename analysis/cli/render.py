@@ -186,17 +186,7 @@ def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> int:
 
 
 def markdown(report: Report, title: str = "") -> str:
-    """Return facts and tables as Markdown; no name in them is read as markup.
-
-    Examples
-    --------
-    >>> print(markdown(Report(result={}, facts={"model": "a|b", "discount": 0.5})))
-    |  |  |
-    | --- | --- |
-    | model | a\\|b |
-    | discount | 0.5 |
-    <BLANKLINE>
-    """
+    """Return facts and tables as Markdown; no name in them is read as markup."""
     facts = [[name, fact(value)] for name, value in report.facts.items() if value is not None]
     parts = [f"## {_escaped(title)}\n"] if title else []
     parts.append(_pipes(["", ""], [False, False], facts))
@@ -304,13 +294,7 @@ def claimed(key: str, number: Claimed) -> dict[str, Any]:
 
 
 def to_json(result: Row) -> str:
-    """Return strict JSON.
-
-    Examples
-    --------
-    >>> to_json({"value": Fraction(1, 3), "steps": math.inf, "x": 0.1}).replace(chr(10), "")
-    '{  "value": "1/3",  "steps": "inf",  "x": 0.1}'
-    """
+    """Return strict JSON."""
     return json.dumps(plain(result), indent=2, allow_nan=False)
 
 
@@ -341,13 +325,7 @@ def _scalar(value: Any) -> Any:
 
 
 def number(value: float | None, error: float = 0.0) -> str:
-    """Return a number with the digits that its error leaves, ten at most; "-" for none.
-
-    Examples
-    --------
-    >>> number(117.0712345678901), number(117.07, error=0.3), number(None)
-    ('117.0712346', '117.1', '-')
-    """
+    """Return a number with the digits that its error leaves, ten at most; "-" for none."""
     if value is None or math.isnan(value):
         return "-"
     digits = DIGITS
@@ -360,26 +338,14 @@ def number(value: float | None, error: float = 0.0) -> str:
 
 
 def at_most(error: float) -> str:
-    """Return an error bound with two digits, rounded up so that it still holds.
-
-    Examples
-    --------
-    >>> at_most(2.01e-12), at_most(0.0), at_most(math.inf)
-    ('2.1e-12', '0', 'inf')
-    """
+    """Return an error bound with two digits, rounded up so that it still holds."""
     if error == 0 or not math.isfinite(error):
         return f"{error:g}"
     return f"{Context(prec=2, rounding=ROUND_UP).create_decimal(error):g}"
 
 
 def ratio(value: Fraction | float) -> str:
-    """Return "p/q", or "p" for an integer, however many digits there are; "inf" or "-inf".
-
-    Examples
-    --------
-    >>> ratio(Fraction(-6, 4)), len(ratio(Fraction(10**9999)))
-    ('-3/2', 10000)
-    """
+    """Return "p/q", or "p" for an integer, however many digits there are; "inf" or "-inf"."""
     if isinstance(value, float):
         return f"{value:g}"
     top = digits_of(value.numerator)
@@ -387,13 +353,7 @@ def ratio(value: Fraction | float) -> str:
 
 
 def decimal(value: Fraction | float) -> str:
-    """Return the exact decimal where there is one, otherwise "p/q"; "inf" and "-inf" too.
-
-    Examples
-    --------
-    >>> decimal(Fraction(-1, 8)), decimal(Fraction(42)), decimal(Fraction(1, 3))
-    ('-0.125', '42', '1/3')
-    """
+    """Return the exact decimal where there is one, otherwise "p/q"; "inf" and "-inf" too."""
     if not isinstance(value, Fraction):
         return str(value)
     twos = (value.denominator & -value.denominator).bit_length() - 1

@@ -28,13 +28,7 @@ GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
 
 
 def excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
-    """Return whether E_n(share) ≥ 1/α after so many trials.
-
-    Examples
-    --------
-    >>> [excluded(Fraction(9, 10), 0, misses, Fraction(1, 100)) for misses in (2, 3)]
-    [False, True]
-    """
+    """Return whether E_n(share) ≥ 1/α after so many trials."""
     top, below, n = share.numerator, share.denominator, hits + misses
     won = comb(2 * hits, hits) * comb(2 * misses, misses) * below**n * alpha.numerator
     fair = comb(n, hits) * 4**n * top**hits * (below - top) ** misses * alpha.denominator
@@ -46,11 +40,6 @@ def fewest(share: Fraction, alpha: Fraction) -> int:
 
     E_n(p) falls and then rises in the number of misses, so that it is found by bisection; in
     logarithms, since a small share needs millions.
-
-    Examples
-    --------
-    >>> fewest(Fraction(9, 10), Fraction(1, 100)), fewest(Fraction(1, 10), Fraction(1, 100))
-    (3, 70)
     """
     if share == 1:
         return 1
@@ -69,13 +58,6 @@ def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[tuple[F
     """Yield after each trial an interval of the chance of success.
 
     All of them together hold with probability 1 - α; they only narrow.
-
-    Examples
-    --------
-    >>> for low, high in share_intervals([True] * 40, Fraction(1, 20)):
-    ...     pass
-    >>> round(float(low), 3), float(high)
-    (0.873, 1.0)
     """
     low = high = hits = misses = 0
     for trial in trials:

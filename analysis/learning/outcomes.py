@@ -238,14 +238,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
 
 
 def share_interval(count: int, total: int) -> Interval:
-    """Return Wilson's 95 % interval of a share.
-
-    Examples
-    --------
-    >>> low, high = share_interval(50, 100)
-    >>> round(low, 4), round(high, 4)
-    (0.4038, 0.5962)
-    """
+    """Return Wilson's 95 % interval of a share."""
     found = stats.binomtest(int(count), int(total)).proportion_ci(method="wilson")
     return float(found.low), float(found.high)
 

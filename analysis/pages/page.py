@@ -20,27 +20,8 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def render(template: str, **data: Any) -> str:
-    """Return a page.
+    """Return the page of a template in the folder `templates`; a name that lacks is an error.
 
-    Parameters
-    ----------
-    template : str
-        Its name in the folder `templates`.
-    **data
-        What the template reads; a name that is missing is an error.
-
-    Returns
-    -------
-    str
-        The whole page.
-
-    Raises
-    ------
-    ModelError
-        Where jinja2 is not installed.
-
-    Examples
-    --------
     >>> page = render("base.html.j2")
     >>> "<title></title>" in page, "no medical advice" in page
     (True, True)

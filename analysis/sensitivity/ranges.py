@@ -70,13 +70,7 @@ class Ranges(dict[str, Range]):
 
 
 def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
-    """Return a parameter's value ± a share of it, within what it may be.
-
-    Examples
-    --------
-    >>> around(Parameter(name="p", value=Fraction(9, 10), low=Fraction(0), high=Fraction(1)))
-    Range(low=Fraction(18, 25), high=Fraction(1, 1))
-    """
+    """Return a parameter's value ± a share of it, within what it may be."""
     share = exact(relative)
     if share <= 0:
         raise ModelError(

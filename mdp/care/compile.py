@@ -222,16 +222,7 @@ def _matmul(left: Numbers, right: Numbers) -> Numbers:
 
 
 def check_explicit(scenario: Tables) -> tuple[Rules, ExactChances]:
-    """Return rules and chances, or raise ModelError where an explicit model would be too large.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> check_explicit(Scenario.load("yuan2025").with_(tasks=[90_000]))
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: the explicit model would have 7,200,000 states and up to...
-    """
+    """Return rules and chances, or raise ModelError where an explicit model would be too large."""
     where = f"scenario {scenario.name}"
     fix = (
         "use fewer subtasks, trials or statuses, or the form without a matrix: "

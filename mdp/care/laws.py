@@ -65,15 +65,7 @@ class Chances:
 
 
 def chances(scenario: Tables) -> Chances:
-    """Return which parameters make up each chance of a scenario.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> found = chances(Scenario.load("yuan2025"))
-    >>> [found.names[k] for k in found.terms[found.step[0b0010, 0, 0]] if k < len(found.names)]
-    ['base.forgetfulness', 'influence.anger.forgetfulness']
-    """
+    """Return which parameters make up each chance of a scenario."""
     readings = ("influence_orientation", "influence_on_present", "skip_onset")
     return _chances(
         scenario.names,
@@ -159,15 +151,6 @@ def excess(scenario: Tables) -> str | None:
     """Return in one line which chances pass 1 and are cut off there, or None where none does.
 
     Sums are compared exactly. No chance can be negative: every term lies in [0, 1].
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> scenario = Scenario.load("yuan2025")
-    >>> excess(scenario) is None
-    True
-    >>> print(excess(scenario.with_(parameters={"base.anger": "9/10"})))
-    a chance of 1.24 is cut off at 1: anger in status 1101 under none is base.anger 0.9 + ...
     """
     found = chances(scenario)
     sums, bottom = found.sums(scenario)

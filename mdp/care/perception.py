@@ -255,11 +255,7 @@ class Counted:
         return np.asarray(drawn / total)
 
     def rates(self, statuses: Sequence[str], level: float = LEVEL) -> dict[str, dict[str, Rate]]:
-        """Return `sensitivity` and `specificity` of each status by name.
-
-        Parameters
-        ----------
-        statuses : names, the first one the most significant bit
+        """Return `sensitivity` and `specificity` of each status by name, the first the highest bit.
 
         Examples
         --------
@@ -282,14 +278,7 @@ class Counted:
 
 
 def interval(right: int, total: int, level: float = LEVEL) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval of a proportion.
-
-    Examples
-    --------
-    >>> low, high = interval(10, 10)
-    >>> round(low, 4), high
-    (0.6915, 1.0)
-    """
+    """Return the Clopper-Pearson interval of a proportion."""
     tail, beta = (1 - level) / 2, stats.beta
     low = 0.0 if right == 0 else float(beta.ppf(tail, right, total - right + 1))
     high = 1.0 if right == total else float(beta.ppf(1 - tail, right + 1, total - right))

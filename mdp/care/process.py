@@ -119,12 +119,7 @@ class Process(Brief):
         return replace(self, confusion=_normalised(confusion, self.statuses))
 
     def table(self, policy: PolicyLike) -> Floats:
-        """Return (P, Z, A) what a policy does at each place and *perceived* status.
-
-        Parameters
-        ----------
-        policy : anything that `Policy.of` takes
-        """
+        """Return (P, Z, A) what a policy does at each place and *perceived* status."""
         return _spread(self.mdp, Policy.of(self.mdp, policy).weights(self.mdp)).copy()
 
     @classmethod

@@ -142,12 +142,7 @@ class ScenarioFamily:
         """Warn of chances that are cut off at 1 at other values of some parameters.
 
         A family warns once, of the first such model; a copy of it in another process does not.
-
-        Parameters
-        ----------
-        values : {parameter name: value}
-        where : str, optional
-            In which part of an analysis.
+        `where` says in which part of an analysis.
         """
         self._tell(self.scenario.with_(parameters=placed(self, values)), where)
 

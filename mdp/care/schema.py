@@ -66,13 +66,7 @@ FORMS: dict[str, dict[str, Any]] = {
 
 
 def schema() -> dict[str, Any]:
-    """Return the schema of a scenario file.
-
-    Examples
-    --------
-    >>> schema()["properties"]["max_trial"]["minimum"]
-    1
-    """
+    """Return the schema of a scenario file."""
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "A care scenario of exact-mdp",

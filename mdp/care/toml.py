@@ -67,13 +67,7 @@ KEYS: Mapping[str, str] = {
 
 
 def shipped() -> list[str]:
-    """Return the names of the scenarios that come with the package.
-
-    Examples
-    --------
-    >>> "yuan2025" in shipped()
-    True
-    """
+    """Return the names of the scenarios that come with the package."""
     folder = files("exact_mdp.mdp") / "scenarios"
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
 

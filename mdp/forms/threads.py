@@ -33,11 +33,6 @@ def block_ends(work: Numbers, threads: int | None = None, most: int | None = Non
     `work` (N+1,) is that of all items before each, such as the transitions of all states before a
     state; `threads` are as many as `cores`, or fewer for little work, unless given; `most` is
     about the most work of a block, so that what it reads stays in a cache.
-
-    Examples
-    --------
-    >>> block_ends(np.arange(0, 3_000_001, 1_000), threads=1)
-    [0, 3000]
     """
     total = int(work[-1])
     if threads is None:

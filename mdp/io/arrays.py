@@ -45,14 +45,6 @@ def read_array(path: str | Path, *, called: str) -> Numbers:
 
     Nothing is rounded. Raises ModelError where the file is not a regular file, is damaged, claims
     more than it can hold, or holds something other than real numbers.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     np.save(f"{folder}/q.npy", np.array([2**53, 2**53 + 1]))
-    ...     read_array(f"{folder}/q.npy", called="q").tolist()
-    [9007199254740992, 9007199254740993]
     """
     where = str(path)
     with opened(path, most=LARGEST) as file, _named(where):

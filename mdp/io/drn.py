@@ -65,18 +65,7 @@ def load(
     reward: str | None = None,
     start: object = None,
 ) -> MDP:
-    """Read a Markov chain or decision process from a DRN file; the rest is as in `mdp.io.umb.load`.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> mdp = MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], [1, 0], labels={"end": [False, True]})
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     save(mdp, f"{folder}/small.drn")
-    ...     again = load(f"{folder}/small.drn")
-    >>> again.table.row(0)[1], again.labels["end"].tolist()
-    ((Fraction(2, 3), 1, Fraction(1, 1)), [False, True])
-    """
+    """Read a Markov chain or decision process from a DRN file, else as `mdp.io.umb.load` does."""
     with located(str(path)):
         text = read_text(path, most=LARGEST)
         return of_text(text, path, reward=reward, discount=discount, start=start)

@@ -50,19 +50,7 @@ INSTEAD = {
 
 @contextmanager
 def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
-    """Open a regular file of at most `most` bytes for reading; raises ModelError for another.
-
-    Examples
-    --------
-    >>> import os
-    >>> with opened(os.devnull) as file:
-    ...     file.read()
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: cannot read the file: a device, not a regular file
-      where: /dev/null
-      fix:   name a regular file
-    """
+    """Open a regular file of at most `most` bytes for reading; raises ModelError for another."""
     with _open(path) as file:
         try:
             about = os.fstat(file.fileno())
@@ -104,16 +92,7 @@ def kind_of(mode: int) -> str:
 
 
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
-    """Return what a regular file of at most `most` bytes holds.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     write_atomically(f"{folder}/a.txt", "text")
-    ...     read_bytes(f"{folder}/a.txt")
-    b'text'
-    """
+    """Return what a regular file of at most `most` bytes holds."""
     with opened(path, most=most) as file:
         # Files that the system makes up as they are read say that their size is 0.
         data = file.read(most + 1)
@@ -123,17 +102,7 @@ def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
 
 
 def read_text(path: str | Path, *, most: int = LARGE) -> str:
-    """Return a UTF-8 file's text; raises ModelError where it cannot be read.
-
-    Examples
-    --------
-    >>> read_text("no such file")
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: cannot read the file: No such file or directory
-      where: no such file
-      fix:   check the path
-    """
+    """Return a UTF-8 file's text; raises ModelError where it cannot be read."""
     try:
         text = read_bytes(path, most=most).decode("utf-8-sig")
     except UnicodeDecodeError as error:

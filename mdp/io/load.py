@@ -146,13 +146,7 @@ def load_model(
 def load_scenario(
     spec: str | Path, *, sets: Sequence[str] = (), discount: object | None = None
 ) -> Scenario:
-    """Return a shipped scenario or one from a `.toml` file, changed by `sets` in order.
-
-    Examples
-    --------
-    >>> load_scenario("yuan2025", sets=["base.anger=1/10"])["base.anger"]
-    Fraction(1, 10)
-    """
+    """Return a shipped scenario or one from a `.toml` file, changed by `sets` in order."""
     text = str(spec)
     if text not in shipped() and _suffix(text) != ".toml":
         if text == COACH or text.startswith(GYMNASIUM) or _suffix(text) in FILES:
@@ -170,15 +164,6 @@ def save_model(model: MDP, path: str | Path) -> None:
     """Write a model as `.npz`, or as `.umb` or `.drn` for model checkers, by its ending.
 
     Archives keep all of it; see `mdp.io.drn` for what that text does not hold.
-
-    Examples
-    --------
-    >>> save_model(load_model("yuan2025", sets=["tasks=[1]"]), "model.txt")
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: cannot write a model as .txt
-      where: model.txt
-      fix:   name it .npz or .umb, or .drn for Storm
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":

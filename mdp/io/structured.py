@@ -19,13 +19,7 @@ DEEPEST = 100  # tables and lists within each other; the deepest file that is re
 
 
 def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> dict[str, Any]:
-    r"""Return the content of a TOML text; `where` is the file, `number` reads decimal numbers.
-
-    Examples
-    --------
-    >>> toml_of("[base]\nanger = 0.05", "model.toml")
-    {'base': {'anger': Fraction(1, 20)}}
-    """
+    r"""Return the content of a TOML text; `where` is the file, `number` reads decimal numbers."""
     try:
         with located(where, instead=True):
             content = tomllib.loads(text, parse_float=number)

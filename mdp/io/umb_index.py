@@ -88,14 +88,7 @@ class Index:
 
 
 def index_of(data: bytes) -> Index:
-    """Return the index in a file; raises ValueError where it is not one.
-
-    Examples
-    --------
-    >>> index_of(b"{}")
-    Traceback (most recent call last):
-    ValueError: the index has no "transition-system"
-    """
+    """Return the index in a file; raises ValueError where it is not one."""
     top = _object(json.loads(data.decode("utf-8")), "the index")
     groups = _named(top, "annotations")
     return Index(

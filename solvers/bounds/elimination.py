@@ -115,14 +115,7 @@ def _rows(chain: sp.csr_array) -> Any:
 
 
 def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve:
-    """Return LAPACK's elimination within the band, from `within` below to above the diagonal.
-
-    Examples
-    --------
-    >>> walk = sp.csr_array([[0.5, 0.25], [0.0, 0.0]])
-    >>> band(walk, 1.0, (0, 1))(np.array([1.0, 1.0])).tolist()
-    [2.5, 1.0]
-    """
+    """Return LAPACK's elimination within the band, from `within` below to above the diagonal."""
     lower, upper = within
     row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
     places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")

@@ -57,13 +57,6 @@ def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
     Unless given, these are the status alone where the model has one and all columns otherwise.
     ModelError names an unknown column, and states with a choice that share a row and offer
     different actions.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> rows = rows_of(Scenario.load("yuan2025").compile(), ("trial", "status"))
-    >>> rows.offered.shape, rows.space.label(20)
-    ((80, 4), 'trial 1, status 0100')
     """
     mdp, names = model, model.space.names
     if columns is None:
@@ -149,12 +142,6 @@ def as_sequence(rng: Seed) -> SeedSequence:
 
 
 def child(rng: Seed, number: int) -> SeedSequence:
-    """Return what `SeedSequence.spawn` would give as child `number`, without counting children.
-
-    Examples
-    --------
-    >>> child(0, 2).spawn_key == SeedSequence(0).spawn(3)[2].spawn_key
-    True
-    """
+    """Return what `SeedSequence.spawn` would give as child `number`, without counting children."""
     parent = as_sequence(rng)
     return SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number))

@@ -43,14 +43,7 @@ class Program:
 def maximise(
     c: Sequence[Fraction], columns: Sequence[Sequence[Fraction]], b: Sequence[Fraction]
 ) -> Program:
-    """Solve a program whose matrix is given by its columns; one that is bounded.
-
-    Examples
-    --------
-    >>> found = maximise([Fraction(3), Fraction(1), Fraction(0)], [[2], [1], [1]], [Fraction(4)])
-    >>> found.x, found.y
-    ([Fraction(2, 1), Fraction(0, 1), Fraction(0, 1)], [Fraction(3, 2)])
-    """
+    """Solve a program whose matrix is given by its columns; one that is bounded."""
     size, rows = len(columns), len(b)
     sign = [-1 if value < 0 else 1 for value in b]
     table = [

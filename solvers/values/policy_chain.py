@@ -50,33 +50,7 @@ def policy_of(
     kind: str = "auto",
     criterion: Criterion = "total",
 ) -> Policy:
-    """Return the policy of any form that the toolkit takes; for "optimal" the model is solved.
-
-    Parameters
-    ----------
-    model : MDP
-    policy : PolicyLike
-        "optimal", a Solution, a Certificate, or whatever `Policy.of` takes.
-    kind : "auto", "q" or "policy"
-        What a two-dimensional array holds; see `mdp.policies.arrays`.
-    criterion : "total" or "average"
-        What "optimal" is best in; see `solve`.
-
-    Returns
-    -------
-    Policy
-
-    Raises
-    ------
-    ModelError
-        For what does not fit the model; for "optimal" as `solve` does.
-
-    Examples
-    --------
-    >>> model = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> policy_of(model, "optimal").weights(model).tolist()
-    [0.0, 1.0, 1.0, 0.0]
-    """
+    """Return the policy of any form that `Policy.of` takes; for "optimal" the model is solved."""
     if isinstance(policy, str) and policy == "optimal":
         policy = solve(model, criterion=criterion)
     return Policy.of(model, policy, kind=kind)

@@ -253,15 +253,7 @@ class _Trajectories:
 
 
 def mean_at_least(sample: Floats, doubt: float) -> float:
-    """Return what the mean of independent numbers from 0 up is at least, but for some doubt.
-
-    Examples
-    --------
-    >>> round(mean_at_least(np.tile([0.0, 1.0], 1000), 0.05), 3)
-    0.464
-    >>> mean_at_least(np.ones(10), 0.05)
-    0.0
-    """
+    """Return what the mean of independent numbers from 0 up is at least, but for some doubt."""
     first, rest = np.split(sample, [len(sample) // HELD_OUT])
     if len(sample) < FEWEST or not sample.any():
         return 0.0

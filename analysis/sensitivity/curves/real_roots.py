@@ -111,15 +111,7 @@ def simple(poly: fmpq_poly) -> fmpq_poly:
 
 
 def roots(poly: fmpq_poly, low: Fraction, high: Fraction) -> Iterator[Root]:
-    """Yield the roots of a polynomial without double ones on an open interval, from the left.
-
-    Examples
-    --------
-    >>> from flint import fmpq_poly
-    >>> found = roots(fmpq_poly([6, -5, 1]), Fraction(0), Fraction(10))
-    >>> [round(float(root.narrowed(Fraction(1, 10**6)).high), 5) for root in found]
-    [2.0, 3.0]
-    """
+    """Yield the roots of a polynomial without double ones on an open interval, from the left."""
     if poly.degree() < 1:
         return
     count = variations(poly, low, high)

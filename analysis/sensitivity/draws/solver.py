@@ -309,10 +309,7 @@ def tell_cut(
 ) -> None:
     """Warn once where a chance of a scenario is cut off at 1 in some draw; workers keep silent.
 
-    Parameters
-    ----------
-    cut : (D,) bool, optional
-        In which draws; where that is not known, the largest numbers of all draws are looked at.
+    Where it is not known in which draws, `cut` (D,), the largest numbers of all are looked at.
     """
     if not isinstance(model, ScenarioFamily):
         return

@@ -142,11 +142,6 @@ def upper_quantile(values: Floats, probability: float) -> float:
 
     The k-th smallest of n is below the quantile only where at least k draws are, of which there are
     no more than a binomial number of n and p: the k is the least of which that chance is small.
-
-    Examples
-    --------
-    >>> upper_quantile(np.arange(1.0, 101.0), 0.95)
-    100.0
     """
     require_draws(len(values), probability)
     chance = special.bdtr(np.arange(len(values)), len(values), probability)
@@ -175,13 +170,7 @@ def require_draws(count: int, probability: float) -> None:
 
 
 def wilson(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:
-    """Return the ends of Wilson's 95 % interval of a share (Wilson, JASA 22, 1927).
-
-    Examples
-    --------
-    >>> [round(float(end), 4) for end in wilson(0, 100)]
-    [0.0, 0.037]
-    """
+    """Return the ends of Wilson's 95 % interval of a share (Wilson, JASA 22, 1927)."""
     share, square = np.asarray(successes) / count, NORMAL**2
     middle = (share + square / (2 * count)) / (1 + square / count)
     half = np.sqrt(share * (1 - share) / count + square / (4 * count**2)) * NORMAL

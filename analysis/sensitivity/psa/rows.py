@@ -27,12 +27,6 @@ def row_family(model: MDP) -> Family:
     ------
     ModelError
         Where no row is random, or more than 2,000 are.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
-    >>> row_family(mdp).rows
-    {'(state 0, 0)': ('(state 0, 0): to state 1', '(state 0, 0): to state 2')}
     """
     mdp = _summing_to_one(model)
     entries: dict[str, list[tuple[int, int]]] = {}

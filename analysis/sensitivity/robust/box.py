@@ -174,12 +174,6 @@ def box_ranges(
     """Return the box: all probabilities among the parameters ± a share, or stated ranges.
 
     A share of 0 is the tables as they are.
-
-    Examples
-    --------
-    >>> box = box_ranges(Scenario.load("yuan2025"))
-    >>> len(box), box["base.anger"]
-    (32, Range(low=Fraction(1, 25), high=Fraction(3, 50)))
     """
     family = parametric(model)
     if ranges is None:

@@ -58,14 +58,7 @@ class BoxBounds:
 
 
 class CareBox:
-    """One policy in one scenario, and parameters that may move.
-
-    Parameters
-    ----------
-    policy : anything that `solvers.evaluate` takes
-    names : sequence of str
-        J parameters other than the discount.
-    """
+    """One policy in one scenario, and J parameters that may move, the discount not among them."""
 
     def __init__(self, scenario: Scenario, policy: PolicyLike, names: Sequence[str]) -> None:
         self.scenario, self.names = scenario, tuple(names)

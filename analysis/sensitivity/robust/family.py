@@ -38,19 +38,10 @@ Ends = Mapping[str, Fraction]
 
 
 class FamilyBox:
-    """One policy of a parametric model, and parameters that may move.
+    """One policy (L,) of a parametric model, and parameters that may move.
 
-    Parameters
-    ----------
-    weights : (L,)
-        The policy's probability of each pair.
-    low, high : {name: Fraction}
-        The widest box that will be asked for.
-
-    Raises
-    ------
-    ModelError
-        Where rows are not affine in the parameters together, and for the discount.
+    `low` and `high` are the widest box that will be asked for. Raises ModelError where rows are not
+    affine in the parameters together, and for the discount.
     """
 
     def __init__(self, model: Parametric, weights: Floats, low: Ends, high: Ends) -> None:
