@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import chain, count, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -316,9 +316,9 @@ def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep | Regi
 def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> tuple[MDP, RowChange]:
     """Return the model in the middle of a section, and how it changes; next to it if a chance is 0.
 
-    What may happen there may then happen next to it, too.
+    What may happen there may then happen next to it, too. A chance that moves is 0 at few points.
     """
-    for share in (Fraction(1, 2), Fraction(37, 97)):
+    for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
         base = family.at({name: origin})
         change = row_change(family, name, Piece(low=low, high=high), origin=origin, base=base)

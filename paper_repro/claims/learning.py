@@ -152,10 +152,11 @@ def _similar(reading: Reading) -> Finding:
     apart = float(decaying.mean() - constant.mean())
     error = sqrt(constant.var(ddof=1) / len(constant) + decaying.var(ddof=1) / len(decaying))
     point = reading.evaluations["optimal"].sd / sqrt(POINT)
+    alike = abs(apart) <= 2 * point
     return statement(
-        abs(apart) <= 2 * point,
-        f"decaying less constant: {apart:+.2f}, less than twice the standard error {point:.1f} "
-        f"of one point of the plot ({POINT} experiments)",
+        alike,
+        f"decaying less constant: {apart:+.2f}, {'at most' if alike else 'more than'} twice the "
+        f"standard error {point:.1f} of one point of the plot ({POINT} experiments)",
         Estimated(value=apart, standard_error=error),
     )
 

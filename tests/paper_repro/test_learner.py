@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -160,3 +161,17 @@ def test_a_pair_like_the_papers_is_seen() -> None:
 
     held = np.logical_and.reduce(list(shown_together(Stub()).values()))
     assert held.tolist() == [[True, True], [False, False]]
+
+
+@pytest.mark.parametrize("apart", [0.0, 2.0, -7.0, 7.0])
+def test_how_far_the_schedules_are_apart_is_told_as_it_is(apart: float) -> None:
+    """Twice the standard error of 40 experiments of standard deviation 20 is 6.3."""
+    values = {"constant": np.array([139.0, 141.0]), "decaying": np.array([139.0, 141.0]) + apart}
+    stub: Any = SimpleNamespace(
+        learned=lambda schedule: SimpleNamespace(converged=values[schedule]),
+        evaluations={"optimal": SimpleNamespace(sd=20.0)},
+    )
+    found = chosen("learning.similar").find(stub)
+    alike = abs(apart) < 6
+    assert found.verdict is (Verdict.REPRODUCED if alike else Verdict.NOT_REPRODUCED)
+    assert ("at most twice" in found.why) == alike == ("more than twice" not in found.why)

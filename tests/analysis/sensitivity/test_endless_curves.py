@@ -290,6 +290,22 @@ def data_of(curve: ValueFunction) -> dict[str, Any]:
     return explorer._curve(curve, explorer._Sets(curve.mdp, layout))
 
 
+def test_a_chance_may_be_0_wherever_one_looks_first() -> None:
+    """It closes a cycle, which goes on for ever at the lower end of the range."""
+    second = F(37, 97)
+
+    def build(at: Mapping[str, F]) -> MDP:
+        x = at["x"]
+        stays = (1 - x) * ((x - F(1, 2)) * (x - second) / (F(1, 2) * second)) ** 2
+        row = [(p, to, 1) for p, to in ((stays, 0), (1 - stays, 1)) if p]
+        return MDP.from_outcomes([(0, 0, row), (1, 0, [(1, 1, 0)])])
+
+    x = Parameter(name="x", value=F(1, 4))
+    found = value_function(Family(parameters=(x,), build=build, degrees={"x": 5}), "x", (0, 1))
+    assert found.violations() == []
+    assert [found.at(each) for each in (0, second, F(1, 2), 1)] == [inf, 1, 1, 1]
+
+
 def test_cancelling_rewards_are_refused() -> None:
     around = [(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 1)]), (1, 1, [(1, 2, 9)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(around)
