@@ -17,6 +17,7 @@ All work is linear in the number of transitions.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -29,11 +30,12 @@ from exact_mdp.mdp.lazy import later, worth_compiling
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
+compiling = later("exact_mdp.mdp.forms.compiling")
 csgraph = later("scipy.sparse.csgraph")
 Mask = NDArray[np.bool_]
 SHOWN = 4
-# Rounds of peeling by arrays; then states go one by one, if few joined in each and few are left.
-FIRST, NARROW, MANY = 8, 64, 200_000
+# Rounds by arrays; then states go one by one, if fewer than that joined in each.
+FIRST, NARROW = 8, 64
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,17 +132,19 @@ def closure(graph: sp.csr_array, first: Mask) -> Mask:
         more = sp.csr_array((np.ones(len(indices)), indices, offsets), (size, size))
         found = csgraph.breadth_first_order(more, size - 1, return_predecessors=False)[1:]
     else:
-        offsets, after, known = graph.indptr.tolist(), graph.indices.tolist(), set(found)
+        offsets, after, known = graph.indptr.tolist(), graph.indices.tolist(), first.tolist()
         for node in found:
-            fresh = set(after[offsets[node] : offsets[node + 1]]) - known
-            known |= fresh
-            found += fresh
+            for other in after[offsets[node] : offsets[node + 1]]:
+                if not known[other]:
+                    known[other] = True
+                    found.append(other)
     seen[found] = True
     return seen
 
 
 def _large(graph: sp.csr_array) -> bool:
-    return worth_compiling(graph.nnz + graph.shape[0], "scipy.sparse.csgraph")
+    """Return whether SciPy's graphs pay: all that is slow to load of them is linear algebra."""
+    return worth_compiling(graph.nnz + graph.shape[0], "scipy.sparse.linalg")
 
 
 def numbered_in_order(mdp: MDP) -> bool:
@@ -219,26 +223,9 @@ def _termination(mdp: MDP) -> Termination:
         rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
         return Termination(proven=True, rank=rank, policy=None, trapped=rank[:0])
     matrix = mdp.transition
-    before, predecessors = _reverse(matrix.indptr, matrix.indices, mdp.n_states)
-    staying = np.ones(mdp.n_pairs, dtype=bool)
-    left = np.diff(mdp.pair_offsets)
-    rank = np.where(mdp.terminal, 0, -1)
-    frontier, reached = np.flatnonzero(mdp.terminal), 0
-    while len(frontier):
-        if reached == FIRST and matrix.nnz < MANY and (rank >= 0).sum() < FIRST * NARROW:
-            queue = np.resize(frontier, mdp.n_states)
-            parts = (before, predecessors, mdp.pair_state, staying, left, rank, queue)
-            lists: list[Any] = [*(part.tolist() for part in parts), len(frontier)]
-            join(*lists)
-            staying[:], rank[:] = lists[3], lists[5]
-            break
-        into = np.unique(predecessors[spans(before[frontier], before[frontier + 1])])
-        into = into[staying[into]]
-        staying[into] = False
-        states, count = np.unique(mdp.pair_state[into], return_counts=True)
-        left[states] -= count
-        frontier, reached = states[(left[states] == 0) & (rank[states] < 0)], reached + 1
-        rank[frontier] = reached
+    backward = Backward.of(matrix.indptr, matrix.indices, mdp.pair_state, mdp.n_states)
+    every = np.ones(mdp.n_pairs, dtype=bool)
+    rank, staying = backward.rounds(mdp.terminal, every, np.diff(mdp.pair_offsets))
     trapped = np.flatnonzero(rank < 0)
     if not len(trapped):
         return Termination(proven=True, rank=rank, policy=None, trapped=trapped)
@@ -248,13 +235,73 @@ def _termination(mdp: MDP) -> Termination:
     return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
 
 
+@dataclass(frozen=True, eq=False)
+class Backward:
+    """L pairs by where they may lead: to state s those in into[before[s]:before[s+1]].
+
+    `owner` (L,) is the state of each.
+    """
+
+    before: Numbers
+    into: Numbers
+    owner: Integers
+
+    @classmethod
+    def of(cls, offsets: Numbers, following: Numbers, owner: Integers, states: int) -> Backward:
+        """Turn pairs round, from the offsets (L+1,) of what follows each."""
+        return cls(*_reverse(offsets, following, states), owner)
+
+    @cached_property
+    def _listed(self) -> list[Any]:
+        return [self.before.tolist(), self.into.tolist(), self.owner.tolist()]
+
+    def rounds(self, first: Mask, pairs: Mask, waiting: Integers) -> tuple[Integers, Mask]:
+        """Return (S,) the round in which each joins the `first` ones, or -1; and (L,) pairs left.
+
+        It joins once `waiting` (S,) of its `pairs` (L,) may lead to those before; these are no
+        longer left. Arrays do that as long as many states join in a round, then lists; compiled
+        loops where they are loaded, or pay.
+        """
+        rank, left, waiting = np.where(first, 0, -1), pairs.copy(), waiting.copy()
+        frontier, reached, joined = np.flatnonzero(first), 0, 0
+        place = np.empty(max(len(rank), len(left)), dtype=np.int64)
+        while 0 < len(frontier) < len(rank):
+            narrow = reached % FIRST == FIRST - 1 and joined < FIRST * NARROW
+            if narrow or worth_compiling(0):
+                queue = np.resize(frontier, len(rank))
+                parts = (left, waiting, rank, queue)
+                if worth_compiling(len(self.into)):
+                    _compiled()(self.before, self.into, self.owner, *parts, len(frontier))
+                    return rank, left
+                lists = [*self._listed, *(part.tolist() for part in parts), len(frontier)]
+                join(*lists)
+                return np.array(lists[5]), np.array(lists[3])
+            joined *= reached % FIRST > 0
+            into = self.into[spans(self.before[frontier], self.before[frontier + 1])]
+            into = _once(into[left[into]], place)
+            left[into] = False
+            states, reached = self.owner[into], reached + 1
+            np.subtract.at(waiting, states, 1)
+            frontier = _once(states[(waiting[states] <= 0) & (rank[states] < 0)], place)
+            rank[frontier] = reached
+            joined += len(frontier)
+        return rank, left
+
+
+def _once(numbers: Numbers, place: Integers) -> Any:
+    """Return the numbers, each once; `place` has room for what was found of each number."""
+    order = np.arange(len(numbers))
+    place[numbers] = order
+    return numbers[place[numbers] == order]
+
+
 def join(
     before: Any, into: Any, owner: Any, left: Any, waiting: Any, rank: Any, queue: Any, filled: int
 ) -> None:
     """Write into `rank` when each state joins those in the queue, one round after the other.
 
     It joins once `waiting` of its pairs that are `left` may lead to those before. Lists do here,
-    where rounds are narrow; `solvers.kernels.graph` compiles the same for arrays.
+    where rounds are narrow; compiled, it does the same for arrays.
     """
     head = 0
     while head < filled:
@@ -270,6 +317,12 @@ def join(
                     rank[own] = rank[state] + 1
                     queue[filled] = own
                     filled += 1
+
+
+@cache
+def _compiled() -> Any:
+    """Return `join` for arrays."""
+    return compiling.compiled(join)
 
 
 def where_endless(mdp: MDP) -> str:

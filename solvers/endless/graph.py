@@ -20,18 +20,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.chain import join, strong_components
-from exact_mdp.mdp.lazy import later, worth_compiling
+from exact_mdp.mdp.chain import Backward, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
-kernel = later("exact_mdp.solvers.kernels.graph")
 Mask = NDArray[np.bool_]
 
 
@@ -55,12 +52,8 @@ class Graph:
         return len(self.pair_offsets) - 1
 
     @cached_property
-    def _into(self) -> tuple[Numbers, Numbers]:
-        """Each state's incoming pairs: offsets (S+1,), and pairs."""
-        shape = (len(self.pair_state), self.states)
-        ones = np.ones(len(self.next), dtype=np.int8)
-        turned = sp.csr_array((ones, self.next, self.offsets), shape).tocsc()
-        return turned.indptr, turned.indices
+    def _backward(self) -> Backward:
+        return Backward.of(self.offsets, self.next, self.pair_state, self.states)
 
     def every(self, states: Mask) -> Mask:
         """Return (L,) True for pairs that lead nowhere but to some states (S,)."""
@@ -76,7 +69,8 @@ class Graph:
 
     def distance(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) the fewest steps along `pairs` (L,) to the target, -1 where no way leads."""
-        return self._spread(target, pairs, np.ones(self.states, dtype=np.int64))
+        one = np.ones(self.states, dtype=np.int64)
+        return self._backward.rounds(target, pairs, one)[0]
 
     def ranks(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) ranks that may fall along each of `pairs` (L,) to 0 in the target; or -1.
@@ -84,21 +78,7 @@ class Graph:
         A state without such a pair is at 0, too.
         """
         waiting = np.bincount(self.pair_state[pairs], minlength=self.states)
-        return self._spread(target | (waiting == 0), pairs, waiting)
-
-    def _spread(self, first: Mask, pairs: Mask, waiting: Integers) -> Integers:
-        """Return when a state joins: once that many of its pairs may lead to those before."""
-        chosen = np.flatnonzero(first)
-        queue = np.empty(self.states, dtype=np.int64)
-        queue[: len(chosen)] = chosen
-        rank = np.where(first, 0, -1)
-        parts = (*self._into, self.pair_state, pairs.copy(), waiting.copy(), rank, queue)
-        if worth_compiling(len(self.next)):
-            kernel.join(*parts, len(chosen))
-            return rank
-        lists: list[Any] = [*(part.tolist() for part in parts), len(chosen)]
-        join(*lists)
-        return np.array(lists[5], dtype=np.int64)
+        return self._backward.rounds(target | (waiting == 0), pairs, waiting)[0]
 
     def rounds(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) 0 where some policy of `pairs` reaches the target for sure, or a round."""
@@ -113,24 +93,27 @@ class Graph:
 
     def end_components(self, pairs: Mask) -> tuple[Integers, Mask]:
         """Return (S,) the number of each state's end component or -1, and their pairs (L,)."""
-        inside = pairs.copy()
+        number, inside = np.full(self.states, -1), pairs.copy()
         while True:
-            leaving = self.ranks(~self.having(inside), inside) >= 0
+            stays = self.having(inside)
+            leaving = self.ranks(~stays, inside) >= 0
             inside &= ~self.some(leaving) & ~leaving[self.pair_state]
-            here, there = self._edges(inside)
-            shape = (self.states, self.states)
-            graph = sp.csr_array((np.ones(len(here), dtype=np.int8), (here, there)), shape)
-            label = strong_components(graph)
-            crossing = np.zeros(len(inside), dtype=bool)
-            apart = label[self.next] != label[np.repeat(self.pair_state, np.diff(self.offsets))]
-            crossing = np.logical_or.reduceat(apart, self.offsets[:-1]) & inside
-            if not crossing.any():
-                break
-            inside &= ~crossing
-        number = np.full(self.states, -1, dtype=np.int64)
-        stays = self.having(inside)
-        number[stays] = np.unique(label[stays], return_inverse=True)[1]
-        return number, inside
+            stays &= ~leaving
+            chosen, place, size = np.flatnonzero(inside), np.cumsum(stays) - 1, int(stays.sum())
+            if not size:
+                return number, inside
+            first, lengths = self.offsets[chosen], np.diff(self.offsets)[chosen]
+            source = np.repeat(place[self.pair_state[chosen]], lengths)
+            target = place[self.next[spans(first, first + lengths)]]
+            rows = np.searchsorted(source, np.arange(size + 1))
+            ones = np.ones(len(source), dtype=np.int8)
+            label = strong_components(sp.csr_array((ones, target, rows), (size, size)))
+            crossing = label[source] != label[target]
+            apart = np.logical_or.reduceat(crossing, np.cumsum(lengths) - lengths)
+            if not apart.any():
+                number[stays] = label
+                return number, inside
+            inside[chosen[apart]] = False
 
     def levels(self, label: Integers, pairs: Mask) -> Integers:
         """Return (S,) ranks that may fall along each of `pairs` (L,), states of one label as one.
@@ -151,7 +134,3 @@ class Graph:
         )
         none, every = np.zeros(len(names), dtype=bool), np.ones(len(chosen), dtype=bool)
         return merged.ranks(none, every)[own]
-
-    def _edges(self, pairs: Mask) -> tuple[Integers, Numbers]:
-        chosen = np.repeat(pairs, np.diff(self.offsets))
-        return np.repeat(self.pair_state, np.diff(self.offsets))[chosen], self.next[chosen]

@@ -166,7 +166,9 @@ def structure(mdp: MDP) -> Structure:
             missing=missing,
         )
     rewards = np.sign(mdp.table.expected_gain_exact()[0])
-    quiet, still = graph.end_components(inside & (rewards == 0))
+    quiet, still = label, inside
+    if rewards[inside].any():
+        quiet, still = graph.end_components(inside & (rewards == 0))
     best, both = _best_means(components, rewards, quiet)
     worth = np.append(best, -1)[label]  # the sign of each state's component
     settled = over | (worth >= 0) if goal is None else over

@@ -174,3 +174,40 @@ def test_small_graphs_are_searched_as_scipy_searches_large_ones(
             parts = chain.strong_components(sp.csr_array(graph)).tolist()
             found.append((parts, chain.closure(sp.csr_array(graph), first).tolist()))
     assert found[0] == found[1]
+
+
+@given(
+    st.integers(1, 8),
+    st.lists(st.tuples(st.integers(0, 7), st.sets(st.integers(0, 7), min_size=1)), min_size=1),
+    st.data(),
+)
+def test_rounds_are_the_same_by_arrays_in_lists_and_compiled(
+    size: int, pairs: list[tuple[int, set[int]]], data: st.DataObject
+) -> None:
+    """And as their definition has them: what joins depends on the rounds before alone."""
+    pairs = sorted((state % size, {s % size for s in after}) for state, after in pairs)
+    some = np.array(data.draw(st.lists(st.booleans(), min_size=len(pairs), max_size=len(pairs))))
+    first = np.array(data.draw(st.lists(st.booleans(), min_size=size, max_size=size)))
+    waiting = np.array(data.draw(st.lists(st.integers(1, 3), min_size=size, max_size=size)))
+    rank, left, before = np.where(first, 0, -1), some.copy(), np.flatnonzero(first)
+    for number in range(1, size + 1):
+        met = [k for k, (_, after) in enumerate(pairs) if left[k] and after & set(before.tolist())]
+        left[met] = False
+        used = np.bincount(
+            [s for k, (s, _) in enumerate(pairs) if some[k] > left[k]], minlength=size
+        )
+        before = np.flatnonzero((rank < 0) & (used >= waiting))
+        rank[before] = number
+    offsets = np.cumsum([0, *(len(after) for _, after in pairs)])
+    following = np.array([s for _, after in pairs for s in sorted(after)])
+    owner = np.array([state for state, _ in pairs])
+    backward = chain.Backward.of(offsets, following, owner, size)
+    for narrow, compiled in ((0, False), (2, False), (64, False), (0, True)):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(chain, "FIRST", 1 if narrow else 2)
+            patch.setattr(chain, "NARROW", narrow)
+            patch.setattr(chain, "worth_compiling", lambda _, loaded=compiled: loaded)
+            found = backward.rounds(first, some, waiting)
+        assert found[0].tolist() == rank.tolist()
+        if (rank < 0).any():  # otherwise a search may end early
+            assert found[1].tolist() == left.tolist()
