@@ -4,7 +4,7 @@ An objective is a linear combination of named amounts, `2*help-anger`, or `name=
 
     a component of the reward     its expected amount
     reward                        all of it, unless a component is called so
-    steps                         1 in every state that is not terminal
+    steps                         1 in every state that is no end
     an event                      how often it happens, on average
     a label whose states are not left again, at discount 1     1 on the step into them, so that the
                                   total is the probability of reaching it
@@ -13,8 +13,9 @@ The total of an objective under a policy π solves, with integers over the scale
 
     scale(s) · V(s) = amount(l) + Σ_i weight(i) · V(next(i)),   l the pair that π takes in s.
 
-A total at discount 1 is finite under every policy if every policy ends (`mdp.chain`), where a state
-ends that stays put and in which no objective earns.
+An end stays put; there no reward, no component and no event is counted. A total at discount 1 is
+finite under every policy if every policy ends (`mdp.chain`), where a state ends that stays put and
+in which no objective earns. A run that ends beside the goal of a model has no finite total.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import SHOWN, Mask, reachable, termination
+from exact_mdp.mdp.chain import SHOWN, Mask, components, reachable, termination
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
@@ -173,11 +174,18 @@ class Objectives:
             return
         found, mdp = termination(self.ending), self.mdp
         if found.proven:
+            if mdp.goal is not None and (beside := reachable(mdp) & mdp.terminal & ~mdp.goal).any():
+                raise ModelError(
+                    "no total is finite: a policy may end beside the goal",
+                    where=f"state ({mdp.space.label(int(np.flatnonzero(beside)[0]))})",
+                    fix="count in the model itself, without --until, or leave out what leads there",
+                )
             return
         inside = np.zeros(mdp.n_states, dtype=bool)
         inside[found.trapped] = True
-        stays = np.minimum.reduceat(inside[self.rows.next], self.rows.offsets[:-1])
-        stays &= inside[mdp.pair_state]
+        (_, label), then = components(mdp), self.rows.next
+        back = inside[then] & (label[then] == label[mdp.pair_state[self.rows.pair]])
+        stays = np.logical_and.reduceat(back, self.rows.offsets[:-1]) & inside[mdp.pair_state]
         endless = [
             name
             for name, amount in zip(self.names, self.amounts, strict=True)
@@ -253,7 +261,15 @@ def _column(mdp: MDP, name: str) -> Column:
     if name == REWARD:
         return mdp.table.expected_gain_exact()
     if name == STEPS:
-        return (~mdp.terminal[mdp.pair_state]).astype(np.int64), ones(mdp.n_pairs)
+        counted = [mdp.component(each)[0] != 0 for each in mdp.component_names]
+        counted += [_happening(mdp, each)[0] > 0 for each in mdp.events]
+        goes_on = np.logical_or.reduceat(np.any(counted, axis=0), mdp.pair_offsets[:-1])
+        return (~mdp.terminal | goes_on)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
+    return _happening(mdp, name)
+
+
+def _happening(mdp: MDP, name: str) -> Column:
+    """Return the probabilities (L,) of an event, or of stepping into a label, in the same form."""
     weight, below = mdp.table.integer_weights()
     if name in mdp.events:
         assert mdp.table.event is not None

@@ -141,7 +141,10 @@ class Evaluation(Pictured):
 
     @property
     def components(self) -> dict[str, float]:
-        """Expected discounted total of each reward component; they sum to `mean`."""
+        """Expected discounted total of each reward component; they sum to `mean`.
+
+        At discount 1, one that an end earns for ever is infinite, or NaN where ends differ in sign.
+        """
         return {name: number.value for name, number in self._components.items()}
 
     @cached_property
@@ -153,13 +156,21 @@ class Evaluation(Pictured):
             found = self._discounted
         except (SolverError, ModelError):
             return dict.fromkeys(mdp.component_names, UNKNOWN)
-        share = np.where(mdp.terminal[mdp.pair_state], 0.0, chain.weights)
-        used, doubt = found.value[mdp.pair_state] * share, found.error[mdp.pair_state] * share
-        rounding = float(gamma(len(chain.pairs) + chain.roundings + 4))
+        used = pair_visits(chain, found)
+        doubt = pair_visits(chain, FixedPoint(value=found.error, error=found.error))
+        rounding = float(gamma(len(chain.pairs) + chain.roundings + 6))
         size = np.abs(mdp.components)
         with np.errstate(over="ignore", invalid="ignore"):
             total = used @ mdp.components
             error = (doubt @ size + rounding * (used @ size)) * SLACK
+        if mdp.discount_exact == 1:
+            stays = (mdp.terminal & chain.reached)[mdp.pair_state] & (chain.weights > 0)
+            for number, own in enumerate(mdp.components[stays].T):
+                if own.any():
+                    signs = {float(sign) * inf for sign in np.sign(own[own != 0])}
+                    total[number], error[number] = (
+                        (signs.pop(), 0.0) if len(signs) == 1 else (0.0, inf)
+                    )
         return {
             name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
             for name, value, bound in zip(mdp.component_names, total, error, strict=True)

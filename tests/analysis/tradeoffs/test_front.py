@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import replace
 from fractions import Fraction
@@ -9,12 +10,13 @@ from itertools import product
 from operator import mul
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, with_components
 
-from exact_mdp import Scenario, certify, evaluate, tradeoff
+from exact_mdp import Scenario, certify, evaluate, solve, tradeoff
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers.objectives.checker import Values, slack
 from exact_mdp.solvers.objectives.optima import Losses
@@ -133,6 +135,61 @@ def test_what_is_counted_for_ever_is_refused_by_name() -> None:
     with pytest.raises(ModelError, match="'a' has no finite total"):
         tradeoff(mdp, ["b", "a"])
     assert tradeoff(mdp.with_(discount="1/2"), ["a", "b"]).vertices == [(F(2), F(1))]
+
+
+@settings(max_examples=40)
+@given(mdp=with_components(1, for_ever=True))
+def test_steps_go_on_where_a_component_is_earned_for_ever(mdp: MDP) -> None:
+    """Against all policies; the components of one are those that `evaluate` finds."""
+    sign = 1 if mdp.sense == "max" else -1
+    front = tradeoff(mdp, ["c0", "steps"])
+    wanted = hull([tuple(sign * v for v in point) for point in totals(mdp, ["c0", "steps"])])
+    assert front.vertices == sorted(tuple(sign * v for v in point) for point in wanted)
+    assert front.violations() == []
+    found = evaluate(mdp, front.policies[0]).components
+    assert found["c0"] == pytest.approx(float(front.vertices[0][0]), abs=1e-9)
+
+
+def test_an_end_that_earns_components_for_ever_has_no_finite_total_at_discount_1() -> None:
+    rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    parts = {"a": [3, -1], "b": [-3, 1], "c": [1, 0]}
+    mdp = MDP.from_outcomes(rows, components=parts)
+    for names in (["c", "steps"], ["a", "c"]):
+        with pytest.raises(
+            ModelError, match=f"'{'steps' if 'steps' in names else 'a'}' has no fin"
+        ):
+            tradeoff(mdp, names)
+    found = evaluate(mdp, [0, 0])
+    assert found.components == {"a": -math.inf, "b": math.inf, "c": 1.0, "rest": -1.0}
+    half = evaluate(mdp.with_(discount="1/2"), [0, 0]).components
+    assert half == {"a": 2.0, "b": -2.0, "c": 1.0, "rest": -1.0}
+    two = MDP.from_outcomes(
+        [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])],
+        components={"a": [0, 1, -1]},
+    )
+    assert math.isnan(evaluate(two, [0, 0, 0]).components["a"])
+    assert evaluate(two.with_(start=1), [0, 0, 0]).components["a"] == math.inf
+
+
+def test_steps_go_on_where_an_event_happens_for_ever() -> None:
+    """It is then counted for ever, too; an end without it is one."""
+    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (1, 0, [(1, 1, 0)])], "3/4")
+    mdp = replace(mdp, table=replace(mdp.table, event=np.array([1, 0])), events=("bell",))
+    assert tradeoff(mdp, ["bell", "steps"]).vertices == [(F(4), F(4))]
+    assert tradeoff(mdp.with_(start=1), ["bell", "steps"]).vertices == [(F(0), F(0))]
+
+
+def test_a_run_that_misses_the_goal_has_no_finite_total() -> None:
+    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], labels={"goal": [False, True, False]})
+    assert tradeoff(mdp, ["reward", "steps"]).vertices == [(F(3), F(1))]
+    assert certify(mdp.until("goal")).start_value == math.inf
+    for ask in (lambda m: tradeoff(m, ["reward", "steps"]),
+                lambda m: solve(m, subject_to={"steps": "<= 1"})):  # fmt: skip
+        with pytest.raises(ModelError, match="may end beside the goal"):
+            ask(mdp.until("goal"))
+    sure = MDP.from_outcomes(rows[1:], labels={"goal": [False, True]}).until("goal")
+    assert tradeoff(sure, ["reward", "steps"]).vertices == [(F(3), F(1))]
 
 
 @pytest.mark.parametrize(
