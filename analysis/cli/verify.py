@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from functools import partial
 from math import ulp
 from typing import Any
 
 from exact_mdp.analysis.cli.options import given
-from exact_mdp.analysis.cli.render import Report, Table
+from exact_mdp.analysis.cli.render import Report, Table, between
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.model import MDP
@@ -37,12 +37,24 @@ def verify(*, certificate: str, **shared: Any) -> Report:
         "certificate": certificate,
         "proof": "does not hold" if violations else f"holds ({proof.claim})",
     }
+    tables = list[Table]()
     if isinstance(proof, ObjectivesProof):
         proven = {} if violations else proof.found(asked.mdp)
         result |= {"kind": proof.kind, "objectives": list(proof.objectives)} | proven
-        facts |= {name: value for name, value in proven.items() if name != "exact_start_value"}
-        if value := proven.get("exact_start_value"):
-            facts["start value"] = Certified(value=value)
+        if "vertices" in proven:
+            result["totals"] = [
+                {name: _ends(total) for name, total in each.items()} for each in proven["totals"]
+            ]
+            facts |= {"names": proven["names"], "vertices": proven["vertices"]}
+            tables.append(_totals(proven))
+        elif proven:
+            result["limits"] = [str(limit) for limit in proven["limits"]]
+            result["closest"] = {moved.name: moved.bound for moved in proven["closest"]}
+            if proven["feasible"]:
+                facts["start value"] = Certified(value=proven["exact_start_value"])
+            else:
+                facts["limits"] = "no policy keeps them all (proven)"
+            tables.append(_limits(proven))
     elif not violations:
         start = _start(proof, asked.mdp)
         result |= {"start_value": start.value, "error_bound": start.error}
@@ -56,7 +68,44 @@ def verify(*, certificate: str, **shared: Any) -> Report:
         rows=[{"what": violation} for violation in violations],
         columns={"what is wrong": "what"},
     )
-    return asked.report(result, facts, [table], status=FAILS if violations else HOLDS)
+    return asked.report(result, facts, [*tables, table], status=FAILS if violations else HOLDS)
+
+
+def _ends(total: Fraction | tuple[Fraction, Fraction]) -> object:
+    """Return a total as the front of a model has it: exactly, or between two fractions."""
+    return dict(zip(("low", "high"), total, strict=True)) if isinstance(total, tuple) else total
+
+
+def _totals(proven: Mapping[str, Any]) -> Table:
+    """Return the totals of the vertices, in decimals; a wide range is shown as one."""
+
+    def shown(total: Fraction | tuple[Fraction, Fraction]) -> float | str:
+        if not isinstance(total, tuple):
+            return float(total)
+        low, high = map(float, total)
+        return low if f"{low:.10g}" == f"{high:.10g}" else between(low, high)
+
+    return Table(
+        title="vertices of the front",
+        rows=[{name: shown(t) for name, t in each.items()} for each in proven["totals"]],
+        columns={name: f"{name}:.10g" for name in proven["names"]},
+    )
+
+
+def _limits(proven: Mapping[str, Any]) -> Table:
+    """Return what was proven of each limit."""
+    rows = [
+        {"limit": str(limit), "closest": moved.text(10)}
+        | {key: float(proven[key][limit.name]) for key in ("totals", "prices")}
+        for limit, moved in zip(proven["limits"], proven["closest"], strict=True)
+    ]
+    shown = {"limit": "limit", "total": "totals:.10g", "price": "prices:.10g"}
+    feasible = proven["feasible"]
+    return Table(
+        title="limits" if feasible else "limits, and the closest ones that can be kept",
+        rows=rows,
+        columns=shown if feasible else {"limit": "limit", "closest": "closest"},
+    )
 
 
 Proof = Certificate | BoundedCertificate | AverageCertificate | ObjectivesProof

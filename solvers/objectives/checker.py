@@ -8,7 +8,7 @@ policy at the start by μ V, because the equations of every policy have one solu
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from math import inf, lcm
@@ -252,6 +252,11 @@ class Limit:
 
     def _with(self, bound: str) -> str:
         return f"{self.name} {'>=' if self.sign > 0 else '<='} {bound}"
+
+
+def moved_by(step: Fraction, limit: Limit) -> Limit:
+    """Return a limit that is easier to keep by a step."""
+    return replace(limit, bound=limit.bound - limit.sign * step)
 
 
 def totals_of(of: Objectives, flow: Mapping[int, Fraction]) -> Point:

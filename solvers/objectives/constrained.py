@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -51,6 +51,7 @@ from exact_mdp.solvers.objectives.checker import (
     Values,
     Visits,
     constrained_violations,
+    moved_by,
     room,
     tight,
     totals_of,
@@ -162,9 +163,7 @@ class ConstrainedSolution(Result):
     @property
     def moved(self) -> tuple[Limit, ...]:
         """The limits, all moved by the least step that lets them be kept."""
-        return tuple(
-            replace(limit, bound=limit.bound - limit.sign * self.shift) for limit in self.limits
-        )
+        return tuple(moved_by(self.shift, limit) for limit in self.limits)
 
     @cached_property
     def chances(self) -> dict[int, dict[int, Fraction]]:

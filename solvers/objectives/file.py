@@ -51,6 +51,7 @@ from exact_mdp.solvers.objectives.checker import (
     Values,
     constrained_violations,
     front_violations,
+    moved_by,
     totals_of,
 )
 from exact_mdp.solvers.objectives.switches import Chain, chain_violations, corners
@@ -117,17 +118,38 @@ class ObjectivesProof:
         return CHECKS[self.kind](of, **self.content)
 
     def found(self, mdp: MDP) -> dict[str, Any]:
-        """Return what a sound proof proves."""
-        of = Objectives.of(mdp, self.objectives)
+        """Return what a sound proof proves: totals of vertices, or those under limits.
+
+        The totals of a chain are pairs of bounds; those of limits that nobody keeps are missing.
+        """
+        of, own = Objectives.of(mdp, self.objectives), self.content
+        if self.kind == LIMITS:
+            return self._under_limits(of)
         if self.kind == FRONT:
-            return {"names": of.texts, "vertices": len(self.content["vertices"])}
-        if self.kind == CHAIN:
-            return {"names": of.texts, "vertices": len(corners(of, self.content["chain"]))}
-        feasible = self.content["price"][0] == 1
-        value = of.sign * totals_of(of, self.content["flow"])[0] if feasible else None
-        text = dict(zip(of.names, of.texts, strict=True))  # a name may be given to any sum
-        limits = [str(replace(each, name=text[each.name])) for each in self.content["limits"]]
-        return {"limits": limits, "feasible": feasible, "exact_start_value": value}
+            points = sorted(tuple(of.sign * t for t in v.total) for v in own["vertices"])
+        else:
+            every = (own["chain"].totals[corner.policy] for corner in corners(of, own["chain"]))
+            points = sorted(tuple(tuple(sorted(of.sign * e for e in t)) for t in v) for v in every)
+        totals = [dict(zip(of.texts, point, strict=True)) for point in points]
+        return {"names": of.texts, "vertices": len(totals), "totals": totals}
+
+    def _under_limits(self, of: Objectives) -> dict[str, Any]:
+        own = self.content
+        feasible = own["price"][0] == 1
+        named = dict(zip(of.names, of.texts, strict=True))  # a name may be given to any sum
+        limits = [replace(limit, name=named[limit.name]) for limit in own["limits"]]
+        total = dict(zip(of.texts, totals_of(of, own["flow"]), strict=True))
+        prices = dict.fromkeys(of.texts[1:], Fraction(0))
+        for limit, price in zip(limits, own["price"][1:], strict=True):
+            prices[limit.name] += price
+        return {
+            "limits": limits,
+            "feasible": feasible,
+            "exact_start_value": of.sign * total[of.texts[0]] if feasible else None,
+            "totals": {limit.name: of.sign * total[limit.name] for limit in limits},
+            "prices": prices,
+            "closest": [moved_by(own["shift"], limit) for limit in limits],
+        }
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON."""

@@ -233,11 +233,23 @@ def test_commands_write_proofs(tmp_path: Path) -> None:
     limit = ("--subject-to", "anger >= -1/10")
     wanted = run("solve", "yuan2025", *SMALL, *limit, "--certificate", limits, "--json").result
     assert wanted["written"] == [str(limits)]
-    for path, said in ((front, "vertices"), (limits, "start value")):
+    for path, told in ((front, "vertices"), (limits, "start value")):
         text = run("verify", path, "yuan2025", *SMALL)
-        assert (text.status, "holds (certified)" in text.out, said in text.out) == (0, True, True)
+        assert (text.status, "holds (certified)" in text.out, told in text.out) == (0, True, True)
     found = run("verify", limits, "yuan2025", *SMALL, "--json").result
-    assert found["exact_start_value"] == wanted["exact_start_value"]
+    for key in ("exact_start_value", "limits", "totals", "prices", "closest"):
+        assert found[key] == wanted[key]
+    assert f"{float(Fraction(wanted['prices']['anger'])):.10g}" in text.out
+    vertices = run("tradeoff", "yuan2025", *TWO, *SMALL, "--json").result["vertices"]
+    read = run("verify", front, "yuan2025", *SMALL, "--json").result
+    each = [(v["values"]["anger"], v["values"]["done"]) for v in vertices]
+    assert [(total["anger"], total[TWO[1]]) for total in read["totals"]] == each
+    assert f"{float(Fraction(each[0][1])):.10g}" in run("verify", front, "yuan2025", *SMALL).out
+    over = ("--subject-to", "anger >= 1/10", "--certificate", limits)
+    wanted = run("solve", "yuan2025", *SMALL, *over, "--json").result
+    found = run("verify", limits, "yuan2025", *SMALL, "--json").result
+    assert (found["feasible"], found["closest"]) == (False, wanted["closest"])
+    assert "anger >= 0" in run("verify", limits, "yuan2025", *SMALL).out
     assert run("verify", limits, "yuan2025").status == 1
     front.write_text(front.read_text().replace('"bounds"', '"bound"'))
     assert run("verify", front, "yuan2025", *SMALL).status == 2

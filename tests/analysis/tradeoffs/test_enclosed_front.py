@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
@@ -238,6 +239,12 @@ def test_the_command_prints_bounds(tmp_path: Path) -> None:
     assert {*found["edges"][0]["rate"]} == {"low", "high"}
     checked = run("verify", tmp_path / "p.json", tmp_path / "long.npz", "--json")
     assert (checked.status, checked.result["vertices"]) == (0, len(front.vertices))
+    assert checked.result["totals"] == [vertex["values"] for vertex in found["vertices"]]
+    proof = json.loads((tmp_path / "p.json").read_text())
+    first = next(iter(proof["totals"][0]))
+    first[1] = ["f4240", "1"]  # a range that holds, and says little: it is shown as wide as it is
+    (tmp_path / "p.json").write_text(json.dumps(proof))
+    assert " to 1000000" in run("verify", tmp_path / "p.json", tmp_path / "long.npz").out
 
 
 @pytest.mark.slow
