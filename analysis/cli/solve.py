@@ -65,11 +65,9 @@ def solve(
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--operator": operator}
-        refused |= {"--out": out, "--certificate": deterministic and certificate}
-        refused["--criterion average"] = shared.get("criterion") == "average"
-        if deterministic:
-            return _deterministic(subject_to, refused, policy_out, **shared)
-        return _under_limits(subject_to, refused, policy_out, certificate, **shared)
+        refused |= {"--out": out, "--criterion average": shared.get("criterion") == "average"}
+        under = _deterministic if deterministic else _under_limits
+        return under(subject_to, refused, policy_out, certificate, **shared)
     if deterministic:
         raise ModelError(
             "without limits every optimum is deterministic",
@@ -179,7 +177,11 @@ def _sound(found: ConstrainedSolution | DeterministicSolution) -> None:
 
 
 def _deterministic(
-    texts: tuple[str, ...], refused: Mapping[str, object], policy_out: str | None, **shared: Any
+    texts: tuple[str, ...],
+    refused: Mapping[str, object],
+    policy_out: str | None,
+    certificate: str | None,
+    **shared: Any,
 ) -> Report:
     """Look for the best deterministic policy under limits."""
     asked = _limited(refused, **shared)
@@ -189,6 +191,8 @@ def _deterministic(
     held, mixed = found.found, found.mixed
     if held is not None and policy_out:
         found.policy.write(policy_out)
+    if certificate:
+        found.save(certificate)
     value = found.start_value if held else None
     result = {
         "method": "limits, deterministic",
@@ -206,7 +210,7 @@ def _deterministic(
         "policy": None
         if held is None
         else whole_policy(mdp, [mdp.actions[a] for a in mdp.pair_action[held.pairs]]),
-        "written": [policy_out] if policy_out and held else [],
+        "written": [path for path in (policy_out if held else None, certificate) if path],
     }
     facts = {
         "limits": {

@@ -49,11 +49,14 @@ def verify(*, certificate: str, **shared: Any) -> Report:
             tables.append(_totals(proven))
         elif proven:
             result["limits"] = [str(limit) for limit in proven["limits"]]
-            result["closest"] = {moved.name: moved.bound for moved in proven["closest"]}
-            if proven["feasible"]:
+            result["closest"] = {moved.name: moved.bound for moved in proven.get("closest", ())}
+            if proven["exact_start_value"] is not None:
                 facts["start value"] = Certified(value=proven["exact_start_value"])
-            else:
-                facts["limits"] = "no policy keeps them all (proven)"
+            elif proven["feasible"] is False:
+                which = "policy" if "prices" in proven else "deterministic policy"
+                facts["limits"] = f"no {which} keeps them all (proven)"
+            if proven.get("bound") is not None:
+                facts["no deterministic policy is beyond"] = Certified(value=proven["bound"])
             tables.append(_limits(proven))
     elif not violations:
         start = _start(proof, asked.mdp)
@@ -94,18 +97,19 @@ def _totals(proven: Mapping[str, Any]) -> Table:
 
 def _limits(proven: Mapping[str, Any]) -> Table:
     """Return what was proven of each limit."""
+    limits, totals, prices = proven["limits"], proven["totals"], proven.get("prices", {})
+    moved = [limit.text(10) for limit in proven.get("closest", limits)]
     rows = [
-        {"limit": str(limit), "closest": moved.text(10)}
-        | {key: float(proven[key][limit.name]) for key in ("totals", "prices")}
-        for limit, moved in zip(proven["limits"], proven["closest"], strict=True)
+        {"limit": str(limit), "closest": near, "total": totals.get(limit.name)}
+        | {"price": prices.get(limit.name)}
+        for limit, near in zip(limits, moved, strict=True)
     ]
-    shown = {"limit": "limit", "total": "totals:.10g", "price": "prices:.10g"}
-    feasible = proven["feasible"]
-    return Table(
-        title="limits" if feasible else "limits, and the closest ones that can be kept",
-        rows=rows,
-        columns=shown if feasible else {"limit": "limit", "closest": "closest"},
-    )
+    shown = {"limit": "limit"} | ({"total": "total:.10g"} if totals else {})
+    shown |= {"price": "price:.10g"} if prices else {}
+    if proven["feasible"] or not prices:
+        return Table(title="limits", rows=rows, columns=shown)
+    title = "limits, and the closest ones that can be kept"
+    return Table(title=title, rows=rows, columns={"limit": "limit", "closest": "closest"})
 
 
 Proof = Certificate | BoundedCertificate | AverageCertificate | ObjectivesProof

@@ -292,11 +292,7 @@ def constrained_violations(
     `price` begins with that of the reward: 1, or 0 where no policy keeps the limits. Prices p ≥ 0
     bound p₀ r(π) + Σ p c(π) by μ V; a flow that keeps the limits and meets the bound is optimal.
     """
-    wrong, (reward, *each) = sound(of, proof), price
-    gain, below = of.mdp.table.expected_gain_exact()
-    scale = of.sign * of.rows.scale.astype(object)[of.mdp.pair_state]
-    if (of.amounts[0] * below.astype(object) != gain * scale).any():
-        wrong.append("what is maximised is not the reward")
+    wrong, (reward, *each) = [*sound(of, proof), *_not_reward(of)], price
     if reward not in (0, 1) or min(each, default=0) < 0 or shift < 0 or (reward and shift):
         wrong.append("a price or the step of the limits is negative")
     if not _flows(of, flow):
@@ -316,6 +312,14 @@ def constrained_violations(
     if not reward and (shift <= 0 or sum(each) != 1):
         wrong.append("nothing proves that no policy keeps the limits")
     return wrong
+
+
+def _not_reward(of: Objectives) -> Iterator[str]:
+    """Yield a fault where the first objective is not the reward."""
+    gain, below = of.mdp.table.expected_gain_exact()
+    scale = of.sign * of.rows.scale.astype(object)[of.mdp.pair_state]
+    if (of.amounts[0] * below.astype(object) != gain * scale).any():
+        yield "what is maximised is not the reward"
 
 
 def room(of: Objectives, limit: Limit, totals: Point) -> Fraction:
@@ -367,7 +371,7 @@ def parts_violations(
     bound: Fraction | None,
 ) -> list[str]:
     """Return what does not hold of a deterministic policy under limits, and a bound on others."""
-    wrong = sound(of, proof)
+    wrong = [*sound(of, proof), *_not_reward(of)]
     if found is not None:
         wrong += wrong_totals(of, found, "the policy")
         wrong += [f"the policy breaks {x}" for x in limits if not kept_by(of, x, found.total)]

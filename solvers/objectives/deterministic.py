@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from heapq import heappop, heappush
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from exact_mdp.mdp.lazy import later
@@ -41,6 +42,7 @@ from exact_mdp.solvers.objectives.constrained import (
     relaxed,
     solve_under,
 )
+from exact_mdp.solvers.objectives.file import DETERMINISTIC, ObjectivesProof
 from exact_mdp.solvers.objectives.optima import attained
 from exact_mdp.solvers.solution import Certified, Claim
 
@@ -157,13 +159,22 @@ class DeterministicSolution(Result):
         ]
         return pandas.DataFrame(rows, columns=["limit", "total", "mixed"])
 
+    @property
+    def _claims(self) -> dict[str, Any]:
+        """What the checker takes; its bound is on what is maximised."""
+        sign, bound = self.objectives.sign, self.bound
+        return {
+            "proof": self.mixed.proof, "limits": self.mixed.limits, "found": self.found,
+            "parts": self.parts, "bound": None if bound is None else sign * bound,
+        }  # fmt: skip
+
     def violations(self) -> list[str]:
         """Return what does not hold of the solution, in words: nothing where it is sound."""
-        of = Objectives.of(self.mdp, self.objectives.texts)
-        bound = None if self.bound is None else of.sign * self.bound
-        return parts_violations(
-            of, self.mixed.proof, self.mixed.limits, self.found, self.parts, bound
-        )
+        return parts_violations(Objectives.of(self.mdp, self.objectives.texts), **self._claims)
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
+        ObjectivesProof.of(DETERMINISTIC, self.objectives, **self._claims).save(path)
 
 
 def best_deterministic(

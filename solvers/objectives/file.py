@@ -28,6 +28,14 @@ and an optimum under limits, of kind "limits" (`.constrained`),
     pairs, flow   [pairs visited], [rational, …]: their expected visits
     dual          vector
 
+The best policy under limits that draws no action, of kind "deterministic" (`.deterministic`), has
+rank, weight and limits, too, and
+
+    vertices      [the policy, as a vertex of a front], or [] where none was found
+    highest       rational: what no such policy exceeds, negated for costs; null where there is none
+    parts         [{"pairs": [pairs taken], "price": [rational, …], "dual": vector,
+                  "bound": rational or null}]
+
 What is read is checked for its form; whether its claims hold is for `violations` to say. Nothing
 here imports a solver.
 """
@@ -46,12 +54,14 @@ from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import (
     Attained,
     Limit,
+    Part,
     Point,
     Proof,
     Values,
     constrained_violations,
     front_violations,
     moved_by,
+    parts_violations,
     totals_of,
 )
 from exact_mdp.solvers.objectives.switches import Chain, chain_violations, corners
@@ -74,7 +84,7 @@ from exact_mdp.solvers.proof.file import (
 )
 from exact_mdp.solvers.solution import Claim
 
-FRONT, CHAIN, LIMITS = "front", "chain", "limits"
+FRONT, CHAIN, LIMITS, DETERMINISTIC = "front", "chain", "limits", "deterministic"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,7 +133,7 @@ class ObjectivesProof:
         The totals of a chain are pairs of bounds; those of limits that nobody keeps are missing.
         """
         of, own = Objectives.of(mdp, self.objectives), self.content
-        if self.kind == LIMITS:
+        if self.kind in (LIMITS, DETERMINISTIC):
             return self._under_limits(of)
         if self.kind == FRONT:
             points = sorted(tuple(of.sign * t for t in v.total) for v in own["vertices"])
@@ -135,20 +145,30 @@ class ObjectivesProof:
 
     def _under_limits(self, of: Objectives) -> dict[str, Any]:
         own = self.content
-        feasible = own["price"][0] == 1
         named = dict(zip(of.names, of.texts, strict=True))  # a name may be given to any sum
         limits = [replace(limit, name=named[limit.name]) for limit in own["limits"]]
-        total = dict(zip(of.texts, totals_of(of, own["flow"]), strict=True))
-        prices = dict.fromkeys(of.texts[1:], Fraction(0))
-        for limit, price in zip(limits, own["price"][1:], strict=True):
-            prices[limit.name] += price
+        if self.kind == DETERMINISTIC:
+            held, highest = own["found"], own["bound"]
+            feasible = True if held else False if highest is None else None
+            point = held.total if held else None
+            more = {
+                "bound": None if highest is None else of.sign * highest,
+            }
+        else:
+            feasible = own["price"][0] == 1
+            point = totals_of(of, own["flow"])
+            prices = dict.fromkeys(of.texts[1:], Fraction(0))
+            for limit, price in zip(limits, own["price"][1:], strict=True):
+                prices[limit.name] += price
+            closest = [moved_by(own["shift"], limit) for limit in limits]
+            more = {"prices": prices, "closest": closest}
+        total = point and dict(zip(of.texts, [of.sign * t for t in point], strict=True))
         return {
             "limits": limits,
             "feasible": feasible,
-            "exact_start_value": of.sign * total[of.texts[0]] if feasible else None,
-            "totals": {limit.name: of.sign * total[limit.name] for limit in limits},
-            "prices": prices,
-            "closest": [moved_by(own["shift"], limit) for limit in limits],
+            "exact_start_value": total[of.texts[0]] if total and feasible else None,
+            "totals": {limit.name: total[limit.name] for limit in limits} if total else {},
+            **more,
         }
 
     def save(self, path: str | Path) -> None:
@@ -174,6 +194,9 @@ def _pairs(kind: str, content: Mapping[str, Any]) -> list[int]:
     """Return the pairs that are looked up."""
     if kind == FRONT:
         return [pair for vertex in content["vertices"] for pair in vertex.pairs.tolist()]
+    if kind == DETERMINISTIC:
+        own = [] if content["found"] is None else content["found"].pairs.tolist()
+        return own + [pair for part in content["parts"] for pair in part.taken]
     return list(content["flow"]) if kind == LIMITS else []
 
 
@@ -197,16 +220,20 @@ def _proof(proof: Proof) -> Written:
     }
 
 
+def _vertices(vertices: Sequence[Attained]) -> list[Written]:
+    return [
+        {
+            "pairs": vertex.pairs.tolist(),
+            "values": [_vector(v) for v in vertex.values],
+            "totals": _ratios(vertex.total),
+        }
+        for vertex in vertices
+    ]
+
+
 def _front(proof: Proof, vertices: Sequence[Attained], duals: Mapping[Point, Values]) -> Written:
     return _proof(proof) | {
-        "vertices": [
-            {
-                "pairs": vertex.pairs.tolist(),
-                "values": [_vector(v) for v in vertex.values],
-                "totals": _ratios(vertex.total),
-            }
-            for vertex in vertices
-        ],
+        "vertices": _vertices(vertices),
         "bounds": [{"weights": _ratios(w), "values": _vector(v)} for w, v in duals.items()],
     }
 
@@ -230,15 +257,41 @@ def _limits(
     shift: Fraction,
 ) -> Written:
     return _proof(proof) | {
-        "limits": [
-            {"name": each.name, "sign": each.sign, "bound": hexed_ratio(each.bound)}
-            for each in limits
-        ],
+        "limits": _bounds(limits),
         "shift": hexed_ratio(shift),
         "price": _ratios(price),
         "pairs": list(flow),
         "flow": _ratios(list(flow.values())),
         "dual": _vector(dual),
+    }
+
+
+def _bounds(limits: Sequence[Limit]) -> list[Written]:
+    return [
+        {"name": each.name, "sign": each.sign, "bound": hexed_ratio(each.bound)} for each in limits
+    ]
+
+
+def _deterministic(
+    proof: Proof,
+    limits: Sequence[Limit],
+    found: Attained | None,
+    parts: Sequence[Part],
+    bound: Fraction | None,
+) -> Written:
+    return _proof(proof) | {
+        "limits": _bounds(limits),
+        "vertices": _vertices([] if found is None else [found]),
+        "highest": None if bound is None else hexed_ratio(bound),
+        "parts": [
+            {
+                "pairs": list(part.taken),
+                "price": _ratios(part.price),
+                "dual": _vector(part.dual),
+                "bound": None if part.bound is None else hexed_ratio(part.bound),
+            }
+            for part in parts
+        ],
     }
 
 
@@ -257,7 +310,7 @@ def _values(states: int) -> Callable[[Any], Values]:
     return values
 
 
-def _read_front(file: ProofFile, states: int) -> dict[str, Any]:
+def _vertex(file: ProofFile, states: int) -> Callable[[Any], Attained]:
     of = len(file.get("objectives", list_of(typed(str))))
 
     def vertex(parts: dict[str, Any]) -> Attained:
@@ -267,12 +320,22 @@ def _read_front(file: ProofFile, states: int) -> dict[str, Any]:
             total=tuple(list_of(ratio, of)(parts["totals"])),
         )
 
+    return vertex
+
+
+def _empty_or(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda value: [] if value == [] else list_of(read)(value)
+
+
+def _read_front(file: ProofFile, states: int) -> dict[str, Any]:
+    of = len(file.get("objectives", list_of(typed(str))))
+
     def bound(parts: dict[str, Any]) -> tuple[Point, Values]:
         return tuple(list_of(ratio, of)(parts["weights"])), _values(states)(parts["values"])
 
     return {
         "proof": _read_proof(file, states),
-        "vertices": file.get("vertices", list_of(vertex)),
+        "vertices": file.get("vertices", list_of(_vertex(file, states))),
         "duals": dict(file.get("bounds", list_of(bound))),
     }
 
@@ -282,20 +345,17 @@ def _read_chain(file: ProofFile, states: int) -> dict[str, Any]:
         low, high = list_of(ratio, 2)(ends)
         return low, high
 
-    def none_or(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        return lambda value: [] if value == [] else list_of(read)(value)
-
     chain = Chain(
         first=file.get("first", array_of(states)),
-        switches=tuple(file.get("switches", none_or(typed(int)))),
-        brackets=tuple(file.get("brackets", none_or(bracket))),
+        switches=tuple(file.get("switches", _empty_or(typed(int)))),
+        brackets=tuple(file.get("brackets", _empty_or(bracket))),
         totals=tuple(tuple(each) for each in file.get("totals", list_of(list_of(bracket, 2)))),
         weight=tuple(file.get("weight", list_of(integer, states))),
     )
     return {"chain": chain}
 
 
-def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
+def _limit_list(file: ProofFile) -> list[Limit]:
     def limit(parts: dict[str, Any]) -> Limit:
         sign = typed(int)(parts["sign"])
         return Limit(
@@ -304,7 +364,34 @@ def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
             bound=ratio(parts["bound"]),
         )
 
-    limits = file.get("limits", list_of(limit))
+    return list(file.get("limits", list_of(limit)))
+
+
+def _read_deterministic(file: ProofFile, states: int) -> dict[str, Any]:
+    limits = _limit_list(file)
+
+    def part(parts: dict[str, Any]) -> Part:
+        return Part(
+            taken=tuple(_empty_or(typed(int))(parts["pairs"])),
+            price=tuple(list_of(ratio, 1 + len(limits))(parts["price"])),
+            dual=_values(states)(parts["dual"]),
+            bound=or_none(ratio)(parts["bound"]),
+        )
+
+    policies = file.get("vertices", _empty_or(_vertex(file, states)))
+    if len(policies) > 1:
+        raise file.error("vertices")
+    return {
+        "proof": _read_proof(file, states),
+        "limits": limits,
+        "found": policies[0] if policies else None,
+        "parts": file.get("parts", list_of(part)),
+        "bound": file.get("highest", or_none(ratio)),
+    }
+
+
+def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
+    limits = _limit_list(file)
     pairs = file.get("pairs", list_of(typed(int)))
     return {
         "proof": _read_proof(file, states),
@@ -316,10 +403,14 @@ def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
     }
 
 
-WRITTEN: dict[str, Callable[..., Written]] = {FRONT: _front, CHAIN: _chain, LIMITS: _limits}
+WRITTEN: dict[str, Callable[..., Written]] = {
+    FRONT: _front, CHAIN: _chain, LIMITS: _limits, DETERMINISTIC: _deterministic,
+}  # fmt: skip
 READ: dict[str, Callable[[ProofFile, int], dict[str, Any]]] = {
     FRONT: _read_front, CHAIN: _read_chain, LIMITS: _read_limits,
+    DETERMINISTIC: _read_deterministic,
 }  # fmt: skip
 CHECKS: dict[str, Callable[..., list[str]]] = {
     FRONT: front_violations, CHAIN: chain_violations, LIMITS: constrained_violations,
+    DETERMINISTIC: parts_violations,
 }  # fmt: skip

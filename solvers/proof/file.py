@@ -4,10 +4,10 @@ All kinds have the keys
 
     format        "exact-mdp certificate"
     version       1
-    kind          "exact", "bounded" or "average"; "front", "chain" or "limits"
+    kind          "exact", "bounded" or "average"; "front", "chain", "limits" or "deterministic"
     model         SHA-256 of the model, see `mdp.exact`
 
-and, but for the last three kinds (`solvers.objectives.file`),
+and, but for the last four kinds (`solvers.objectives.file`),
 
     states        S
     policy        [S action numbers]

@@ -140,7 +140,7 @@ def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     held.save(path := tmp_path / "held.json")
     proof = ObjectivesProof.load(path, "limits")
     assert proof.violations(mdp) == []
-    assert proof.found(mdp)["limits"] == ["calm=2*calm >= 5"]
+    assert [str(limit) for limit in proof.found(mdp)["limits"]] == ["calm=2*calm >= 5"]
     twice = replace(proof, objectives=("return=2*reward", *proof.objectives[1:]))
     dual = proof.content["dual"]
     content = {**proof.content, "dual": Values([2 * v for v in dual.top], dual.below)}
