@@ -124,14 +124,15 @@ def strong_components(graph: sp.csr_array) -> Integers:
 
 def closure(graph: sp.csr_array, first: Mask) -> Mask:
     """Return (K,) True for nodes that can be reached from `first` (K,) along a graph's rows."""
-    seen, found = first.copy(), np.flatnonzero(first).tolist()
+    seen, begin = first.copy(), np.flatnonzero(first)
     if _large(graph):
         # One more node leads to all the first ones, so that a single search serves.
-        indices, size = np.concatenate([graph.indices, found]), len(first) + 1
+        indices, size = np.concatenate([graph.indices, begin]), len(first) + 1
         offsets = np.append(graph.indptr, len(indices))
         more = sp.csr_array((np.ones(len(indices)), indices, offsets), (size, size))
         found = csgraph.breadth_first_order(more, size - 1, return_predecessors=False)[1:]
     else:
+        found = begin.tolist()
         offsets, after, known = graph.indptr.tolist(), graph.indices.tolist(), first.tolist()
         for node in found:
             for other in after[offsets[node] : offsets[node + 1]]:

@@ -118,6 +118,8 @@ def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
     if pairs is None or len(pairs) == model.n_pairs:
         if model not in _ROWS:
             _ROWS[model] = _bellman_rows(model, None)
+            for array in vars(_ROWS[model]).values():
+                array.setflags(write=False)  # all callers have the same
         return _ROWS[model]
     return _bellman_rows(model, pairs)
 

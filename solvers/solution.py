@@ -75,7 +75,7 @@ class PrecisionWarning(UserWarning):
 def warn_of_precision(message: str) -> None:
     """Issue a PrecisionWarning at the line that called this package."""
     frame, level = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals["__name__"].partition(".")[0] in OWN:
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN:
         frame, level = frame.f_back, level + 1
     warnings.warn(message, PrecisionWarning, stacklevel=level)
 

@@ -230,14 +230,17 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
     )
     sizes = []
     for space, least in zip(("observation_space", "action_space"), most, strict=True):
-        size = getattr(getattr(env, space, None), "n", least)
+        said = getattr(env, space, None)
+        if getattr(said, "shape", ()) != ():  # of vectors, which P numbers as it likes
+            said = None
+        size = getattr(said, "n", least)
         if size < least:
             raise ModelError(
                 f"P goes up to number {least - 1}, and {space} has {size}, from 0 on",
                 where=where,
                 fix="make P and the spaces agree",
             )
-        if first := int(getattr(getattr(env, space, None), "start", 0)):
+        if first := int(getattr(said, "start", 0)):
             raise ModelError(
                 f"{space} counts from {first}, and P from 0, so that a number may be two",
                 where=where,

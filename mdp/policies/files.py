@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
@@ -30,6 +31,7 @@ from exact_mdp.mdp.policies.arrays import (
 from exact_mdp.mdp.space import TIME, WHOLE, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
+PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # as printed; "time out" may be a name
 Rows = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
@@ -151,7 +153,7 @@ def from_list(model: MDP, names: Sequence[str], kind: str) -> list[Form]:
 
 def from_states(model: MDP, entries: Mapping[Any, Any], kind: str) -> list[Form]:
     """Return what is said of states: by number, name, column values, or the object itself."""
-    timed = any(str(key).startswith(f"{TIME} ") for key in entries)
+    timed = any(PRINTED_TIME.match(str(key)) for key in entries)
     space = model.space if timed else model.space.untimed or model.space
     default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
     forms: list[Form] = []
@@ -253,7 +255,7 @@ def _key(space: StateSpace, state: int, choice: Any) -> Any:
 def _two_meanings(row: Any) -> ModelError:
     return ModelError(
         f"{row} may be the action of that name, or a row of numbers for all actions, which differ",
-        fix="give the action by its name, as text, or or rows as one array, with their kind",
+        fix="give the action by its name, as text, or rows as one array with kind=",
     )
 
 

@@ -294,8 +294,12 @@ class Policy(NDArrayOperatorsMixin):
             return rows.assign(action=[self.actions[a] if a >= 0 else None for a in chosen])
         mixed: Any = self.table[:first]
         if self.shares is not None:
-            mixed = [[Fraction(int(share), int(sum(row))) for share in row] for row in self.shares]
-        table = pandas.DataFrame(mixed[:first], columns=list(self.actions))
+            mixed = [
+                [Fraction(int(share), total) for share in row] if total else [np.nan] * len(row)
+                for row in self.shares[:first]
+                for total in [int(sum(row))]
+            ]
+        table = pandas.DataFrame(mixed, columns=list(self.actions))
         return pandas.concat([rows, table], axis=1)
 
     def _repr_html_(self) -> str:

@@ -209,7 +209,7 @@ class LinearSystem:
         return elimination.sparse(chain, rate) if chain.shape[0] <= DIRECT_STATES else None
 
     def _iteration(self, constant: Floats, rtol: float) -> Floats:
-        """BiCGSTAB, and for good something slower once that fails to converge."""
+        """Factors in little room, else sweeps, else BiCGSTAB; what is slower once that fails."""
         size = float(np.abs(constant).max(initial=0.0))
         if size == 0.0 or not np.isfinite(size):
             return np.full(len(constant), 0.0 if size == 0.0 else np.nan)

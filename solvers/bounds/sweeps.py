@@ -14,8 +14,8 @@ V* ≤ h + high w in which every rounding error is counted.
 
 Models of fewer than `COMPILED` transitions are swept in NumPy, as loading compiled code takes
 longer than solving them; once it is loaded, compiled loops find the same, bit for bit. Larger ones
-are swept in compiled loops, on two threads, which leave out pairs that
-are proven to be beaten. With
+are swept in compiled loops, on two threads, which leave out pairs that are proven to be beaten.
+With
 
     q(l) = r(l) + γ Σ_s' P(l, s') h(s'),   q(l) now ≤ q(l) then + γ ρ,
 

@@ -141,6 +141,8 @@ def test_integer_rows_are_the_model(rows: Rows) -> None:
     for floats in (False, True):
         mdp = rows.model(floats=floats)
         found = bellman_rows(mdp)
+        assert found is bellman_rows(mdp)
+        assert not any(array.flags.writeable for array in vars(found).values())
         for pair in range(mdp.n_pairs):
             scale = int(found.scale[mdp.pair_state[pair]])
             earned, share = F(0), {}

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp import Policy, Scenario
+from exact_mdp import MDP, Policy, Scenario
 
 
 def test_a_model_and_a_policy_are_tables_in_a_notebook() -> None:
@@ -29,3 +29,15 @@ def test_a_model_and_a_policy_are_tables_in_a_notebook() -> None:
     always = Policy.of(mdp, np.zeros(mdp.n_states, dtype=int))
     assert set(always.frame()["action"]) == {mdp.actions[0]}
     assert "<table" in always._repr_html_()
+
+
+def test_a_row_that_says_nothing_has_no_shares() -> None:
+    mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[1, 3], [0, 0]])
+    rule = np.array([[0.25, 0.75], [np.nan, np.nan]])
+    partial = Policy(
+        space=mdp.space, actions=mdp.actions, rule=rule, shares=np.array([[1, 3], [0, 0]])
+    )
+    table = partial.frame()
+    assert table.loc[0, ["0", "1"]].tolist() == [Fraction(1, 4), Fraction(3, 4)]
+    assert table.loc[1, ["0", "1"]].isna().all()
+    assert "3/4" in partial._repr_html_()

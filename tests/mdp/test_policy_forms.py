@@ -74,6 +74,15 @@ def test_every_form_of_a_policy_over_states(numbers: list[int]) -> None:
         assert Policy.of(within, form).weights(within).tolist() == unrolled.tolist()
 
 
+def test_a_name_may_begin_as_the_printed_time_does() -> None:
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 0, 1)])]
+    mdp = MDP.from_outcomes(rows, states=["time out", "time in"], actions=["x", "y"]).within(2)
+    wanted = Policy.of(mdp, [0, 1]).weights(mdp).tolist()
+    printed = {mdp.space.label(s): "xy"[s % 2] for s in range(4)}
+    for policy in ({"time out": "x", "time in": "y"}, printed):
+        assert Policy.of(mdp, policy).weights(mdp).tolist() == wanted
+
+
 def test_a_function_is_given_the_objects_that_states_are() -> None:
     found = check(HALL, lambda state: "stay" if state == (1, "in") else "go")
     assert [HALL.space.label(each.state) for each in found.disagreements] == ["state (1, 'in')"]

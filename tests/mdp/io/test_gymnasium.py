@@ -492,3 +492,16 @@ def test_a_space_that_does_not_count_from_0_is_refused() -> None:
 
     with pytest.raises(ModelError, match="action_space counts from 1, and P from 0"):
         MDP.from_gymnasium(Counting())
+
+
+@pytest.mark.parametrize(
+    "space",
+    [gymnasium.spaces.MultiDiscrete([2, 2], start=[1, 1]), gymnasium.spaces.MultiBinary(3)],
+    ids=repr,
+)
+def test_a_space_of_vectors_says_nothing_about_the_numbers_of_the_table(
+    space: gymnasium.Space[Any],
+) -> None:
+    env = Env({s: {0: [(1, 1 - s, 1, False)]} for s in (0, 1)}, 0)
+    env.observation_space = space
+    assert MDP.from_gymnasium(env, discount="1/2").n_states == 2

@@ -400,6 +400,8 @@ def test_a_warning_names_the_line_that_asked() -> None:
         with pytest.warns(PrecisionWarning) as told:
             solve(model)
         assert {each.filename for each in told} == {__file__}
+    with pytest.warns(PrecisionWarning):
+        exec("solve(mdp)", {"solve": solve, "mdp": mdp})  # where nothing has a name
     with pytest.raises(ModelError, match="need every policy to end") as caught:
         certify(waiting, bounded=True)
     assert "leave out bounded=True" in caught.value.fix
