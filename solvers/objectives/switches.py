@@ -99,6 +99,13 @@ def _at_once(low: Bracket, high: Bracket) -> bool:
 
 def chain_violations(of: Objectives, chain: Chain) -> list[str]:
     """Return what does not hold of a chain, in words: nothing where it is sound."""
+    try:
+        return _violations(of, chain)
+    except (OverflowError, RuntimeError):  # beyond the floats, or singular in them
+        return ["floats, which propose the totals of its policies, do not hold the model"]
+
+
+def _violations(of: Objectives, chain: Chain) -> list[str]:
     mdp, count = of.mdp, len(chain.switches)
     weight = np.array(chain.weight, dtype=object)
     if not all(0 <= pair < mdp.n_pairs for pair in (*chain.first.tolist(), *chain.switches)):

@@ -268,11 +268,9 @@ class _Solver:
         rows = self.sides.rows
         choosing = states[np.diff(rows.pair_offsets)[states] > 1]
         pays = len(choosing) >= MANY and worth_compiling(len(rows.next))
-        if not (self._guessing and pays):
+        if not (self._guessing and pays) or self._floats is None:
             return None
         about, (matrix, constant, pivot) = self._about, self._floats
-        if not np.isfinite(pivot).all():
-            return None
         inside = np.zeros(len(about), dtype=bool)
         inside[states] = True
         begin, end = rows.pair_offsets[states], rows.pair_offsets[states + 1]
@@ -292,14 +290,16 @@ class _Solver:
         return np.where(self.sides.rows.terminal, 0.0, np.nan)
 
     @cached_property
-    def _floats(self) -> tuple[Any, Floats, Floats]:
-        """Transitions, constants and pivots."""
+    def _floats(self) -> tuple[Any, Floats, Floats] | None:
+        """Transitions, constants and pivots; None where an integer is beyond the floats."""
         rows = self.sides.rows
-        with np.errstate(over="ignore"):
+        try:
             weight, constant, pivot = (
                 np.asarray(each).astype(np.float64)
                 for each in (rows.weight, rows.constant, self.sides.pivots)
             )
+        except OverflowError:
+            return None
         return compiling.Rows(rows.offsets, rows.next, weight), constant, pivot
 
     def _losses(self, choice: _Choice, number: Any, times: int) -> tuple[list[Any], int]:

@@ -191,6 +191,8 @@ def test_the_checker_notices_a_forged_chain() -> None:
     ):  # fmt: skip
         assert chain_violations(of, broken)
         assert replace(front, chain=broken).violations()
+    far = Objectives.of(on_a_cycle(12, discount=f"1/{2**1200}"), ["a", "b"])
+    assert "floats" in chain_violations(far, chain)[0]  # none hold that
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -420,9 +420,16 @@ def test_losses_by_digits_are_those_of_fractions(
     assert found.nothing.tolist() == [x == 0 for x in wanted]
 
 
-def test_what_floats_cannot_tell_apart_is_chosen_exactly() -> None:
-    """Forty states in a row, each with two actions that differ by less than any rounding."""
-    size, more = 40, F(1, 2**90)
+@pytest.mark.parametrize("bits", [90, 1100])
+def test_what_floats_cannot_tell_apart_is_chosen_exactly(
+    bits: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Forty states in a row, each with two actions that differ by less than any rounding.
+
+    Of integers beyond the range of floats none is asked to choose.
+    """
+    monkeypatch.setattr(exact, "worth_compiling", lambda steps: True)
+    size, more = 40, F(1, 2**bits)
     rows: list[Any] = [
         (s, a, [(1, s + 1, 1 + more * a if s % 2 else 1 + more * (1 - a))])
         for s in range(size)

@@ -256,6 +256,12 @@ def test_the_policy_for_the_worst_episodes_is_written(tmp_path: Path) -> None:
     assert "by state and reward so far" in text
 
 
+def test_rules_are_of_states_that_leave_a_choice() -> None:
+    """A state where all has ended may have several actions."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 1, 0)])]
+    assert best_cvar(MDP.from_outcomes(rows), "1/2").rules() == [(0, 0, 0, "0")]
+
+
 BOLD: Distribution = ((F(-3), F(1, 2)), (F(3), F(1, 2)))
 SAFE: Distribution = ((F(0), F(1)),)
 
