@@ -9,10 +9,11 @@ Theocharous and Ghavamzadeh (High confidence policy improvement, ICML 2015): of 
     Φ(z + (z + u) / (1 - a (z + u))),    u = Φ⁻¹((1 ± confidence) / 2),
 
 z is Φ⁻¹ of the share of draws below the estimate, and a the skewness of the estimates that leave
-out one episode, by 6. It is right in the limit of many episodes alone, and too narrow where few of
-them carry most of the weight: of weights that double or vanish in each step, with an effective
-sample size of 25, 120 and 300, three to five in six intervals of 95 % held the value. So a check
-never rests on it.
+out one episode, by 6. Where 1 - a (z + u) is not positive, as near a confidence of 1, the least or
+the greatest draw is the end. The interval is right in the limit of many episodes alone, and too
+narrow where few of them carry most of the weight: of weights that double or vanish in each step,
+with an effective sample size of 25, 120 and 300, three to five in six intervals of 95 % held the
+value. So a check never rests on it.
 
 Draws come in blocks with a stream of random numbers each: the same seed gives the same bytes
 wherever the work is done.
@@ -61,7 +62,10 @@ class Episodes:
         z = special.ndtri(np.clip(below, 0.5 / n, 1 - 0.5 / n))
         u = special.ndtri((1 + confidence) / 2)
         a = self._acceleration(total, total * estimate)
-        shares = [special.ndtr(z + (z + v) / (1 - a * (z + v))) for v in (-u, u)]
+        shares = [
+            special.ndtr(z + (z + v) / below) if (below := 1 - a * (z + v)) > 0 else v > 0
+            for v in (-u, u)
+        ]
         return float(np.quantile(low, shares[0])), float(np.quantile(high, shares[1]))
 
     def draws(self, n: int, seed: int, **how: Unpack[How]) -> Floats:

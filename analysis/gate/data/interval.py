@@ -114,9 +114,11 @@ def confidence_of(given: object) -> Fraction:
         raise ModelError(
             error.what, where="confidence", fix="give a share, such as 0.95"
         ) from error
-    if not 0 < found < 1:
+    if not 0 < found < 1 or float(found) in (0.0, 1.0):
         raise ModelError(
-            f"a confidence of {given}", where="confidence", fix="give more than 0 and less than 1"
+            f"a confidence of {given}",
+            where="confidence",
+            fix="give more than 0 and less than 1, as a float too",
         )
     return found
 

@@ -19,11 +19,11 @@ the greatest is one, and they are refused: 72 are enough at a confidence of 0.95
 at 0.999. It has no lower end above 0, because none would be honest: the regret is a maximum, so
 that the noise of every draw adds to it. Where the policy is optimal, as where actions tie, the true
 regret is 0, but some other action looks better in nearly every draw, the more states there are, and
-an interval of equal tails misses the 0
-in nearly every data set. To the upper end the same bias only adds. So a posterior lets a policy
-pass, or leaves it open with the probability that it is within the limit (`within`); it proves no
-loss. That the upper end holds in the stated share of data sets nobody guarantees either: for that
-take `robust`. The equal tails are in `found`, as what the draws show.
+an interval of equal tails misses the 0 in nearly every data set. To the upper end the same bias
+only adds. So a posterior lets a policy pass, or leaves it open with the probability that it is
+within the limit (`within`); it proves no loss. That the upper end holds in the stated share of data
+sets nobody guarantees either: for that take `robust`. The equal tails are in `found`, as what the
+draws show.
 
 Draws are dense: (L, S) numbers each, which fits into memory up to about 10^8 of them.
 """
@@ -340,6 +340,12 @@ class _Model:
                 break
             number = np.where(worth == best[:, state], np.arange(worth.shape[1]), worth.shape[1])
             chosen = np.where(better, np.minimum.reduceat(number, first, axis=1), chosen)
+        else:
+            raise ModelError(
+                f"a model drawn from the posterior needs more than {IMPROVEMENTS} policies to be solved",
+                where="posterior",
+                fix="ask for a robust interval, or group the states",
+            )
         share = self.own[None, :, None]
         mixed = np.add.reduceat(rows * share, first, axis=1)
         own = self.value(mixed, np.add.reduceat(reward * self.own, first, axis=1))

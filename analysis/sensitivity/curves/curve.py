@@ -6,11 +6,12 @@ Between two thresholds one policy π stays optimal, and its value is a ratio of 
 
 in lowest terms (`.gap_polynomials`). A threshold is known up to 1e-12. Within such a bracket V* is
 the greater of the values on both sides, which are those of policies, optimal up to the threshold
-and from it on. The value of a policy held fixed is such a ratio, too, between
-the points at which the rows pass from one polynomial to another.
+and from it on. The value of a policy held fixed is such a ratio, too, between the points at which
+the rows pass from one polynomial to another.
 
 At discount 1, where some policy never ends, pieces are those of `.endless_stretches`: between their
-brackets, the value is such a ratio or infinite; in a bracket it is worked out at each value.
+brackets, both values are such ratios, or the optimum is infinite; in a bracket they are worked out
+at each value.
 """
 
 from __future__ import annotations

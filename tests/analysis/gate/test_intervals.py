@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import nullcontext
 from fractions import Fraction as F
+from itertools import pairwise
 from math import lgamma, log
 from pathlib import Path
 from typing import Any
@@ -735,6 +736,14 @@ def test_a_draw_is_a_model_that_is_solved() -> None:
         )
 
 
+def test_a_draw_that_is_not_solved_gives_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The optimum of the estimated model is not that of all draws."""
+    mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
+    monkeypatch.setattr("exact_mdp.analysis.gate.data.posterior.IMPROVEMENTS", 1)
+    with pytest.raises(ModelError, match="needs more than 1 policies"):
+        Posterior(n=100).interval(mdp, chain, LEVEL)
+
+
 def test_drawn_rows_are_dirichlet() -> None:
     mdp, chain = estimated(recorded(np.random.default_rng(2), 60))
     model = _Model.of(mdp, chain.weights, 2.0)
@@ -812,6 +821,18 @@ def test_the_bootstrap_holds_the_value_where_weights_are_even() -> None:
         low, high = drawn.interval(0.95, (0.0, 1.0), 200, seed)
         found += low <= 0.3 <= high
     assert float(wilson(found, 100)[1]) >= float(LEVEL)
+
+
+def test_the_bootstrap_widens_with_the_confidence() -> None:
+    """Also where the correction for skewness has a pole: one return of many is not 0."""
+    for sign in (1, -1):
+        returns = sign * np.eye(1, 400)[0]
+        drawn = Episodes(weight=np.ones(400), returns=returns)
+        found = [
+            drawn.interval(level, (-1.0, 1.0), 500, 0)
+            for level in (0.5, 0.95, 0.9999, 1 - 1e-8, 1 - 1e-9, 1 - 1e-12)
+        ]
+        assert all(b[0] <= a[0] <= a[1] <= b[1] for a, b in pairwise(found))
 
 
 @pytest.mark.parametrize(("level", "least"), [("1/2", 6), (0.95, 72), (0.99, 368), (0.999, 3688)])
@@ -1088,6 +1109,8 @@ def test_a_policy_that_is_best_beyond_doubt_passes_without_a_limit() -> None:
         ({"by": "posterior"}, "no confidence"),
         ({"confidence": 95}, "a confidence of 95"),
         ({"confidence": "high"}, "high"),
+        ({"confidence": f"0.{'9' * 20}", "by": "posterior"}, "a confidence of 0.9999"),
+        ({"confidence": F(1, 10**400), "by": "posterior"}, "a confidence of 1/1000"),
         ({"confidence": 0.95, "by": "bootstrap"}, "unknown kind"),
         ({"confidence": 0.95, "by": "off-policy"}, "no trajectories"),
         ({"confidence": 0.95, "max_relative_regret": 1}, "total regret alone"),
