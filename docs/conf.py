@@ -42,6 +42,7 @@ suppress_warnings = ["ref.python"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 smartquotes = False  # --option keeps its two hyphens
+highlight_language = "text"  # a block without a language is a command line or a formula
 
 # ---- tutorials: the notebooks, executed unless NOTEBOOKS=off -----------------------------------
 
@@ -68,6 +69,9 @@ napoleon_use_rtype = False
 
 html_theme = "pydata_sphinx_theme"
 html_title = project
+html_static_path = ["look"]
+html_css_files = ["pages.css"]
+html_sidebars: dict[str, list[str]] = {"index": [], "gallery/index": []}  # nothing is below them
 html_show_sourcelink = False
 html_copy_source = False
 html_show_search_summary = False  # a summary is fetched, which a page opened from a file may not do

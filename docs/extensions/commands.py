@@ -45,7 +45,7 @@ def described(command: click.Command, program: str) -> list[nodes.Node]:
     options = [
         record
         for option in command.get_params(context)
-        if option.name != "help" and (record := option.get_help_record(context)) and record[1]
+        if "--help" not in option.opts and (record := option.get_help_record(context)) and record[1]
     ]
     found: list[nodes.Node] = [nodes.literal_block(usage, usage, language="text")]
     found += blocks(cleandoc(command.help or "").replace("\b\n", ""))
