@@ -66,14 +66,14 @@ def test_python_of_a_page_runs(page: Path, empty: Path) -> None:
     """The blocks of a page run in their order, as a reader types them."""
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
-        exec(compile(block, str(page), "exec"), names)
+        exec(compile(block, str(page), "exec", dont_inherit=True), names)
 
 
 def test_the_certificate_shown_is_the_one_made(empty: Path) -> None:
     """What the page checks by hand: the file, to the letter, and that its claims hold."""
     page, names = DOCS / "reference" / "certificates.md", {}
     (block,), (shown,) = blocks(page, "python"), blocks(page, "json")
-    exec(compile(block, str(page), "exec"), names)
+    exec(compile(block, str(page), "exec", dont_inherit=True), names)
     model = names["model"]
     assert isinstance(model, MDP)
     assert (empty / "proof.json").read_text("utf-8") == shown
