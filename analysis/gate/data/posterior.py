@@ -342,7 +342,7 @@ class _Model:
             chosen = np.where(better, np.minimum.reduceat(number, first, axis=1), chosen)
         else:
             raise ModelError(
-                f"a model drawn from the posterior needs more than {IMPROVEMENTS} policies to be solved",
+                f"a model that was drawn needs more than {IMPROVEMENTS} policies to be solved",
                 where="posterior",
                 fix="ask for a robust interval, or group the states",
             )
