@@ -114,17 +114,19 @@ def work(folder: Path, entries: Iterable[Entry]) -> Iterator[Entry]:
 
 
 def load_libraries() -> None:
-    """Answer a small model with cycles, long and short, both ways, with compiled loops."""
+    """Answer a small model, of a cycle and of states in order, both ways, with compiled loops."""
     for name in ("numba", "scipy.sparse.csgraph"):
         load(name)
-    size, half = 60, Fraction(1, 2)
+    size, part = 60, Fraction(1, 4)
     rows: list[Any] = [
-        (s, a, [(half, (s + a + 1) % size, 1 + s % 3), (half, size, 0)])
+        (s, a, [(part, (k * s + a + k) % size, 1 + s % 3) for k in (1, 7, 13)] + [(part, size, 0)])
         for s in range(size)
         for a in (0, 1)
     ]
     rows += [(size, 0, [(1, size, 0)]), (size + 1, 0, [(1, size + 1, 0)])]
     rows.append((size + 1, 1, [(1, size, 1)]))
+    rows += [(s, a, [(1, s - 1 - a, a)]) for s in range(size + 3, 2 * size) for a in (0, 1)]
+    rows.append((size + 2, 0, [(1, 0, 0)]))
     model = MDP.from_outcomes(rows)
     if certify(model).violations() or not solve(model).start.interval:
         raise RuntimeError("the small model is not solved")
