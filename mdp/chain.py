@@ -89,7 +89,9 @@ def strong_components(graph: sp.csr_array) -> Integers:
     graphs take 0.2 s to load: those are for large ones.
     """
     if _large(graph):
-        found = csgraph.connected_components(graph, directed=True, connection="strong")[1]
+        _, found = csgraph.connected_components(graph, directed=True, connection="strong")
+        if (np.repeat(found, np.diff(graph.indptr)) < found[graph.indices]).any():
+            raise RuntimeError("strongly connected components are not numbered from the last one")
         return np.asarray(found, dtype=np.int64)
     first, left, after = graph.indptr.tolist(), graph.indptr[1:].tolist(), graph.indices.tolist()
     nodes, entered, parts = graph.shape[0], 0, 0
@@ -269,7 +271,8 @@ class Backward:
         while 0 < len(frontier) < len(rank):
             narrow = reached % FIRST == FIRST - 1 and joined < FIRST * NARROW
             if narrow or worth_compiling(0):
-                queue = np.resize(frontier, len(rank))
+                queue = np.empty_like(rank)
+                queue[: len(frontier)] = frontier
                 parts = (left, waiting, rank, queue)
                 if worth_compiling(len(self.into)):
                     _compiled()(self.before, self.into, self.owner, *parts, len(frontier))
@@ -361,10 +364,10 @@ def require_termination(mdp: MDP) -> None:
 def _successors(mdp: MDP, pairs: ArrayLike | None = None) -> tuple[Numbers, Numbers]:
     """Return each state's successors as offsets (S+1,) and states, pair after pair."""
     matrix = mdp.transition
-    if pairs is None:
-        return matrix.indptr[mdp.pair_offsets], matrix.indices
-    chosen: Numbers = np.asarray(pairs)
+    chosen: Numbers = np.ones(mdp.n_pairs, dtype=bool) if pairs is None else np.asarray(pairs)
     mask = chosen.dtype == bool
+    if mask and chosen.all():
+        return matrix.indptr[mdp.pair_offsets], matrix.indices
     chosen = np.flatnonzero(chosen) if mask else np.unique(chosen.astype(np.int64))
     counts = np.bincount(mdp.pair_state[chosen], minlength=mdp.n_states)
     part = matrix[chosen]

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.exact import bellman_rows, fingerprint, per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
@@ -34,6 +33,7 @@ from exact_mdp.solvers.endless.structure import (
     structure,
 )
 from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.proof.checker import one_optimum
 from exact_mdp.solvers.proof.endless import EndlessClaims, optimal_infinite
 from exact_mdp.solvers.proof.equations import judged
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
@@ -224,8 +224,6 @@ def _certificate(
             gap[state], gap_scale[state] = loss, over
     infinite = (found.sign != 0)[mdp.pair_state]
     optimal[infinite] = optimal_infinite(proof, rows)[infinite]
-    reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
-    count = np.add.reduceat(optimal.astype(np.int64), mdp.pair_offsets[:-1])
     return Certificate(
         model=fingerprint(mdp),
         numerator=numerator,
@@ -235,7 +233,7 @@ def _certificate(
         optimal_pairs=optimal,
         gap=gap,
         gap_scale=gap_scale,
-        unique=bool((count[reached] == 1).all()),
+        unique=one_optimum(mdp, optimal),
         start_value=_start_value(mdp, numerator, group, denominator, found.sign),
         endless=proof,
         mdp=mdp,

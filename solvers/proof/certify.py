@@ -16,7 +16,7 @@ from typing import Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import endless, reachable, where_endless
+from exact_mdp.mdp.chain import endless, where_endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
@@ -26,6 +26,7 @@ from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.endless.proven import certify_total
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.proof.checker import one_optimum
 from exact_mdp.solvers.proof.exact import solve_exactly
 from exact_mdp.solvers.proof.margins import UNIT, alike, gains
 from exact_mdp.solvers.proof.rationals import on_average
@@ -140,8 +141,6 @@ def certify(
     found = solve_exactly(bellman_rows(mdp, distinct))
     optimal[distinct], first = found.optimal, mdp.pair_offsets[:-1]
     optimal[pairs] = optimal[same]
-    reached = reachable(mdp, pairs=optimal) & ~mdp.terminal
-    count = np.add.reduceat(optimal.astype(np.int64), first)
     numbers = np.where(optimal, np.arange(mdp.n_pairs), mdp.n_pairs)
     return Certificate(
         model=fingerprint(mdp),
@@ -152,7 +151,7 @@ def certify(
         optimal_pairs=optimal,
         gap=found.gap,
         gap_scale=found.gap_scale,
-        unique=bool((count[reached] == 1).all()),
+        unique=one_optimum(mdp, optimal),
         start_value=on_average(mdp.start, found.numerator, found.group, found.denominator),
         rank=rank,
         weight=weight,

@@ -138,9 +138,7 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
         wrong += equation_violations(
             bellman_rows(mdp, kept), replace(found, optimal_pairs=found.optimal_pairs[kept])
         )
-    choices = np.add.reduceat(found.optimal_pairs.astype(np.int64), mdp.pair_offsets[:-1])
-    reached = reachable(mdp, pairs=found.optimal_pairs) & ~ends
-    if found.unique is not bool((choices[reached] == 1).all()):
+    if found.unique is not one_optimum(mdp, found.optimal_pairs):
         wrong.append(f"it says wrongly that the optimum is {'' if found.unique else 'not '}unique")
     if not _right_start(found, mdp):
         wrong.append("the start value is not that of the start states")
@@ -219,6 +217,13 @@ def policy_pairs(mdp: MDP, policy: Integers) -> Integers | None:
     offered = mdp.pair_state * mdp.n_actions + mdp.pair_action
     pairs = np.minimum(np.searchsorted(offered, wanted), mdp.n_pairs - 1)
     return pairs if (offered[pairs] == wanted).all() else None
+
+
+def one_optimum(mdp: MDP, optimal: NDArray[np.bool_]) -> bool:
+    """Return whether one pair alone of each state that optimal pairs (L,) lead to is among them."""
+    other = np.add.reduceat(optimal.astype(np.int64), mdp.pair_offsets[:-1]) != 1
+    other &= ~mdp.terminal
+    return not (other.any() and (other & reachable(mdp, pairs=optimal)).any())
 
 
 def one_solution(mdp: MDP, rank: Integers | None, weight: Sequence[int] | None) -> bool:

@@ -278,7 +278,8 @@ class _Check:
     def _held(self, some: Mask) -> Mask:
         """Return (L,) True for those of `some` pairs where V + w ≥ P w."""
         potential, rows = self.claims.potential, self.rows
-        flat = np.array([not number for number in potential])
+        zero = next((each for each in potential if not each), None)  # often one object for all
+        flat = np.array([each is zero or not each for each in potential])
         plain = some & flat[rows.pair_state]
         plain &= np.logical_and.reduceat(flat[rows.next], rows.offsets[:-1])
         found: Mask = plain & (self.value_sign >= 0)[rows.pair_state]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Integers, spans
-from exact_mdp.solvers.proof.losses import losses, short_rows
+from exact_mdp.solvers.proof.losses import distinct, losses, short_rows
 from exact_mdp.solvers.proof.margins import Claims, Values
 
 FEW = 64  # pairs that are not worth the arrays
@@ -51,7 +51,9 @@ class Judged:
 def equation_violations(rows: BellmanRows, found: Claims) -> list[str]:
     """Return which equations, optimal pairs (L,) and gaps are not as claimed, in words."""
     gap, below = found.gap, found.gap_scale
-    gaps = {state for state, number in enumerate(below) if number <= 0}
+    gaps = (
+        {state for state, number in enumerate(below) if number <= 0} if min(below) <= 0 else set()
+    )
     wrong = list[str]()
     asked = ~(_repeated(rows, found) | rows.terminal)
     over = rows.terminal[rows.pair_state]
@@ -174,7 +176,7 @@ def _blocks(
     begin, end = rows.offsets[pairs], rows.offsets[pairs + 1]
     own, count = group[state], len(below)
     met = np.repeat(own, end - begin) * count + group[rows.next[spans(begin, end)]]
-    of, needed = np.divmod(_distinct(np.concatenate([met, own * (count + 1)]), count**2), count)
+    of, needed = np.divmod(distinct(np.concatenate([met, own * (count + 1)]), count**2), count)
     order = np.argsort(own, kind="stable")
     starts = np.flatnonzero(np.diff(of, prepend=-1))
     cuts = np.searchsorted(own[order], [*of[starts].tolist(), count]).tolist()
@@ -196,15 +198,6 @@ def _blocks(
         waiting.append(order[low:high])
     if waiting:
         yield np.concatenate(waiting), unit, list(members)
-
-
-def _distinct(numbers: Integers, limit: int) -> Integers:
-    """Return the numbers that occur, of those below the limit, in rising order."""
-    if limit > 4 * len(numbers):
-        return np.unique(numbers)
-    seen = np.zeros(limit, dtype=bool)
-    seen[numbers] = True
-    return np.flatnonzero(seen)
 
 
 class _Scaled:

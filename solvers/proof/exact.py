@@ -489,6 +489,8 @@ class _Solver:
 
 def _emptied(numbers: list[Any]) -> list[Any]:
     """Return integers as Python's own, each replaced in place so that memory holds them once."""
+    if {*map(type, numbers)} <= {int, type(None)}:
+        return numbers
     for i, number in enumerate(numbers):
         if number is not None:
             numbers[i] = int(number)

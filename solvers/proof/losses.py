@@ -10,9 +10,8 @@ carried over (Knuth, The Art of Computer Programming, volume 2, 1997, section 4.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,35 +68,46 @@ def losses(
     constant = rows.constant[pairs]
     earning = np.flatnonzero(constant != 0)
     earned = [number * unit for number in constant[earning].tolist()]
-    known = np.unique(np.concatenate([own, after]))
-    own_place, after_place = np.searchsorted(known, own), np.searchsorted(known, after)
+    known = distinct(np.concatenate([own, after]), len(rows.scale))
+    place = np.empty(len(rows.scale), dtype=np.int64)
+    place[known] = np.arange(len(known))
     numbers = scaled(known.tolist()) + earned
     longest = max((max(numbers), -min(numbers)), default=0).bit_length()
     count = longest // WIDTH + 1
-    digits = _digits(numbers, count)
-    of_state, of_earned = digits[:, : len(known)], digits[:, len(known) :]
+    scale, own, after = rows.scale[own], place[own], place[after]
+    weight, filled = rows.weight[entries], np.flatnonzero(lengths)
+    begin = (np.cumsum(lengths) - lengths)[filled]
     found = np.empty((count + 1, len(pairs)), dtype=np.int64)
-    found[:-1] = of_state[:, own_place] * rows.scale[own]
-    found[:-1, earning] -= of_earned
-    filled = lengths > 0
-    if len(entries):
-        ahead = of_state[:, after_place] * rows.weight[entries]
-        begin = (np.cumsum(lengths) - lengths)[filled]
-        found[:-1, filled] -= np.add.reduceat(ahead, begin, axis=1)
-    found[-1] = 0
-    for low, high in pairwise(found):
-        high += low >> WIDTH
-        low &= MASK
-    negative = found[-1] < 0
+    total = np.zeros(len(pairs), dtype=np.int64)  # what is carried over, at first
+    for digit, low in zip(_digits(numbers, count), found, strict=False):
+        total += digit[own] * scale
+        total[earning] -= digit[len(known) :]
+        if len(entries):
+            total[filled] -= np.add.reduceat(digit[after] * weight, begin)
+        np.bitwise_and(total, MASK, out=low)
+        total >>= WIDTH
+    found[-1] = total
     return Losses(
-        digits=found, negative=negative, nothing=np.equal(np.bitwise_or.reduce(found, axis=0), 0)
+        digits=found,
+        negative=total < 0,
+        nothing=np.equal(np.bitwise_or.reduce(found, axis=0), 0),
     )
 
 
-def _digits(numbers: Sequence[int], count: int) -> Integers:
-    """Return (Q, N) the digits of integers; the last one of each has its sign."""
+def distinct(numbers: Integers, limit: int) -> Integers:
+    """Return the numbers that occur, of those below the limit, in rising order."""
+    if limit > 4 * len(numbers):
+        return np.unique(numbers)
+    seen = np.zeros(limit, dtype=bool)
+    seen[numbers] = True
+    return np.flatnonzero(seen)
+
+
+def _digits(numbers: Sequence[int], count: int) -> Iterator[Integers]:
+    """Yield the digits (N,) of integers, lowest ones first; the last one of each has its sign."""
     size = 4 * count
     data = b"".join([number.to_bytes(size, "little", signed=True) for number in numbers])
-    found = np.frombuffer(data, dtype="<u4").reshape(-1, count).T.astype(np.int64)
-    found[-1] = found[-1].astype(np.uint32).view(np.int32)
-    return found
+    digits = np.ascontiguousarray(np.frombuffer(data, dtype="<u4").reshape(-1, count).T)
+    for digit in digits[:-1]:
+        yield digit.astype(np.int64)
+    yield digits[-1].view("<i4").astype(np.int64)

@@ -16,10 +16,12 @@ from enum import Enum
 from itertools import pairwise
 
 import numpy as np
+import scipy.sparse as sp
 
+from exact_mdp.mdp.chain import strong_components
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Integers, Numbers
-from exact_mdp.solvers.bounds.layers import layers, strong_components
+from exact_mdp.solvers.bounds.layers import layers
 
 RUN = 4  # states in a run or level, on average, for these to be used
 LONG = 10  # transitions of a state, on average, for products of matrices to pay
@@ -60,7 +62,8 @@ def stages(rows: BellmanRows) -> Iterator[Stage]:
         else:
             yield Stage(states=live[::-1], kind=Kind.CHAIN)
         return
-    label = strong_components(source, rows.next, states)
+    ones, begins = np.ones(len(rows.next), dtype=np.int8), rows.offsets[rows.pair_offsets]
+    label = strong_components(sp.csr_array((ones, rows.next, begins), (states, states)))
     level = layers(source, rows.next, label, least=RUN) if long else None
     cyclic = np.bincount(label)[label] > 1
     group = np.where(cyclic, label + 1, 0)
