@@ -24,7 +24,7 @@ from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate import github
 from exact_mdp.analysis.gate.check import PLANNED, UNEXPLAINED, Audit, share_of
-from exact_mdp.analysis.gate.disagreements import Disagreement
+from exact_mdp.analysis.gate.disagreements import Disagreement, either
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
 from exact_mdp.analysis.pages.audit import audit_page
@@ -105,7 +105,8 @@ def check(
     if junit is not None:
         seconds = perf_counter() - started
         told = {"notice": ADVICE} if advice(asked.endless) else {}
-        _junit(junit, asked.loaded.name, learned, audit, seconds, told, explain=why is not None)
+        text = _message(audit, why, plan)
+        _junit(junit, asked.loaded.name, learned, audit, seconds, told, text, plan)
     result = {"learned": learned} | _result(audit) | _limits(audit) | _reasons(audit, why)
     result |= {} if plan is None else {"needed": _needed(plan)}
     report = asked.report(
@@ -122,7 +123,7 @@ def check(
     title = f"{learned} in {asked.loaded.name}: {'passed' if audit.passed else 'failed'}"
     github.summarise(markdown(report, title))
     if not audit.passed:
-        github.annotate(title, audit.message(explain=why is not None))
+        github.annotate(title, _message(audit, why, plan))
     return report
 
 
@@ -216,6 +217,26 @@ def _needed_table(plan: Needed) -> Table:
     )
 
 
+def _planned(text: str, plan: Needed | None) -> str:
+    """Return what was found with what is needed in the place of how to ask for it."""
+    return text if plan is None else text.replace(PLANNED, f" ({plan.told.removeprefix('open; ')})")
+
+
+def _message(audit: Audit, why: Representation | None, plan: Needed | None) -> str:
+    """Return what reports say, the pairs that need more records among it."""
+    text = _planned(audit.message(explain=why is not None), plan)
+    if plan is None or not plan.more.any():
+        return text
+    rows = plan.frame().query("more > 0")
+    lines = [
+        f"  {row.state}, {row.action}: {row.more:,} more observations, {row.observations:,} so far"
+        for row in rows.head(SHOWN).itertuples()
+    ]
+    if len(rows) > SHOWN:
+        lines.append(f"  and {len(rows) - SHOWN} pairs more, {rows.more[SHOWN:].sum():,} in all")
+    return "\n".join([text, "what decides it, if they show the same shares:", *lines])
+
+
 def _option(name: str) -> str:
     return f"--{'column' if name == 'columns' else name.replace('_', '-')}"
 
@@ -289,12 +310,13 @@ def _junit(
     audit: Audit,
     seconds: float,
     told: dict[str, str],
-    *,
-    explain: bool,
+    text: str,
+    plan: Needed | None,
 ) -> None:
-    text = audit.message(explain=explain)
     cases = [
-        Case(name=each.name) if each.passed else Case(name=each.name, failure=each.told, text=text)
+        Case(name=each.name)
+        if each.passed
+        else Case(name=each.name, failure=_planned(each.told, plan), text=text)
         for each in audit.verdicts
     ]
     properties = {
@@ -505,7 +527,7 @@ def _tables(result: dict[str, Any], audit: Audit) -> list[Table]:
             columns={
                 "state": "state",
                 "yours": "learned",
-                "optimal": lambda row: " or ".join(row["optimal_actions"]),
+                "optimal": lambda row: either(row["optimal_actions"]),
                 "value lost": "cost:.6g",
                 "visits": "expected_visits:.6g",
                 "share": "share:.1%",

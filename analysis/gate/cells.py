@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from exact_mdp.analysis.gate.check import Audit
+from exact_mdp.analysis.gate.disagreements import either
 from exact_mdp.analysis.layout import Layout, joined, taken
 
 
@@ -49,13 +50,13 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
         each, label = wrong.get(state), mdp.space.label(state)
         names = [mdp.actions[action] for action in choices[state]]
         text, best = joined([sign[name] for name in names], "mixed"), ""
-        said = f"{' or '.join(names)}; {audit.visits[state]:.6g} expected visits"
+        said = f"{either(names)}; {audit.visits[state]:.6g} expected visits"
         if mdp.terminal[state]:
             text, said = "∎", "an episode ends here"
         elif each is not None:
             text, best = f"✗ {text}", joined([sign[name] for name in each.optimal], "tied")
             said = (
-                f"yours {each.learned}, optimal {' or '.join(each.optimal)}; "
+                f"yours {each.learned}, optimal {either(each.optimal)}; "
                 f"{each.expected_visits:.6g} expected visits, loses {each.cost:.6g}"
             )
         found[layout.row[state]][layout.column[state]] = Cell(

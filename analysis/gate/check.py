@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.average import average_regret
 from exact_mdp.analysis.gate.data.interval import Evidence, RegretInterval, confidence_of
-from exact_mdp.analysis.gate.disagreements import Disagreement, disagreements, own_visits
+from exact_mdp.analysis.gate.disagreements import Disagreement, disagreements, either, own_visits
 from exact_mdp.analysis.gate.limits import UnderLimits
 from exact_mdp.analysis.gate.reasons import (
     QError,
@@ -476,7 +476,7 @@ class Audit(Pictured):
         """Return a line for each of the costliest states, and one for the others."""
         listed = self.disagreements
         lines = [
-            f"  {each.label}: yours {each.learned}, optimal {' or '.join(each.optimal)};"
+            f"  {each.label}: yours {each.learned}, optimal {either(each.optimal)};"
             + (
                 f" waits for ever and loses {each.cost:.6g}"
                 if isinf(each.expected_visits) and isfinite(each.cost)

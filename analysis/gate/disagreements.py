@@ -19,7 +19,7 @@ Mathematical Statistics 21, 1950). Without a way back to s the divisor is 1.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,7 @@ from exact_mdp.solvers.values.visits import visits
 PRICED = 50  # states in which changes are priced, in large models with cycles
 NEARLY_CERTAIN = 2.0**-40  # chances of leaving a state for good that have no price
 LARGE = 500  # states
+LISTED = 4  # actions that a text names in one state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,8 @@ class Disagreement:
     state : int
     label : str
     learned : str
-        The action taken; where the policy mixes, "P ACTION, …" with their probabilities.
+        The action taken; where the policy mixes, "P ACTION, …" with their probabilities; of more
+        than LISTED the likeliest, or "any of N" where all are as likely.
     optimal : tuple of str
         All optimal actions.
     gap : float
@@ -191,7 +193,23 @@ def action_of(chain: PolicyChain, state: int) -> str:
     """Return the action that a policy takes in a state, or what it draws from."""
     mdp = chain.mdp
     taken = [pair for pair in mdp.pairs_of(state) if chain.weights[pair] > 0]
-    names: list[str] = [mdp.actions[mdp.pair_action[pair]] for pair in taken]
-    if len(names) == 1:
-        return names[0]
-    return ", ".join(f"{chain.weights[p]:.4g} {name}" for p, name in zip(taken, names, strict=True))
+    if len(taken) == 1:
+        return mdp.actions[mdp.pair_action[taken[0]]]
+    chances = {mdp.actions[mdp.pair_action[pair]]: chain.weights[pair] for pair in taken}
+    names, each = list(chances), {f"{chance:.4g}" for chance in chances.values()}
+    if len(names) > LISTED and len(each) == 1:
+        return f"any of {len(names)}"
+    if len(names) > LISTED:
+        names = sorted(names, key=lambda name: -chances[name])[: LISTED - 1]
+    shown = ", ".join(f"{chances[name]:.4g} {name}" for name in names)
+    return shown + _others(len(taken) - len(names), ", ")
+
+
+def either(names: Sequence[str]) -> str:
+    """Return actions that are all optimal, in words."""
+    shown = names if len(names) <= LISTED else names[: LISTED - 1]
+    return " or ".join(shown) + _others(len(names) - len(shown), " or ")
+
+
+def _others(count: int, before: str) -> str:
+    return f"{before}{count} others" if count else ""

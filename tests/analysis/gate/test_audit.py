@@ -307,6 +307,28 @@ def test_its_text_names_the_costliest_states_and_its_table_begins_with_what_matt
     assert repr(audit.regret) == "Regret(15 (certified): optimal 15, learned 0)"
 
 
+def test_many_actions_take_one_line() -> None:
+    """A policy that draws from many is named by its likeliest actions, and ties are counted."""
+    rows = [(0, a, [(1, 1, int(a == 7))]) for a in range(25)] + [(1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    (each,) = check(mdp, "random").disagreements
+    assert (each.learned, each.optimal) == ("any of 25", ("7",))
+    table = np.zeros((2, 25))
+    table[1, 0] = 1
+    for others, told in (
+        (2, "0.5 3, 0.25 9, 0.125 0, 0.125 1"),
+        (4, "0.5 3, 0.25 9, 0.0625 0, 3 others"),
+    ):
+        table[0] = 0
+        table[0, [3, 9]] = 1 / 2, 1 / 4
+        table[0, [0, 1, 4, 5][:others]] = 1 / 4 / others
+        (each,) = check(mdp, table, kind="policy").disagreements
+        assert sorted(each.learned.split(", ")) == sorted(told.split(", "))
+    worst = check(mdp.with_(sense="min"), "always:7")
+    assert len(worst.disagreements[0].optimal) == 24
+    assert "optimal 0 or 1 or 2 or 21 others" in worst.message()
+
+
 def test_what_fails_is_told_as_what_was_found() -> None:
     """Not as the name of the check, which says the contrary; an open one is not told as false."""
     zero = Verdict(name="the regret is zero", passed=False, text="it is 2 (certified)")

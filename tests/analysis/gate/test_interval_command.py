@@ -80,7 +80,9 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
     assert "no medical advice" in done.out
 
 
-def test_what_more_records_decide(folder: Path, tmp_path: Path) -> None:
+def test_what_more_records_decide(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     words = ("check", folder / "model.npz", "always:a", "--max-regret=0.55", "--confidence=0.95")
     words += ("--rewards=0,1",)
     told = run(*words, "--needed", "--json", f"--picture={tmp_path / 'needed.svg'}").result[
@@ -99,6 +101,13 @@ def test_what_more_records_decide(folder: Path, tmp_path: Path) -> None:
     assert "--needed says which" not in done.out
     for text in (done.out, (tmp_path / "page.html").read_text("utf-8")):
         assert "what more records of a pair are worth" in text
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    done = run(*words, "--needed", f"--junit={tmp_path / 'report.xml'}")
+    report, number = (tmp_path / "report.xml").read_text("utf-8"), f"{found.more.sum():,}"
+    for text in (report, done.err):
+        assert "--needed says which" not in text
+        assert f"({number} more observations of" in text
+        assert f"{found.more[0]:,} more observations, " in text
 
 
 @pytest.mark.parametrize(
