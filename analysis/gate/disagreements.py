@@ -194,7 +194,7 @@ def action_of(chain: PolicyChain, state: int) -> str:
     mdp = chain.mdp
     taken = [pair for pair in mdp.pairs_of(state) if chain.weights[pair] > 0]
     if len(taken) == 1:
-        return mdp.actions[mdp.pair_action[taken[0]]]
+        return str(mdp.actions[mdp.pair_action[taken[0]]])
     chances = {mdp.actions[mdp.pair_action[pair]]: chain.weights[pair] for pair in taken}
     names, each = list(chances), {f"{chance:.4g}" for chance in chances.values()}
     if len(names) > LISTED and len(each) == 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
 
@@ -14,6 +14,8 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 if TYPE_CHECKING:
     from exact_mdp.analysis.tradeoffs.front import Front
     from exact_mdp.analysis.tradeoffs.risk import MeanCVaR
+
+NEAR = 0.02  # of an axis: marks that are nearer lie on each other
 
 
 @plain_text
@@ -28,12 +30,23 @@ def draw_front(
     ax = axes_or_new(ax)
     across, up = ([float(value) for value in own] for own in zip(*found.vertices, strict=True))
     ax.plot(across, up, color=BLUE, marker="o", markersize=4, label="front", zorder=2)
+    at = {name: tuple(map(float, found.totals(p))) for name, p in (policies or {}).items()}
+    wide, high = (
+        max(own) - min(own) or 1.0
+        for own in ([*across, *(x for x, _ in at.values())], [*up, *(y for _, y in at.values())])
+    )
     for number, (name, policy) in enumerate((policies or {}).items()):
-        x, y = map(float, found.totals(policy))
+        x, y = at[name]
         far = float(found.distance(policy))
         label = f"{name} (on the front)" if far == 0 else f"{name} (distance {far:.3g})"
         mark, ink = MARKS[1 + number % (len(MARKS) - 1)], INK[number % len(INK)]
-        ax.plot([x], [y], linestyle="", marker=mark, color=ink, label=label, zorder=3)
+        # One that lies on others is an open mark around them.
+        below = sum(
+            abs(x - a) < NEAR * wide and abs(y - b) < NEAR * high
+            for a, b in list(at.values())[:number]
+        )
+        form: dict[str, Any] = {"ms": 7 + 5 * below, "fillstyle": "none" if below else "full"}
+        ax.plot([x], [y], linestyle="", marker=mark, color=ink, label=label, zorder=3, **form)
         if far:
             sign = found.objectives.sign * far
             ax.plot([x, x + sign], [y, y + sign], color=BLACK, linewidth=0.8, linestyle=":")

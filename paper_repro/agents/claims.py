@@ -51,7 +51,7 @@ def statements(levels: tuple[float, ...] = (0.99, 0.95, 0.9, 0.8)) -> list[State
             claim="An angry person is met with encouragement.",
             place="Section 4.2, Robot Caregiver; Section 4.1",
             kind=EXACT,
-            found=_angry(mdp, policy),
+            found=angry_met(mdp, policy),
         ),
         Statement(
             claim="Despite errors of perception the robot goes on to help effectively.",
@@ -73,7 +73,7 @@ def statements(levels: tuple[float, ...] = (0.99, 0.95, 0.9, 0.8)) -> list[State
             claim="Confusion is met with supportive assistance.",
             place="Section 4.2, Robot Caregiver, the simulated interaction",
             kind=EXACT,
-            found=_confused(mdp),
+            found=confused_met(mdp),
         ),
         Statement(
             claim="State, behaviour, action and assistance of each timestep are saved as text.",
@@ -128,7 +128,8 @@ def once(mdp: MDP, status: str, action: str) -> list[Fraction]:
     ]
 
 
-def _confused(mdp: MDP) -> str:
+def confused_met(mdp: MDP) -> str:
+    """Return in words what encouraging a person who is only confused is worth in a model."""
     lost = once(mdp, "0100", "supportive")
     return (
         "in the example the robot encourages a person who is confused. Where confusion is the only "
@@ -161,7 +162,8 @@ def misread(mdp: MDP, policy: Policy, mistakes: dict[str, str]) -> float:
     return evaluate(mdp, perceived(mdp, policy, confusion)).mean
 
 
-def _angry(mdp: MDP, policy: Policy) -> str:
+def angry_met(mdp: MDP, policy: Policy) -> str:
+    """Return in words how an optimal policy of a model meets anger."""
     chosen = policy.choices(mdp)
     angry = [int("".join(bits), 2) for bits in product("01", repeat=4) if bits[2] == "1"]
     states = np.flatnonzero(np.isin(mdp.space.values("status"), angry))

@@ -7,12 +7,18 @@ not determined.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from exact_mdp.paper_repro.agents.claims import Statement, once, statements
+from exact_mdp.paper_repro.agents.claims import (
+    Statement,
+    angry_met,
+    confused_met,
+    once,
+    statements,
+)
 from exact_mdp.paper_repro.agents.conversation import conversation
 from exact_mdp.paper_repro.agents.protocol import plain
 from exact_mdp.paper_repro.agents.scripted import Scripted
@@ -52,7 +58,8 @@ def claims() -> Claims:
 def _found(reading: Reading, told: Statement, decide: Callable[[Reading], bool] | None) -> Finding:
     if decide is None:
         return undecided(f"{told.kind}: {told.found}")
-    return statement(decide(reading), told.found)
+    said = SAID.get(decide)
+    return statement(decide(reading), told.found if said is None else said(reading))
 
 
 def _encouraged(reading: Reading) -> bool:
@@ -87,5 +94,9 @@ DECIDED = {
     "anger-encouraged": _encouraged,
     "confusion-supported": _supported,
     "saved-as-text": _saved,
+}
+SAID: Mapping[Callable[[Reading], bool], Callable[[Reading], str]] = {  # of each reading
+    _encouraged: lambda reading: angry_met(reading.mdp, reading.policies["optimal"]),
+    _supported: lambda reading: confused_met(reading.mdp),
 }
 DEFINITIONS = {"saved-as-text"}  # what the simulator does, not what was found with it

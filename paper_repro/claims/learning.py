@@ -158,6 +158,7 @@ def _similar(reading: Reading) -> Finding:
         f"decaying less constant: {apart:+.2f}, {'at most' if alike else 'more than'} twice the "
         f"standard error {point:.1f} of one point of the plot ({POINT} experiments)",
         Estimated(value=apart, standard_error=error),
+        f"{apart:+.2f} points apart".replace("-", "−"),
     )
 
 

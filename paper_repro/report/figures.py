@@ -15,6 +15,7 @@ from typing import TypeVar
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from exact_mdp.analysis.plots import (
     plot_distinct,
@@ -108,6 +109,8 @@ def draw_all(
         for name, draw in pictures.items():
             progress(name)
             figure = draw()
+            for text in figure.findobj(Text):  # a reward is counted in points throughout the report
+                text.set_text(text.get_text().replace("(reward)", "(points)"))
             # The layout is worked out once, not anew for each kind of file.
             figure.draw_without_rendering()
             figure.set_layout_engine("none")

@@ -63,8 +63,8 @@ def _front(reading: Reading) -> Figure:
     for start in sorted(STARTS, key=lambda each: each != FINAL):
         shown[f"reported, {start} in 0000"] = reading.policies[f"reported.{start}"]
     front.plot(policies=shown, ax=ax)
-    ax.set_xlabel("expected anger, in points of reward")
-    ax.set_ylabel("expected subtasks completed, in points of reward")
+    ax.set_xlabel("expected anger (points)")
+    ax.set_ylabel("expected subtasks completed (points)")
     ax.set_title("Less anger costs completed subtasks")
     return figure
 

@@ -366,6 +366,15 @@ def test_a_claim_that_a_reading_leaves_open_ends_no_run(
     assert (found.verdict is Verdict.NOT_DETERMINED) == (told == "open, because")
 
 
+def test_the_reason_is_that_of_the_reading(view: Reading) -> None:
+    """What supportive assistance costs a person who is confused differs with the weights."""
+    claim = chosen("agents.confusion-supported")
+    other = changed(view, ["reward.assist.supportive=-40"])
+    assert claim.find(other).why != claim.find(view).why
+    lost = max(once(other.mdp, "0100", "supportive"))
+    assert f"to {float(lost):.1f} points each time" in claim.find(other).why
+
+
 @pytest.mark.slow
 def test_every_claim_has_a_verdict_under_every_reading_with_one_change(view: Reading) -> None:
     for other in alternatives(view):

@@ -174,4 +174,5 @@ def test_how_far_the_schedules_are_apart_is_told_as_it_is(apart: float) -> None:
     found = chosen("learning.similar").find(stub)
     alike = abs(apart) < 6
     assert found.verdict is (Verdict.REPRODUCED if alike else Verdict.NOT_REPRODUCED)
+    assert found.shown == f"{apart:+.2f} points apart".replace("-", "−")
     assert ("at most twice" in found.why) == alike == ("more than twice" not in found.why)
