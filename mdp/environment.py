@@ -214,10 +214,7 @@ def _observations(mdp: MDP, columns: Sequence[str] | None) -> tuple[StateSpace, 
     if columns is None or tuple(columns) == mdp.space.names:
         return mdp.space, np.arange(mdp.n_states)
     space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
-    seen = np.zeros(mdp.n_states, dtype=np.int64)
-    for column in space.columns:
-        seen = seen * column.size + np.maximum(mdp.space.values(column.name), 0)
-    return space, seen
+    return space, mdp.space.rows(space.columns)
 
 
 register()

@@ -136,7 +136,7 @@ def _bellman_rows(model: MDP, pairs: Integers | None) -> BellmanRows:
     gain, gain_denominator = reduced(*table.expected_gain_exact())
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
     bottom = multiply(denominator, _integer(under))
-    scale = _lcm(bottom, gain_denominator)
+    scale = multiply(bottom // np.gcd(bottom, gain_denominator), gain_denominator)
     state_scale = lcm_by_group(scale, pair_offsets)
     scale = state_scale[pair_state]
     factor = multiply(scale // bottom, _integer(over))
@@ -239,10 +239,6 @@ def row_sums(values: Numbers, offsets: Integers) -> Numbers:
 
 def _integer(value: int) -> Numbers:
     return np.array(value, dtype=np.int64 if abs(value) < 2**62 else object)
-
-
-def _lcm(left: Numbers, right: Numbers) -> Numbers:
-    return multiply(left // np.gcd(left, right), right)
 
 
 def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:

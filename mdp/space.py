@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import prod
@@ -210,6 +210,13 @@ class StateSpace:
         stride = prod(c.size for c in self.columns[self.columns.index(column) + 1 :])
         index = np.arange(self.size) if states is None else np.asarray(states, dtype=np.int64)
         return np.where(index < self.regular, index // stride % column.size, -1)
+
+    def rows(self, columns: Sequence[Column]) -> Integers:
+        """Return (S,) the row that each state reads of a table over columns; 0 for extra ones."""
+        row = np.zeros(self.size, dtype=np.int64)
+        for column in columns:
+            row = row * column.size + np.maximum(self.values(column.name), 0)
+        return row
 
     def index(self, **values: int) -> int:
         """Return the number of the state with these column values (0 where one is left out)."""

@@ -421,8 +421,9 @@ def _check_rows(model: Parts) -> None:
     if not table.weight.min() > 0:
         index = int(np.flatnonzero(table.weight <= 0)[0])
         pair = _pair_of(table, index, len(table.next))
+        weight = exact(table.weight[index]) / exact(table.denominator[pair])
         raise NegativeError(
-            f"a probability is {_shown(table, index, pair)}",
+            f"a probability is {shown(weight, 12)}",
             where=model.where(pair),
             fix="probabilities are positive; leave out those that are 0",
         )
@@ -537,7 +538,3 @@ def _pair_of(table: OutcomeTable, index: int, length: int) -> int:
     if length == table.pairs != len(table.next):
         return index
     return int(np.searchsorted(table.offsets, index, side="right")) - 1
-
-
-def _shown(table: OutcomeTable, index: int, pair: int) -> str:
-    return shown(exact(table.weight[index]) / exact(table.denominator[pair]), 12)

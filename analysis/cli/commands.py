@@ -18,7 +18,6 @@ from exact_mdp.analysis.cli.sensitivity import KINDS
 
 Function = Callable[..., Any]
 Options = Callable[[Function], Function]
-Declare = Callable[[Function], click.Command]
 
 HERE = "exact_mdp.analysis.cli"
 

@@ -205,7 +205,10 @@ def _ways(price: PriceOfPerception, spread: UncertainValue | None) -> Table:
     searched = ((price.filtering, "seen and done"), (price.unseeing, "done, seeing nothing"))
     rows: list[tuple[Any, ...]] = [
         ("the status is known", price.perfect, ""),
-        *((f"memory of what was {what}", _shown(found), "bounds") for found, what in searched),
+        *(
+            (f"memory of what was {what}", f"{found.lower:.6g} to {found.upper:.6g}", "bounds")
+            for found, what in searched
+        ),
         *(
             (
                 f"best by {', '.join(best.columns)} seen",
@@ -221,10 +224,6 @@ def _ways(price: PriceOfPerception, spread: UncertainValue | None) -> Table:
         rows.append(("… by the posterior", spread.value, told))
     columns = {"": itemgetter(0), "value": itemgetter(1), " ": itemgetter(2)}
     return Table(title="value at the start", rows=rows, columns=columns)
-
-
-def _shown(found: BeliefSolution) -> str:
-    return f"{found.lower:.6g} to {found.upper:.6g}"
 
 
 def _cost_tables(costs: ErrorCosts) -> list[Table]:

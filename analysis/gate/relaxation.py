@@ -162,12 +162,9 @@ class Rows:
     def of(cls, mdp: MDP, columns: Sequence[str]) -> Rows:
         """Return the rows; raises ModelError where a row has no action in common."""
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
-        row = np.zeros(mdp.n_states, dtype=np.int64)
+        row = mdp.space.rows(space.columns)
         if set(space.columns) == set(mdp.space.columns):
             space, row = mdp.space, np.arange(mdp.n_states)
-        elif space.columns:
-            values = [np.maximum(mdp.space.values(name), 0) for name in space.names]
-            row = np.ravel_multi_index(values, [column.size for column in space.columns])
         size, free = space.size, ~mdp.forced
         entry = (row[mdp.pair_state] * mdp.n_actions + mdp.pair_action)[free[mdp.pair_state]]
         offers = np.bincount(entry, minlength=size * mdp.n_actions).reshape(size, -1)

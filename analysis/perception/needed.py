@@ -25,7 +25,7 @@ from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.polynomial_rows import rational
+from exact_mdp.mdp.parametric.symbolic import fraction, rational
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact
@@ -133,7 +133,7 @@ def accuracy_needed(
     if not 0 <= part <= 1:
         raise ModelError(f"share is {share}", where="share", fix="choose one from 0 to 1")
     poly = _value_polynomial(model, policy, status)
-    perfect = _fraction(poly(rational(Fraction(1))))
+    perfect = fraction(poly(rational(Fraction(1))))
     if perfect <= 0:
         raise ModelError(
             f"the value with perfect perception is {float(perfect):.6g}, not positive",
@@ -154,7 +154,7 @@ def accuracy_needed(
         crossings=crossings,
         enough=crossings[-1][1] if crossings else LOWEST,
         monotone=not turning and sign(slope, Fraction(3, 4)) >= 0,
-        polynomial=tuple(_fraction(each) for each in poly.coeffs()),
+        polynomial=tuple(fraction(each) for each in poly.coeffs()),
     )
 
 
@@ -247,7 +247,3 @@ def _sides(poly: fmpq_poly, root: Root) -> tuple[int, int]:
         root = root.narrowed((root.high - root.low) / 2)
         gap = Fraction(0) if root.low < root.high else Fraction(1, 2**80)
     return sign(poly, root.low - gap), sign(poly, root.high + gap)
-
-
-def _fraction(value: fmpq) -> Fraction:
-    return Fraction(int(value.p), int(value.q))

@@ -31,8 +31,8 @@ from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.polynomial_rows import fraction, rational
 from exact_mdp.mdp.parametric.row_change import RowChange
+from exact_mdp.mdp.parametric.symbolic import fraction, rational
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers import evaluate, solve
@@ -77,6 +77,13 @@ class Checked:
         return f"{text} ({self.claim}: the degree was checked at {self.points} points, not proven)"
 
 
+def claimed(value: Fraction, change: RowChange) -> Certified | Checked:
+    """Return a derivative with what is proven of it: the degree of the change, or points alone."""
+    if change.checked is None:
+        return Certified(value=value)
+    return Checked(value=value, points=change.checked)
+
+
 class ExactPass:
     """Value and occupancy of a policy in rationals, and the derivatives that they give."""
 
@@ -99,10 +106,7 @@ class ExactPass:
 
     def side(self, change: RowChange, sign: int) -> Certified | Checked:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
-        value = self._slope(change, sign)
-        if change.checked is None:
-            return Certified(value=value)
-        return Checked(value=value, points=change.checked)
+        return claimed(self._slope(change, sign), change)
 
     def _slope(self, change: RowChange, sign: int) -> Fraction:
         if self.certificate is None or self.certificate.unique:

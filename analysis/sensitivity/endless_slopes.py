@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.derivatives import Checked, refuse_endless
+from exact_mdp.analysis.sensitivity.derivatives import Checked, claimed, refuse_endless
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -71,10 +71,7 @@ class EndlessPass:
 
     def side(self, change: RowChange, sign: int) -> Certified | Checked:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
-        value = sign * self._slope(change, sign)
-        if change.checked is None:
-            return Certified(value=value)
-        return Checked(value=value, points=change.checked)
+        return claimed(sign * self._slope(change, sign), change)
 
     def _slope(self, change: RowChange, sign: int) -> Fraction:
         earned = self._earned(change)

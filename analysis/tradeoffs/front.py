@@ -267,16 +267,14 @@ def tradeoff(
         names=of.names,
         attained=tuple(sorted(vertices, key=lambda a: tuple(of.sign * v for v in a.total))),
         duals={
-            tuple(Fraction(w, sum(corner)) for w in corner): _over(values, sum(corner))
+            tuple(Fraction(w, sum(corner)) for w in corner): Values(
+                values.top, values.below * sum(corner)
+            )
             for corner, values in sorted(duals.items())
         },
         proof=proof(of),
         objectives=of,
     )
-
-
-def _over(values: Values, times: int) -> Values:
-    return Values(values.top, values.below * times)
 
 
 def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Values]]:

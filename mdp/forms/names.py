@@ -107,16 +107,13 @@ def value_of(thing: object) -> Fraction | None:
     if isinstance(thing, bool) or not isinstance(thing, int | float | Fraction | np.number):
         return None
     plain: Any = thing.item() if isinstance(thing, np.number) else thing
-    return Fraction(plain) if isinstance(plain, int | Fraction) or _finite(plain) else None
+    finite = isinstance(plain, int | Fraction) or (isinstance(plain, float) and isfinite(plain))
+    return Fraction(plain) if finite else None
 
 
 def amount_of(thing: object) -> Fraction | None:
     """Return the value of a number, also that of True, which is 1; None of anything else."""
     return Fraction(int(thing)) if isinstance(thing, bool | np.bool_) else value_of(thing)
-
-
-def _finite(number: object) -> bool:
-    return isinstance(number, float) and isfinite(number)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,6 @@ rationals and polynomials of rationals are exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.lazy import later
@@ -21,6 +20,7 @@ from exact_mdp.mdp.parametric.row_change import (
     reward_entries,
     transition_entries,
 )
+from exact_mdp.mdp.parametric.symbolic import rational
 
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_poly
@@ -97,17 +97,6 @@ def _polynomials(change: Change) -> list[tuple[int, fmpq_poly]]:
     columns = zip(*change.coefficients, strict=True)
     moved = [flint.fmpq_poly([rational(0), *map(rational, column)]) for column in columns]
     return list(zip(change.key.tolist(), moved, strict=True))
-
-
-def rational(number: Fraction | int) -> fmpq:
-    """Return a number as FLINT's rational."""
-    found: fmpq = flint.fmpq(number.numerator, number.denominator)
-    return found
-
-
-def fraction(number: fmpq) -> Fraction:
-    """Return FLINT's rational as Python's."""
-    return Fraction(int(number.p), int(number.q))
 
 
 def ratios(entries: Entries) -> list[fmpq]:

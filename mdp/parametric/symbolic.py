@@ -23,7 +23,7 @@ import numpy as np
 from exact_mdp.mdp.lazy import later
 
 if TYPE_CHECKING:
-    from flint import fmpq_poly
+    from flint import fmpq, fmpq_poly
 
 flint = later("flint")
 
@@ -110,15 +110,14 @@ class Symbolic(Fraction):
 
     def at(self, point: Fraction) -> Fraction:
         """Return the value at a point."""
-        found = self.top(_rational(point)) / self.bottom(_rational(point))
-        return Fraction(int(found.p), int(found.q))
+        return fraction(self.top(rational(point)) / self.bottom(rational(point)))
 
     def _other(self, number: object) -> Symbolic | None:
         if isinstance(number, Symbolic):
             return number
         if isinstance(number, int | Fraction | np.integer):
             constant = number if isinstance(number, Fraction) else Fraction(int(number))
-            return Symbolic(self.run, flint.fmpq_poly([_rational(constant)]))
+            return Symbolic(self.run, flint.fmpq_poly([rational(constant)]))
         if isinstance(number, float | np.floating):
             raise Unknown(self.run)
         return None
@@ -212,8 +211,15 @@ class Symbolic(Fraction):
         raise AttributeError(name)
 
 
-def _rational(number: Fraction) -> Any:
-    return flint.fmpq(number.numerator, number.denominator)
+def rational(number: Fraction | int) -> fmpq:
+    """Return a number as FLINT's rational."""
+    found: fmpq = flint.fmpq(number.numerator, number.denominator)
+    return found
+
+
+def fraction(number: fmpq) -> Fraction:
+    """Return FLINT's rational as Python's."""
+    return Fraction(int(number.p), int(number.q))
 
 
 def _sum(a: Symbolic, b: Symbolic) -> Symbolic:
@@ -249,9 +255,9 @@ def _sign(
     assert end is not None
     t = flint.fmpq_poly([0, 1])
     if low is None or high is None:
-        moved = poly(_rational(end) + (t if high is None else -t))
+        moved = poly(rational(end) + (t if high is None else -t))
     else:
-        inner = poly(_rational(low) + _rational(end) * t)  # θ = low + end · t / (1 + t)
+        inner = poly(rational(low) + rational(end) * t)  # θ = low + end · t / (1 + t)
         moved = sum(
             (c * t**k * (1 + t) ** (order - k) for k, c in enumerate(inner.coeffs())), 0 * t
         )
@@ -262,7 +268,7 @@ def _sign(
         raise Unknown
     middle = (low + high) / 2
     sides = {_sign(poly, *ends, halvings - 1) for ends in ((low, middle), (middle, high))}
-    if not poly(_rational(middle)) or len(sides) > 1:
+    if not poly(rational(middle)) or len(sides) > 1:
         raise Unknown
     return sides.pop()
 

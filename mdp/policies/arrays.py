@@ -274,7 +274,6 @@ def rows_read(model: MDP, space: StateSpace) -> Integers:
     """Return (S,) the row of a table over `space` that each state reads; 0 for extra ones."""
     if space.columns == model.space.columns and space.extra == model.space.extra:
         return np.arange(model.n_states)
-    rows = np.zeros(model.n_states, dtype=np.int64)
     for column in space.columns:
         theirs = model.space.column(column.name)
         if theirs != column:
@@ -285,8 +284,7 @@ def rows_read(model: MDP, space: StateSpace) -> Integers:
                 where="policy",
                 fix="use a policy made for this model",
             )
-        rows = rows * column.size + np.maximum(model.space.values(column.name), 0)
-    return rows
+    return model.space.rows(space.columns)
 
 
 def action_numbers(model: MDP, given: Numbers) -> Parts:

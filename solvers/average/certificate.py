@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows, per_step
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.average.checker import AverageClaims, Rationals, average_violations, surplus
-from exact_mdp.solvers.proof.file import average_fields, save
+from exact_mdp.solvers.proof.file import average_fields, model_of, save
 from exact_mdp.solvers.proof.rationals import fractions
 from exact_mdp.solvers.solution import Certified, Claim, by_state, in_decimals
 
@@ -84,10 +83,9 @@ class AverageCertificate(AverageClaims, Pictured):
 
         Raises ModelError where the certificate was read from a file.
         """
-        if self.mdp is None:
-            raise _without_model("losses")
-        rows, claimed = bellman_rows(per_step(self.mdp.maximised)), (self.g, self.h, self.w)
-        if self.mdp.sense == "min":
+        mdp = model_of(None, self.mdp, "losses")
+        rows, claimed = bellman_rows(per_step(mdp.maximised)), (self.g, self.h, self.w)
+        if mdp.sense == "min":
             claimed = (self.g.negated(), self.h.negated(), self.w.negated())
         gain, bias, _ = surplus(rows, *claimed)
         own = rows.scale[rows.pair_state].astype(object)
@@ -121,10 +119,7 @@ class AverageCertificate(AverageClaims, Pictured):
         model : MDP, optional
             Needed where the certificate was read from a file.
         """
-        mdp = self.mdp if model is None else model
-        if mdp is None:
-            raise _without_model("violations")
-        return average_violations(self, mdp)
+        return average_violations(self, model_of(model, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
@@ -162,11 +157,3 @@ class AverageCertificate(AverageClaims, Pictured):
 
 def _fractions(found: Rationals) -> Numbers:
     return fractions(found.top, [found.below] * len(found.top), found.below)
-
-
-def _without_model(where: str) -> ModelError:
-    return ModelError(
-        "a certificate read from a file does not contain the model",
-        where=where,
-        fix="give the model: certificate.violations(mdp)",
-    )

@@ -76,7 +76,8 @@ def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve
 
         def substituted(constant: Floats) -> Floats:
             value = np.empty(len(constant))
-            kernel.substitute(_rows(chain), float(discount), sequence, constant, value)
+            rows = compiling.Rows(chain.indptr, chain.indices, chain.data)
+            kernel.substitute(rows, float(discount), sequence, constant, value)
             return value
 
         return substituted
@@ -108,10 +109,6 @@ def _narrow(matrix: sp.csr_array) -> sp.csr_array:
     """
     places = matrix.indices.astype(np.intc, copy=False), matrix.indptr.astype(np.intc, copy=False)
     return sp.csr_array((matrix.data, *places), matrix.shape)
-
-
-def _rows(chain: sp.csr_array) -> Any:
-    return compiling.Rows(chain.indptr, chain.indices, chain.data)
 
 
 def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve:

@@ -66,9 +66,7 @@ def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
         space, key = mdp.space, np.arange(mdp.n_states)
     else:
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in chosen))
-        key = np.zeros(mdp.n_states, dtype=np.int64)
-        for column in space.columns:
-            key = key * column.size + np.maximum(mdp.space.values(column.name), 0)
+        key = mdp.space.rows(space.columns)
     mine: Numbers = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
     mine[mdp.pair_state, mdp.pair_action] = True
     offered = np.zeros((space.size, mdp.n_actions), dtype=bool)

@@ -37,6 +37,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric.symbolic import fraction, rational
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, Numbers, exact
@@ -489,12 +490,11 @@ def _kernel(rows: Sequence[Sequence[Fraction]], size: int) -> list[Fraction]:
     """Return numbers, not all 0, whose sums with each of the fewer than `size` rows are 0."""
     if not rows:
         return [Fraction(i == 0) for i in range(size)]
-    matrix = flint.fmpq_mat([[flint.fmpq(v.numerator, v.denominator) for v in row] for row in rows])
+    matrix = flint.fmpq_mat([[rational(v) for v in row] for row in rows])
     reduced, rank = matrix.rref()
     pivots = [next(j for j in range(size) if reduced[i, j] != 0) for i in range(rank)]
     free = next(j for j in range(size) if j not in pivots)
     found = [Fraction(j == free) for j in range(size)]
     for i, j in enumerate(pivots):
-        value = reduced[i, free]
-        found[j] = -Fraction(int(value.p), int(value.q))
+        found[j] = -fraction(reduced[i, free])
     return found

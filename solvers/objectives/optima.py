@@ -13,11 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.mdp.table import Integers, Numbers, common, spans
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Attained, Proof, Values, slack
@@ -69,7 +70,7 @@ def extreme(of: Objectives, weights: Weights, first: Optimum) -> Attained:
     ties = [tuple(int(i == k) for i in range(size)) for k in range(size)]
     if not all(weights):
         ties.insert(0, (1,) * size)
-    own = [flint.fmpq(w.numerator, w.denominator) for w in weights]
+    own: list[Any] = [rational(w) for w in weights]
     chosen, found, pairs = [own], [first.values], first.optimal
     for tie in ties:
         if len(chosen) == size:

@@ -15,6 +15,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.parametric.symbolic import fraction, rational
 
 if TYPE_CHECKING:
     from flint import fmpq
@@ -47,9 +48,9 @@ def maximise(
     size, rows = len(columns), len(b)
     sign = [-1 if value < 0 else 1 for value in b]
     table = [
-        [sign[i] * _rational(column[i]) for column in columns]
+        [sign[i] * rational(column[i]) for column in columns]
         + [flint.fmpq(int(i == k)) for k in range(rows)]
-        + [_rational(abs(b[i]))]
+        + [rational(abs(b[i]))]
         for i in range(rows)
     ]
     basis = list(range(size, size + rows))
@@ -57,12 +58,12 @@ def maximise(
     _improve(table, basis, artificial, size)
     if any(table[i][-1] != 0 for i in range(rows) if basis[i] >= size):
         return Program(feasible=False, x=[], y=_dual(table, basis, artificial, sign))
-    own = [_rational(value) for value in c] + [flint.fmpq(0)] * rows
+    own = [rational(value) for value in c] + [flint.fmpq(0)] * rows
     _improve(table, basis, own, size)
     x = [Fraction(0)] * size
     for i, number in enumerate(basis):
         if number < size:
-            x[number] = _fraction(table[i][-1])
+            x[number] = fraction(table[i][-1])
     return Program(feasible=True, x=x, y=_dual(table, basis, own, sign))
 
 
@@ -105,15 +106,6 @@ def _dual(
     rows, size = len(table), len(table[0]) - len(table) - 1
     return [
         sign[k]
-        * _fraction(sum((c[basis[i]] * table[i][size + k] for i in range(rows)), flint.fmpq(0)))
+        * fraction(sum((c[basis[i]] * table[i][size + k] for i in range(rows)), flint.fmpq(0)))
         for k in range(rows)
     ]
-
-
-def _rational(value: Fraction | int) -> fmpq:
-    found: fmpq = flint.fmpq(value.numerator, value.denominator)
-    return found
-
-
-def _fraction(value: fmpq) -> Fraction:
-    return Fraction(int(value.p), int(value.q))

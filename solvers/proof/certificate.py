@@ -30,7 +30,7 @@ from exact_mdp.solvers.proof.checker import (
     bounded_violations,
     exact_violations,
 )
-from exact_mdp.solvers.proof.file import bounded_fields, exact_fields, save
+from exact_mdp.solvers.proof.file import bounded_fields, exact_fields, model_of, save
 from exact_mdp.solvers.proof.rationals import fractions, primes_of
 from exact_mdp.solvers.solution import Certified, Claim, by_state, in_decimals, in_float
 
@@ -136,7 +136,7 @@ class Certificate(ExactClaims, Pictured):
 
         Raises ModelError where the certificate was read from a file: it lacks the model.
         """
-        return np.asarray(_model(None, self.mdp).by_action(self.optimal_pairs))
+        return np.asarray(model_of(None, self.mdp).by_action(self.optimal_pairs))
 
     def optimal_policy(self) -> Policy:
         """Return the policy that draws one of the optimal actions of each state, all alike.
@@ -152,7 +152,7 @@ class Certificate(ExactClaims, Pictured):
         >>> certify(mdp).optimal_policy().table[0].tolist()
         [0.5, 0.0, 0.5]
         """
-        mdp, optimal = _model(None, self.mdp), self.optimal
+        mdp, optimal = model_of(None, self.mdp), self.optimal
         several = (optimal.sum(axis=1) > 1) & ~mdp.terminal
         if self.endless is not None and several.any():
             raise ModelError(
@@ -190,7 +190,7 @@ class Certificate(ExactClaims, Pictured):
         model : MDP, optional
             Needed where the certificate was read from a file.
         """
-        return exact_violations(self, _model(model, self.mdp))
+        return exact_violations(self, model_of(model, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
@@ -283,7 +283,7 @@ class BoundedCertificate(BoundedClaims, Pictured):
 
     def violations(self, model: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound."""
-        return bounded_violations(self, _model(model, self.mdp))
+        return bounded_violations(self, model_of(model, self.mdp))
 
     def save(self, path: str | Path) -> None:
         """Write the certificate as JSON; see `solvers.proof.file` for the format."""
@@ -317,14 +317,3 @@ class BoundedCertificate(BoundedClaims, Pictured):
         []
         """
         return cls(**bounded_fields(path))
-
-
-def _model(given: MDP | None, own: MDP | None) -> MDP:
-    mdp = own if given is None else given
-    if mdp is None:
-        raise ModelError(
-            "a certificate read from a file does not contain the model",
-            where="violations",
-            fix="give the model: certificate.violations(mdp)",
-        )
-    return mdp

@@ -58,6 +58,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.average.checker import AverageClaims, Rationals
 from exact_mdp.solvers.proof.checker import BoundedClaims, ExactClaims
@@ -69,6 +70,18 @@ VECTORS = ("lower", "upper", "weight")
 AVERAGES = ("g", "h", "w")
 
 Read = Callable[[Any], Any]
+
+
+def model_of(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:
+    """Return the model given, or else the certificate's own; raises ModelError without either."""
+    mdp = own if given is None else given
+    if mdp is None:
+        raise ModelError(
+            "a certificate read from a file does not contain the model",
+            where=where,
+            fix="give the model: certificate.violations(mdp)",
+        )
+    return mdp
 
 
 def save(found: ExactClaims | BoundedClaims | AverageClaims, path: str | Path) -> None:
@@ -89,7 +102,9 @@ def _body(found: ExactClaims | BoundedClaims | AverageClaims) -> tuple[str, dict
     if isinstance(found, ExactClaims):
         return "exact", _exact(found)
     if isinstance(found, BoundedClaims):
-        return "bounded", _bounded(found)
+        return "bounded", {
+            name: [x.hex() for x in getattr(found, name).tolist()] for name in VECTORS
+        }
     start, vectors = found.start_value, {name: getattr(found, name) for name in AVERAGES}
     return "average", {
         "start_value": hexed([start.numerator, start.denominator]),
@@ -130,10 +145,6 @@ def hexed_ratio(number: Fraction | float) -> object:
 def hexed(numbers: Sequence[int | None]) -> list[str | None]:
     """Return integers in hexadecimal."""
     return [None if number is None else f"{number:x}" for number in numbers]
-
-
-def _bounded(found: BoundedClaims) -> dict[str, object]:
-    return {name: [x.hex() for x in getattr(found, name).tolist()] for name in VECTORS}
 
 
 def exact_fields(path: str | Path) -> dict[str, Any]:

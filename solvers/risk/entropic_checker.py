@@ -154,13 +154,8 @@ def exponential(x: Fraction, bits: int) -> Bracket:
         low, high = low + less, high + more
     found = _outward(Fraction(low, one), Fraction(high + 2 * more, one), bits)
     for _ in range(halvings):
-        found = _times(found, found, bits)
+        found = _outward(found[0] ** 2, found[1] ** 2, bits)
     return found
-
-
-def _times(one: Bracket, other: Bracket, bits: int) -> Bracket:
-    """Return the product of two positive numbers."""
-    return _outward(one[0] * other[0], one[1] * other[1], bits)
 
 
 def _outward(low: Fraction, high: Fraction, bits: int) -> Bracket:

@@ -54,7 +54,10 @@ def gradient_report(asked: Asked) -> Report:
         columns={
             "parameter": lambda d: d.parameter.name,
             "today": lambda d: float(d.parameter.value),
-            "derivative": (lambda d: d.value or _sides(d), ".6g"),
+            "derivative": (
+                lambda d: d.value or f"{cell(d.left, '.6g')} | {cell(d.right, '.6g')}",
+                ".6g",
+            ),
             "elasticity": (lambda d: d.elasticity, ".4g"),
         },
     )
@@ -63,10 +66,6 @@ def gradient_report(asked: Asked) -> Report:
 
 def _float(number: Any) -> float | None:
     return None if number is None else float(number.value)
-
-
-def _sides(each: Derivative) -> str:
-    return f"{cell(each.left, '.6g')} | {cell(each.right, '.6g')}"
 
 
 def _error(each: Derivative) -> float:

@@ -43,7 +43,6 @@ from exact_mdp.analysis.gate.data.interval import observations_of
 from exact_mdp.analysis.gate.data.posterior import Probability
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import RowSets
-from exact_mdp.analysis.sensitivity.psa.intervals import share_of, wilson
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
@@ -272,10 +271,7 @@ def _chance(sets: RowSets, more: Floats, decides: Callable[[RowSets], bool]) -> 
             observations=observations_of(mdp) + added,
         )
         found += decides(replace(grown, mdp=drawn, episodes=total))
-    share, (low, high) = share_of(found, DRAWS), wilson(found, DRAWS)
-    return Probability(
-        value=share.value, standard_error=share.standard_error, low=float(low), high=float(high)
-    )
+    return Probability.of(found, DRAWS)
 
 
 def _worth(

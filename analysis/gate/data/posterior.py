@@ -80,6 +80,17 @@ class Probability(Estimated):
     low: float
     high: float
 
+    @classmethod
+    def of(cls, found: int, count: int) -> Probability:
+        """Return the share of some draws among all."""
+        share, (low, high) = share_of(found, count), wilson(found, count)
+        return cls(
+            value=share.value,
+            standard_error=share.standard_error,
+            low=float(low),
+            high=float(high),
+        )
+
     @property
     def interval(self) -> tuple[float, float]:
         """Wilson's interval."""
@@ -100,15 +111,8 @@ class PosteriorInterval(RegretInterval):
 
     def within(self, limit: Fraction) -> Probability:
         """Return the probability that the regret is at most `limit`, as the draws show it."""
-        limit = exact(limit)
-        found, count = int((self.draws <= float(limit)).sum()), len(self.draws)
-        share, (low, high) = share_of(found, count), wilson(found, count)
-        return Probability(
-            value=share.value,
-            standard_error=share.standard_error,
-            low=float(low),
-            high=float(high),
-        )
+        found = int((self.draws <= float(exact(limit))).sum())
+        return Probability.of(found, len(self.draws))
 
 
 @dataclass(frozen=True, kw_only=True)

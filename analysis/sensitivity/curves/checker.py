@@ -44,8 +44,9 @@ from exact_mdp.analysis.sensitivity.curves.signs import (
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows, fraction, rational
+from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
+from exact_mdp.mdp.parametric.symbolic import fraction, rational
 from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:

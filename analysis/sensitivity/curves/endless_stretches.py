@@ -50,8 +50,9 @@ from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, Posed
-from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows, rational
+from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
+from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.mdp.table import Integers, shown
 from exact_mdp.solvers.endless.derived import Derived, derived
 from exact_mdp.solvers.endless.structure import Structure, finite, structure

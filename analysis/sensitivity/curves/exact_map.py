@@ -44,7 +44,7 @@ from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.parametric.polynomial_rows import rational
+from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
 

@@ -171,10 +171,8 @@ def _signs_hold(
         if place and cell < len(lines) and heights[place - 1][2:] == lines[cell]:
             cell += 1
         y = (below + above) / 2
-        if not below < above or any(_at(h, x, y) < 0 for h in open_[slab.policies[cell]]):
+        if not below < above or any(
+            sign(sliced(h, 0, x), y) < 0 for h in open_[slab.policies[cell]]
+        ):
             return False
     return cell == len(lines)
-
-
-def _at(h: fmpq_mpoly, x: Fraction, y: Fraction) -> int:
-    return sign(sliced(h, 0, x), y)

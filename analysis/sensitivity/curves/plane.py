@@ -26,8 +26,9 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.family import unposed
-from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows, rational
+from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
+from exact_mdp.mdp.parametric.symbolic import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_mpoly, fmpq_poly

@@ -18,9 +18,9 @@ from math import prod
 from typing import TYPE_CHECKING
 
 from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece
-from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple
+from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.parametric.polynomial_rows import rational
+from exact_mdp.mdp.parametric.symbolic import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
@@ -101,12 +101,10 @@ class _Limit:
         here, high = self.piece.low[1] - self.origin, self.piece.high[0] - self.origin
         for root in roots(self.every, here, high):
             near = root.narrowed(WIDTH).simplest().beyond(here)
-            yield self._keeps(here, near.low), self._bracket(near)
+            bracket = near.low + self.origin, near.high + self.origin
+            yield self._keeps(here, near.low), bracket
             here = near.high
         yield self._keeps(here, high), self.piece.high
-
-    def _bracket(self, root: Root) -> Bracket:
-        return root.low + self.origin, root.high + self.origin
 
     def _keeps(self, low: Fraction, high: Fraction) -> bool:
         """Whether the limit is kept between two points without a root between them."""

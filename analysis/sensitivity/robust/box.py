@@ -37,7 +37,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.polynomial_rows import fraction
+from exact_mdp.mdp.parametric.symbolic import fraction
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, exact

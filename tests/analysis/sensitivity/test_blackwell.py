@@ -20,7 +20,7 @@ from exact_mdp.analysis.sensitivity import value_function
 from exact_mdp.analysis.sensitivity.curves.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.parametric.polynomial_rows import rational
+from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.solvers import certify
 
 F = Fraction

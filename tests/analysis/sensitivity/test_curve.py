@@ -20,7 +20,7 @@ from exact_mdp.analysis.sensitivity.curves.signs import nonnegative, positive
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
-from exact_mdp.mdp.parametric.polynomial_rows import rational
+from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.solvers import certify
 
 F = Fraction
