@@ -41,6 +41,8 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 tqdm = later("tqdm")
 
+transitions = later("exact_mdp.mdp.io.transitions")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Robust:
@@ -144,7 +146,8 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
     table = mdp.table
     pair = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))
     kept = observations_of(mdp)[pair] > 0
-    gain, after = table.gains(), np.where(mdp.terminal[table.next], 0.0, mdp.discount)
+    over = mdp.terminal & ~transitions.cut_off(mdp)
+    gain, after = table.gains(), np.where(over[table.next], 0.0, mdp.discount)
     low, high = (gain + after * end for end in returns)
     outside = kept & ((low > returns[1]) | (high < returns[0]))
     if outside.any():

@@ -585,6 +585,22 @@ def test_at_discount_1_where_episodes_were_cut_off_the_range_stays() -> None:
     assert f"the upper end would be {found.known:.6g}" in found.told
 
 
+@pytest.mark.parametrize(
+    ("returns", "last", "refused"),
+    [((2, 10), None, 1), ((2, 10), "u", None), ((1, 10), None, None), ((0, 3), "u", 4)],
+)
+def test_a_range_of_totals_has_room_for_what_was_seen(
+    returns: tuple[int, int], last: str | None, refused: int | None
+) -> None:
+    """1 is all that is earned where the episode is over, not where it was cut off."""
+    rows = [(n, "s", "ab"[n % 2], (4, 1)[n % 2], last if n % 2 else None) for n in range(40)]
+    table = pd.DataFrame([(*row, row[-1] == "u") for row in rows], columns=[*NAMES, "truncated"])
+    mdp, by = MDP.from_transitions(table), Robust(rewards=(1, 4), returns=returns)
+    told = pytest.raises(ModelError, match=f"a reward of {refused} was seen, after which no total")
+    with told if refused else nullcontext():
+        assert check(mdp, "always:a", confidence=0.95, by=by).interval is not None
+
+
 # ---- episodes that stop --------------------------------------------------------------------------
 
 STAGES = np.array([[0, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0]])  # actions (N, S), by time
