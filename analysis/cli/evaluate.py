@@ -155,7 +155,7 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
     asked = given(**shared)
     model = asked.endless.mdp if asked.question is None else asked.question(asked.endless.mdp)
     found = sample(model, asked.policy, count, first, horizon=asked.steps)
-    steps, error = float(found.steps.mean()), found.standard_error / 10
+    steps, error = found.mean_steps, found.standard_error / 10
     finite = math.isfinite(found.mean)
     result = {
         "claim": found.claim,
@@ -177,7 +177,7 @@ def simulate(*, episodes: str, seed: str, **shared: Any) -> Report:
         "mean": found.value if finite else f"{found.mean} ({found.claim})",
         "95 % interval": between(*found.value.interval, error) if finite else None,
         "sd": number(found.sd, error) if finite else UNDEFINED,
-        "steps": steps,
+        "steps": f"{steps}: some never end" if found.endless else steps,
         **{f"share with a {name}": share for name, share in found.events.items()},
         "never end": f"a share of {found.never_ends:.4g} of the episodes, of infinite return"
         if found.never_ends

@@ -49,7 +49,8 @@ class Simulation(Pictured):
     returns : (E,)
         Discounted total reward of each episode.
     steps : (E,) ints
-        Timesteps of each episode, up to its end or to where it was cut off.
+        Timesteps of each episode, up to its end, or to where it was cut off or is known never to
+        end.
     events : {name: share}
         Share of the episodes in which each event of the model happened.
     truncated : int
@@ -57,6 +58,8 @@ class Simulation(Pictured):
     truncation_error : float
         How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ). A horizon is no
         error: its returns are those of episodes that stop there.
+    endless : int
+        Episodes that never end: they gain or lose for ever, or have come to rest.
     infinite_mean : float
         The mean where some episodes gain or lose for ever: inf or -inf. Where some gain and others
         lose, no sample decides: the mean reward of the whole does, as in `evaluate`.
@@ -73,6 +76,7 @@ class Simulation(Pictured):
     events: dict[str, float]
     truncated: int
     truncation_error: float
+    endless: int = 0
     infinite_mean: float = 0.0
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
@@ -123,6 +127,11 @@ class Simulation(Pictured):
     def standard_error(self) -> float:
         """Standard error of `mean`."""
         return self.sd / sqrt(self.episodes)
+
+    @property
+    def mean_steps(self) -> float:
+        """Mean number of timesteps; infinite where an episode never ends."""
+        return inf if self.endless else float(self.steps.mean())
 
     def frame(self) -> DataFrame:
         """Return the return and the steps of each episode."""
@@ -179,9 +188,9 @@ def simulate(
     """
     check_counts("simulate", n=n, **({} if max_steps is None else {"max_steps": max_steps}))
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
-    endless = mdp_of(model)
-    mdp = endless if horizon is None else endless.within(horizon)
-    parts = parted(PolicyChain.of(mdp, policy, kind=kind))
+    unstopped = mdp_of(model)
+    given = unstopped if horizon is None else unstopped.within(horizon)
+    parts = parted(PolicyChain.of(given, policy, kind=kind))
     chain, mdp = parts.chain, parts.chain.mdp
     limit, size = _longest(chain, horizon if max_steps is None else max_steps)
     first, cumulative = _cumulative(chain)
@@ -216,8 +225,8 @@ def simulate(
         returns[lost[state]] = sign
     stopped = 0
     if horizon is not None:
-        last = mdp.n_states - endless.n_states  # the first state of the time at which all is over
-        stopped = int((~endless.terminal[state[state >= last] - last]).sum())
+        last = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
+        stopped = int((~unstopped.terminal[state[state >= last] - last]).sum())
     rest = size * factor / float(1 - mdp.discount_exact) if len(running) else 0.0
     return Simulation(
         returns=returns,
@@ -225,6 +234,7 @@ def simulate(
         events={name: float(((happened >> bit) & 1).mean()) for bit, name in enumerate(mdp.events)},
         truncated=len(running) + stopped,
         truncation_error=rest,
+        endless=int((mdp.terminal & ~given.terminal)[state].sum()),
         infinite_mean=parts.worth,
     )
 

@@ -105,7 +105,7 @@ def parted(chain: PolicyChain) -> Parted:
 
 
 def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
-    """Return which of some states (S,), in which something is earned for ever, gain and lose."""
+    """Return the `busy` states (S,), which earn for ever, that gain, and those that lose."""
     if not busy.any():
         return {}
     mdp = per_step(chain.mdp)
@@ -157,7 +157,7 @@ def _resting(chain: PolicyChain) -> Mask:
 
 
 def _recurrent(chain: PolicyChain, busy: Mask | None = None) -> Mask:
-    """Return (S,) True in recurrent classes without any of some outcomes (N,)."""
+    """Return (S,) True in recurrent classes, or in those alone without a `busy` outcome (N,)."""
     label = strong_components(chain.graph)
     source, target = chain.source, chain.table.next
     leaves = label[source] != label[target]

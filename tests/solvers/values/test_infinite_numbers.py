@@ -35,6 +35,26 @@ def test_steps_of_a_policy_that_never_ends_are_infinite() -> None:
     assert strict(done.out)["steps"] == "inf"
 
 
+@pytest.mark.parametrize(("earned", "asks"), [(0, False), (1, False), (-1, False), (0, True)])
+def test_sampled_runs_that_never_end_have_no_number_of_steps(
+    earned: int, asks: bool, tmp_path: Path
+) -> None:
+    """They rest, gain or lose for ever, or miss a goal: in `evaluate` and `simulate` alike."""
+    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 1)]), (1, 0, [("1/2", 1, earned), ("1/2", 3, 0)])]
+    rows += [(2, 0, [(1, 2, 0)]), (3, 0, [(1, 1, earned)])]
+    mdp = MDP.from_outcomes(rows, labels={"home": [False, False, True, False]})
+    mdp.save(path := tmp_path / "m.npz")
+    mdp = mdp.until("home") if asks else mdp
+    found = simulate(mdp, "random", 100, 0)
+    assert 30 < found.endless < 70
+    assert found.mean_steps == evaluate(mdp, "random").steps == inf
+    words = ["simulate", path, "random", "--episodes", 20, *(["--until", "home"] * asks)]
+    assert strict(run(*words, "--json").out)["steps"] == "inf"
+    assert "inf: some never end" in run(*words).out
+    short = simulate(mdp, "random", 100, 0, horizon=3)
+    assert (short.endless, short.mean_steps) == (0, short.steps.mean())
+
+
 @pytest.mark.parametrize("chance", ["1/10000000000000000000", F(1, 10**300)])
 def test_an_end_beyond_double_precision_leaves_the_rest(chance: F | str) -> None:
     """When it ends is unknown; the mean, the spread and the events stand."""
