@@ -392,7 +392,7 @@ def _read_deterministic(file: ProofFile, states: int) -> dict[str, Any]:
 
 def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
     limits = _limit_list(file)
-    pairs = file.get("pairs", list_of(typed(int)))
+    pairs = file.get("pairs", _empty_or(typed(int)))  # none where all has ended at the start
     return {
         "proof": _read_proof(file, states),
         "limits": limits,

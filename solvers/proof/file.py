@@ -311,7 +311,9 @@ def list_of(read: Read, length: int | None = None) -> Read:
     """Return a reader of a list that is not empty, or of one of a length."""
 
     def listed(values: object) -> list[Any]:
-        if not isinstance(values, list) or not values or length not in (None, len(values)):
+        if not isinstance(values, list) or length not in (None, len(values)):
+            raise ValueError
+        if length is None and not values:
             raise ValueError
         return [read(value) for value in values]
 

@@ -150,6 +150,18 @@ def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize("bound", [0, 1])
+def test_a_file_may_say_that_nothing_is_visited(bound: int, tmp_path: Path) -> None:
+    """All has ended at the start."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2", components={"a": [1, 4, 0]}, start=1)
+    held = solve(mdp, subject_to={"a": f">= {bound}"})
+    assert held.violations() == []
+    held.save(path := tmp_path / "held.json")
+    proof = ObjectivesProof.load(path, "limits")
+    assert (proof.violations(mdp), proof.found(mdp)["feasible"]) == ([], not bound)
+
+
 def test_the_checker_notices() -> None:
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     held = solve(scenario, subject_to={"anger": ">= -1/10"})
