@@ -29,7 +29,7 @@ from typing import Any, NoReturn, TextIO
 
 import click
 
-from exact_mdp.analysis.gate.github import inert
+from exact_mdp.analysis.github import inert
 from exact_mdp.mdp.errors import ModelError, short, shown_text
 
 DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141

@@ -174,10 +174,10 @@ def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
         _check(name, of, where, LONGEST)
 
 
-def check_text(text: str, what: str, *, where: str = "") -> None:
+def check_text(text: str, what: str) -> None:
     """Raise ModelError as `check_names` does, of a text that may have several lines and tabs."""
     one_line = text.replace("\n", "").replace("\t", "")
-    _check(one_line, f"the {what}", where or what, LONGEST_TEXT)
+    _check(one_line, f"the {what}", what, LONGEST_TEXT)
 
 
 def _check(name: str, what: str, where: str, longest: int) -> None:

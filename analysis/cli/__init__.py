@@ -15,10 +15,10 @@ from typing import Any
 
 import click
 
+from exact_mdp.analysis import github
 from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.commands import COMMANDS
 from exact_mdp.analysis.exit_status import Told, leave, run
-from exact_mdp.analysis.gate import github
 
 PROGRAM = "exact-mdp"
 GATE = commands.check

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from exact_mdp.analysis import github
 from exact_mdp.analysis.cli.options import (
     advice,
     check_outputs,
@@ -22,7 +23,6 @@ from exact_mdp.analysis.cli.options import (
 )
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
-from exact_mdp.analysis.gate import github
 from exact_mdp.analysis.gate.check import PLANNED, UNEXPLAINED, Audit, share_of
 from exact_mdp.analysis.gate.disagreements import Disagreement, either
 from exact_mdp.analysis.gate.junit import Case, write_junit
@@ -107,7 +107,7 @@ def check(
         told = {"notice": ADVICE} if advice(asked.endless) else {}
         text = _message(audit, why, plan)
         _junit(junit, asked.loaded.name, learned, audit, seconds, told, text, plan)
-    result = {"learned": learned} | _result(audit) | _limits(audit) | _reasons(audit, why)
+    result = {"learned": learned} | _result(audit) | _limits(audit) | _reasons(why)
     result |= {} if plan is None else {"needed": _needed(plan)}
     report = asked.report(
         result,
@@ -402,7 +402,7 @@ def _disagreement(mdp: MDP, each: Disagreement, lost: float) -> dict[str, Any]:
     }
 
 
-def _reasons(audit: Audit, why: Representation | None) -> dict[str, Any]:
+def _reasons(why: Representation | None) -> dict[str, Any]:
     if why is None:
         return {"representation": None, "memory": None, "rows": None}
     best = why.best

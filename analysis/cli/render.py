@@ -30,7 +30,7 @@ from fractions import Fraction
 from operator import itemgetter
 from typing import Any, Literal
 
-from exact_mdp.analysis.gate import github
+from exact_mdp.analysis import github
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.mdp.lazy import later

@@ -5,6 +5,7 @@ from __future__ import annotations
 from time import perf_counter
 from typing import Any
 
+from exact_mdp.analysis import github
 from exact_mdp.analysis.cli import check as one
 from exact_mdp.analysis.cli.options import (
     Question,
@@ -14,7 +15,6 @@ from exact_mdp.analysis.cli.options import (
     policy_from,
 )
 from exact_mdp.analysis.cli.render import Report, Table, markdown
-from exact_mdp.analysis.gate import github
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.mdp.errors import ModelError

@@ -25,8 +25,6 @@ from exact_mdp.mdp.model import MDP
 
 stormpy = later("stormpy")
 
-PRISM, JANI = (".prism", ".nm", ".pm"), (".jani",)
-
 
 def load(
     path: str | Path,
@@ -58,7 +56,7 @@ def load(
 
 def _built(path: Path, constants: str) -> Any:
     """Return Storm's sparse model, with all that the program names."""
-    if path.suffix.lower() in JANI:
+    if path.suffix.lower() == ".jani":
         program = stormpy.parse_jani_model(str(path))[0]
     else:
         program = stormpy.parse_prism_program(str(path))

@@ -322,7 +322,6 @@ def side_by_side(
     vectors: list[int],
     actions: list[str],
     seed: int,
-    progress: Callable[[Answers], None] = lambda found: None,
 ) -> list[Answers]:
     """Return the answers of all variants for each status vector and action.
 
@@ -350,5 +349,4 @@ def side_by_side(
             prompt_characters=length,
         )
         found.append(entry)
-        progress(entry)
     return found

@@ -56,7 +56,6 @@ def derived(
     *,
     earned: Sequence[Fraction] | None = None,
     rests: Sequence[tuple[int, Fraction]] = (),
-    discount: Fraction = Fraction(1),
 ) -> Derived:
     """Return the model of some pairs (K,) between the states that `label` (S,) gives.
 
@@ -100,7 +99,7 @@ def derived(
         action,
         space=StateSpace.plain(size + 1),
         actions=tuple(map(str, range(int(action.max()) + 1))),
-        discount_exact=discount,
+        discount_exact=Fraction(1),
         start=((size, Fraction(1)),),
         name=mdp.name,
     )

@@ -191,7 +191,7 @@ def structure(mdp: MDP) -> Structure:
     uneven = both & (best == 0)
     if uneven.any():
         chosen = np.flatnonzero(uneven & (sign[_first(label, len(best))] == 0))
-        rest, moved, tilted = _tilted(components, graph, rewards, quiet, still, chosen)
+        rest, moved, tilted = _tilted(components, graph, rewards, still, chosen)
     plain = goal is None and drift is None
     of_sign = sign[_first(label, len(best))]
     return Structure(
@@ -251,7 +251,6 @@ def _tilted(
     components: Components,
     graph: Graph,
     rewards: Numbers,
-    quiet: Integers,
     still: Mask,
     chosen: Integers,
 ) -> tuple[Integers, Mask, dict[int, Tilted]]:

@@ -196,10 +196,9 @@ def mixed(without: Forms, having: Forms, chance: Forms) -> Forms:
     )
 
 
-def stacked(parts: list[Forms], axis: int = 0) -> Forms:
-    """Return forms side by side along a new axis, counted from the front."""
-    arrays = zip(*(vars(part).values() for part in parts), strict=True)
-    return Forms(*(np.stack(each, axis=axis) for each in arrays))
+def stacked(parts: list[Forms]) -> Forms:
+    """Return forms side by side along a new axis, the first."""
+    return Forms(*map(np.stack, zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def chained(first: Forms, rest: Forms) -> Forms:

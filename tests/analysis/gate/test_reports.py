@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from cli_runner import Done, launch, run
 
-from exact_mdp.analysis import check
+from exact_mdp.analysis import check, github
 from exact_mdp.analysis.cli.render import Report, Table, markdown
-from exact_mdp.analysis.gate import github
 from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import render

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import run
+from endless_oracle import eliminated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Rows, models
@@ -194,23 +195,13 @@ def small(draw: st.DrawFn) -> MDP:
 def solved(mdp: MDP, pairs: list[int], earned: list[F]) -> list[F]:
     """Return x = earned + γ P x of some pairs, by elimination in fractions."""
     n = mdp.n_states
-    matrix = [[F(int(i == j)) for j in range(n)] + [earned[i]] for i in range(n)]
+    matrix = [[F(int(i == j)) for j in range(n)] for i in range(n)]
+    right = [[F(0) if mdp.terminal[s] else earned[s]] for s in range(n)]
     for s, pair in enumerate(pairs):
         if not mdp.terminal[s]:
             for p, t, _ in mdp.table.row(pair):
                 matrix[s][t] -= mdp.discount_exact * p
-        else:
-            matrix[s][n] = F(0)
-    for i in range(n):
-        swap = next(r for r in range(i, n) if matrix[r][i])
-        matrix[i], matrix[swap] = matrix[swap], matrix[i]
-        matrix[i] = [x / matrix[i][i] for x in matrix[i]]
-        for r in range(n):
-            if r != i and matrix[r][i]:
-                matrix[r] = [
-                    x - matrix[r][i] * y for x, y in zip(matrix[r], matrix[i], strict=True)
-                ]
-    return [row[n] for row in matrix]
+    return [row for (row,) in eliminated(matrix, right)]
 
 
 def value(mdp: MDP, pairs: list[int]) -> list[F]:

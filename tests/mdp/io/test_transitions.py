@@ -20,7 +20,6 @@ from exact_mdp.mdp.io.load import load_model, save_model
 from exact_mdp.solvers import certify
 
 NAMES = list(transitions.COLUMNS)
-Step = tuple[str, int, int]  # action, reward in tenths, next state
 
 
 def table(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
