@@ -51,7 +51,7 @@ def plot_return_distribution(
     """
     ax = axes_or_new(ax)
     values = np.array([float(value) for value in distribution.values])
-    if bin is None:
+    if bin is None or not len(values):  # every run may go on for ever
         ax.vlines(values, 0, distribution.probabilities, color="0.25", linewidth=1.3)
     else:
         first, last = np.floor(values.min() / bin), np.floor(values.max() / bin)

@@ -22,10 +22,15 @@ from exact_mdp import MDP, Scenario, certify, check, evaluate, solve
 from exact_mdp.analysis import compare, dot, value_function
 from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.layout import arrange
-from exact_mdp.analysis.plots import plot_policy, plot_states, plot_transitions
+from exact_mdp.analysis.plots import (
+    plot_policy,
+    plot_return_distribution,
+    plot_states,
+    plot_transitions,
+)
 from exact_mdp.mdp import ModelError
 from exact_mdp.mdp.forms.generators import dense
-from exact_mdp.solvers import Certificate
+from exact_mdp.solvers import Certificate, return_distribution
 
 mpl.use("Agg")
 MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
@@ -364,3 +369,12 @@ def test_the_sign_of_an_end_is_in_the_legend() -> None:
     assert "∎ an episode ends" in [text.get_text() for text in legend.get_texts()]
     solved = plot_policy(grid(2, 2), [1] * 4).get_legend()
     assert "∎ an episode ends" in [text.get_text() for text in solved.get_texts()]
+
+
+@pytest.mark.parametrize("bin", [None, 10.0])
+def test_a_law_without_finite_returns_is_drawn(bin: float | None) -> None:
+    """Every run goes on for ever: nothing stands in the picture but the title."""
+    law = return_distribution(MDP.from_outcomes([(0, 0, [(1, 0, 1)])]), "always:0")
+    ax = plot_return_distribution(law, bin=bin)
+    assert not ax.patches
+    assert "never ends, and is infinite, with probability 1" in ax.get_title()
