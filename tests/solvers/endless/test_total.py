@@ -13,11 +13,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from strategies import Pairs, Row, any_models, model_of
 
-from exact_mdp.mdp import MDP, ModelError
+from exact_mdp.mdp import MDP, ModelError, chain
 from exact_mdp.solvers import certify, solve
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.endless.merged import without_losing
 from exact_mdp.solvers.endless.structure import finite, structure
+from exact_mdp.solvers.proof import exact as exact_values
+from exact_mdp.solvers.proof import linear
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import PrecisionWarning
 
@@ -54,6 +56,29 @@ def test_values_are_the_best_of_all_policies(model: Pairs) -> None:
     floats = solve(mdp)
     close(mdp, value, floats)
     assert total(*chain_of(size, pairs, np.asarray(floats.policy))) == value
+
+
+@given(model=any_models())
+@settings(max_examples=25)
+def test_proofs_do_not_depend_on_what_is_loaded(model: Pairs) -> None:
+    """Lists and rational elimination, or compiled loops and SciPy's graphs: the same proof."""
+    found = []
+    for loaded in (False, True):
+        with pytest.MonkeyPatch.context() as patch:
+            for module in (chain, exact_values, linear):
+                patch.setattr(module, "worth_compiling", lambda *_, loaded=loaded: loaded)
+            for module, name in ((chain, "FIRST"), (exact_values, "MANY"), (linear, "FEW")):
+                patch.setattr(module, name, 1)
+            try:
+                proof = certify(model_of(*model, F(1)))
+                wrong = proof.violations()
+            except ModelError as error:
+                found.append([str(error)])
+                continue
+        claims = [proof.value, proof.policy, proof.optimal_pairs, proof.gaps, proof.unique, wrong]
+        claims += [] if proof.endless is None else [proof.endless.rank, proof.endless.order]
+        found.append([np.asarray(each).tolist() for each in claims])
+    assert found[0] == found[1]
 
 
 @given(
