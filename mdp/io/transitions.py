@@ -452,7 +452,8 @@ class Record:
         fresh, times = np.unique(state[~goes_on], return_counts=True)
         for each, count in zip(fresh.tolist(), times.tolist(), strict=True):
             self.starts[each] = self.starts.get(each, 0) + count
-        self._stop(left[~goes_on], over[~goes_on])
+        stops = ~goes_on & (before >= 0)  # before the first row there is no episode
+        self._stop(left[stops], over[stops])
         self.last = (int(episode[-1]), int(then[-1]), bool(cut[-1]))
 
     def _stop(self, then: Integers, cut: Flags) -> None:

@@ -82,7 +82,7 @@ def _digits(text: str) -> Any:
 
 
 def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> list[Form]:
-    """Return what a mapping says: of statuses, {status: action}, or of states, by name or print.
+    """Return what a mapping says: of statuses, {status: action}, or of states by name or in print.
 
     Instead of an action there may be {action: probability}; of a state also a row of A
     probabilities or action values, for all of them.

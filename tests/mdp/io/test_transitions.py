@@ -363,6 +363,7 @@ def test_where_episodes_were_cut_off_is_no_end(
         assert mdp.episodes == 6
     record = transitions.counted(frame)
     assert record.n_cut_off == 5
+    assert sum(record.stops.values()) == record.n_episodes == 6
     assert transitions.counted(frame.drop(columns="truncated")).n_cut_off == 1  # stops in a
     model = tmp_path / "m.npz"
     told = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2", "--json").result
