@@ -3,6 +3,8 @@
 PYTHON  ?= python3
 VENV    ?= .venv
 OUT     ?= results
+# more options of `make reproduce`
+ARGS    ?=
 # processes that run the tests
 WORKERS ?= 2
 
@@ -44,8 +46,8 @@ help: ## list the targets
 setup: $(STAMP) ## make .venv with the locked packages and the project itself
 
 .PHONY: reproduce
-reproduce: $(STAMP) ## reproduce the paper's results (OUT=results)
-	$(PY) -m paper_repro --out $(OUT)
+reproduce: $(STAMP) ## reproduce the paper's results (OUT=results; ARGS=--quick: a first look)
+	$(PY) -m paper_repro --out $(OUT) $(ARGS)
 
 .PHONY: notebooks
 notebooks: $(STAMP) ## open the notebooks in JupyterLab
