@@ -134,6 +134,11 @@ class Sweeps:
         """A lower bound of all margins."""
         return float(self.weights.margin.min()) - self.weights.error
 
+    @cached_property
+    def blur(self) -> float:
+        """How far a margin may be off, as a part of it."""
+        return self.weights.error / self.least_margin
+
     @property
     def policy(self) -> Integers | None:
         """(S,) the pairs found by the last improving pass that looked at any transition."""
@@ -214,9 +219,13 @@ class Sweeps:
         open_pairs = live[mdp.pair_state]
         most = weights.ratio(gain.value + gain.error)[open_pairs]
         least = -weights.ratio(gain.error - gain.value)[pairs[live]]
-        floor = gain.noise[open_pairs].max() / self.least_margin
         low, high = float(least.min()), float(most.max())
-        return Judged(step=step, pairs=pairs, low=low, high=high, floor=float(floor))
+        floor = self._floor(float(gain.noise[open_pairs].max()), low, high)
+        return Judged(step=step, pairs=pairs, low=low, high=high, floor=floor)
+
+    def _floor(self, noise: float, low: float, high: float) -> float:
+        """Return how far rounding of d, and of the margins, may keep these bounds apart."""
+        return noise / self.least_margin + max(abs(low), abs(high)) * self.blur
 
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
         mdp = self.mdp
@@ -342,13 +351,14 @@ class CompiledSweeps(Sweeps):
         found = self._blocks(2, bellman.improve, self.model, policy, value, shift, error, step)
         self._pairs, memory.policy = policy.pairs, policy._replace(known=True)
         low, high = float(found[:, 0].min()), float(found[:, 1].max())
-        return finite(Pass(step=step, low=low, high=high, floor=sizes.noise / self.least_margin))
+        floor = self._floor(sizes.noise, low, high)
+        return finite(Pass(step=step, low=low, high=high, floor=floor))
 
     def _alone(self, value: float, shift: float, sizes: _Sizes) -> Pass:
         """Improve values that are all `value`: transitions add nothing, and are not read."""
         first, live = self.mdp.pair_offsets[:-1], ~self.mdp.terminal
         gain = self.mdp.reward if value == 0 else self.mdp.reward - self.facts.leak * value
-        margin, floor = self.weights.margin, sizes.noise / self.least_margin
+        margin = self.weights.margin
         step = np.maximum.reduceat(gain - shift * margin if shift else gain, first)
         if self.uniform:
             ratio = step / margin[first] + shift
@@ -358,6 +368,7 @@ class CompiledSweeps(Sweeps):
         low, high = float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
         if not live.any():
             low = high = 0.0
+        floor = self._floor(sizes.noise, low, high)
         return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 
     def _judge(self, value: Floats, shift: float) -> Judged:
@@ -382,11 +393,11 @@ class CompiledSweeps(Sweeps):
             bellman.judge(first, last, *what, spare, memory.alike, step, pairs, room, extremes)
 
         found = self._blocks(3, judge)
-        low, high, loudest = found[:, 0].min(), found[:, 1].max(), found[:, 2].max()
-        floor = loudest / self.least_margin
         if mdp.terminal.all():
-            low = high = floor = np.float64(0)
-        return Judged(step=step, pairs=pairs, low=float(low), high=float(high), floor=float(floor))
+            return Judged(step=step, pairs=pairs, low=0.0, high=0.0, floor=0.0)
+        low, high = float(found[:, 0].min()), float(found[:, 1].max())
+        floor = self._floor(float(found[:, 2].max()), low, high)
+        return Judged(step=step, pairs=pairs, low=low, high=high, floor=floor)
 
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
         step, policy = self._step, self._memory.policy
@@ -518,6 +529,7 @@ class LoadedSweeps(CompiledSweeps):
             "strict": self.strict,
             "uniform": self.uniform,
             "least_margin": self.least_margin,
+            "blur": self.blur,
         }
         step, pairs, extremes = np.empty(states), np.empty(states, dtype=np.int64), np.empty(3)
         reached, found, due, swept, left = loops.rounds(

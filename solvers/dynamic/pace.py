@@ -6,7 +6,7 @@ stop at the same pass. All errors here are half the gap between two bounds, in u
 
 from __future__ import annotations
 
-PATIENCE = 20
+PATIENCE, SHORT = 20, 5
 TINY = 2.0**-1000
 # Of what is left, by passes without progress.
 PARTS: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0, 1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -14,17 +14,32 @@ PARTS += (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 
 
 def advanced(
-    low: float, high: float, floor: float, weight: float, best: float, idle: int
+    low: float, high: float, floor: float, weight: float, tol: float, best: float, idle: int
 ) -> tuple[float, float, int, bool]:
     """Return the error, the least one so far, passes since it fell, and whether rounding stops it.
 
-    `low`, `high` and `floor` are of a pass, `weight` is the greatest weight.
+    `low`, `high` and `floor` are of a pass, `weight` is the greatest weight, `tol` is 0 for none.
+    Where policies are evaluated as closely as the tolerance asks for anyway, patience is short.
     """
     half = (high - low) / 2 * weight
     idle = 0 if half < best else idle + 1
     best = min(best, half)
-    quiet = half == 0 or idle >= PATIENCE
+    closely = half / 10 * PARTS[SHORT] <= tol / 2
+    quiet = half == 0 or idle >= (SHORT if closely else PATIENCE)
     return half, best, idle, bool(quiet and half <= 4 * floor * weight)
+
+
+def middle(
+    low: float, high: float, bottom: float, top: float, least: float, most: float
+) -> tuple[float, float, float]:
+    """Return the shift to move to, between those of a pass, and bounds of all values.
+
+    The least and the greatest of h are `bottom` and `top`. Where a state's news has yet to come,
+    the middle may be as much as 1 / (1 - γ) beyond any value that there can be, and rows whose
+    floats sum to more than those of others would seem to be better for it.
+    """
+    least, most = max(least, bottom + low), min(most, top + high)
+    return max(min((low + high) / 2, most - bottom), least - top), least, most
 
 
 def goal(half: float, idle: int, weight: float, tol: float) -> float:

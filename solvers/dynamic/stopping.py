@@ -149,6 +149,8 @@ class Run:
             }
             state = {
                 "shift": values.shift,
+                "least": values.least,
+                "most": values.most,
                 "iteration": self.iteration,
                 "ready": self.ready,
                 "half": self._half,
@@ -204,7 +206,13 @@ class Run:
         """Take note of a pass; return whether it may be the last."""
         value = self.values.value
         self._half, self._best, self._idle, self._stalled = pace.advanced(
-            found.low, found.high, found.floor, self._weight, self._best, self._idle
+            found.low,
+            found.high,
+            found.floor,
+            self._weight,
+            float(self._tol or 0.0),
+            self._best,
+            self._idle,
         )
         if self._stalled:
             return True
@@ -250,6 +258,8 @@ class Iterate:
     sweeps: Sweeps
     value: Floats  # (S,) h
     shift: float = 0.0  # c, which is 0 but where a shift of all values is only a shift
+    least: float = -np.inf  # No state is worth less than this, nor more than the next, about
+    most: float = np.inf
     slow: bool = False  # Whether sweeps were found to be too slow for this model
     relaxed: bool = False  # Whether states were ever improved one by one, by `relax`
     spent: float = 0.0  # Operations of passes over all pairs since the last correction
@@ -280,7 +290,8 @@ class Iterate:
         """
         assert isinstance(self.sweeps, LoadedSweeps)
         reached, found, due, swept, left = self.sweeps.rounds(count, settings, state, self.value)
-        self.shift, self.slow, self.spent = reached.shift, reached.slow, reached.spent
+        self.shift, self.least, self.most = reached.shift, reached.least, reached.most
+        self.slow, self.spent = reached.slow, reached.spent
         self._count("policies evaluated by sweeps", swept)
         self._count("policies left unevaluated", left)
         self.ahead = found
@@ -308,20 +319,18 @@ class Iterate:
         states were improved one by one, errors differ, and the shift to the middle could bring
         back more than a sweep removes: from then on T V is taken as it is.
         """
-        if self.relaxed:
-            self.value += found.step
-        else:
-            self._move(found.step, (found.low + found.high) / 2 - self.shift)
+        if self.sweeps.uniform and not self.relaxed:
+            ends = float(self.value.min()), float(self.value.max())
+            middle, self.least, self.most = pace.middle(
+                found.low, found.high, *ends, self.least, self.most
+            )
+            self.shift += self.sweeps.mdp.discount * (middle - self.shift)
+        self.value += found.step
 
     def relax(self, *, backward: bool) -> None:
         """Improve each state in turn, upward or downward in number, by what others have become."""
         self.sweeps.relax(self.value, self.shift, backward=backward)
         self.relaxed = True
-
-    def _move(self, step: Floats, middle: float) -> None:
-        self.value += step
-        if self.sweeps.uniform:
-            self.shift += self.sweeps.mdp.discount * middle
 
     def evaluate(self, goal: float, most: int) -> None:
         """Move close to the values of the policy of the last pass, where it has one.
@@ -362,10 +371,7 @@ class Iterate:
     def _correct(self, goal: float) -> None:
         pairs = self.sweeps.policy
         assert pairs is not None
-        chain, _ = policy_chain(self.sweeps.mdp, pairs)
-        system, error = LinearSystem(chain, self.sweeps.mdp.discount), np.inf
-        self.price = system.work
-        self._count(f"policies evaluated by {system.method}")
+        system, error = None, np.inf
         kept, shift = self.value.copy(), self.shift
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
@@ -377,6 +383,11 @@ class Iterate:
                 return
             if error <= goal or error > before / 2:
                 return
+            if system is None:
+                chain, _ = policy_chain(self.sweeps.mdp, pairs)
+                system = LinearSystem(chain, self.sweeps.mdp.discount)
+                self.price = system.work
+                self._count(f"policies evaluated by {system.method}")
             kept[:], shift = self.value, self.shift
             if self.sweeps.uniform:
                 middle = (low + high) / 2

@@ -18,7 +18,7 @@ from exact_mdp.solvers.kernels.bellman import Facts, Known, Model, Slow, hold, j
 from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
 TINY = 2.0**-1000
-advanced, goal_of = inlined(pace.advanced), inlined(pace.goal)
+advanced, goal_of, middle_of = map(inlined, (pace.advanced, pace.goal, pace.middle))
 
 
 class Settings(NamedTuple):
@@ -35,6 +35,7 @@ class Settings(NamedTuple):
     uniform: bool
     weight: float
     least_margin: float
+    blur: float
     most: int
     last: int
     work: float
@@ -45,6 +46,8 @@ class State(NamedTuple):
     """Of a run between two passes: see `solvers.dynamic.stopping`."""
 
     shift: float
+    least: float
+    most: float
     iteration: int
     ready: bool
     half: float
@@ -87,17 +90,17 @@ def rounds(
     counted, whether equations are to be solved, and the policies swept for and left alone.
     """
     states, swept, left = len(value), 0, 0
-    shift, iteration, ready, half, best, idle, doubt, slow, spent = state
+    shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent = state
     weight, uniform = settings.weight, settings.uniform
     for _ in range(count):
-        low, high = extent(value)
-        middle = (low + high) / 2
-        if uniform and abs(middle) > high - low:
+        bottom, top = extent(value)
+        middle = (bottom + top) / 2
+        if uniform and abs(middle) > top - bottom:
             for s in range(states):
                 value[s] -= middle
             shift += middle
-            low, high = extent(value)
-        size = max(abs(low), abs(high))
+            bottom, top = extent(value)
+        size = max(abs(bottom), abs(top))
         known = Facts(
             facts.reward_error,
             facts.leak_error,
@@ -106,14 +109,15 @@ def rounds(
             TINY * (1 + size) if size != 0 else 0.0,
             facts.rounding,
         )
-        still = low == high
+        still = bottom == top
         judge(
             0, states, model, known, policy, value, shift, settings.strict, still,
             0.0, 0.0, step, pairs, room, extremes,
         )  # fmt: skip
         low, high, floor = extremes[0], extremes[1], extremes[2] / settings.least_margin
+        floor += max(abs(low), abs(high)) * settings.blur
         extremes[2] = floor
-        now, least, since, stalled = advanced(low, high, floor, weight, best, idle)
+        now, least, since, stalled = advanced(low, high, floor, weight, settings.tol, best, idle)
         limit, centre = settings.tol, (low + high) / 2
         if limit == 0:
             greatest = 1.0
@@ -123,7 +127,9 @@ def rounds(
         close = stalled or doubt * now <= limit
         done = close and (ready or not settings.polish)
         if done or iteration + 1 == settings.last or not np.isfinite(high - low):
-            reached = State(shift, iteration, ready, half, best, idle, doubt, slow, spent)
+            reached = State(
+                shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent
+            )
             return reached, True, False, swept, left
         half, best, idle, ready = now, least, since, close
         iteration += 1
@@ -131,6 +137,7 @@ def rounds(
         for s in range(states):
             value[s] += step[s]
         if uniform:
+            centre, under, over = middle_of(low, high, bottom, top, under, over)
             shift += model.discount * (centre - shift)
         if iteration == 1:
             continue
@@ -148,7 +155,7 @@ def rounds(
         if spent < settings.price:
             left += 1
             continue
-        reached = State(shift, iteration, ready, half, best, idle, doubt, slow, spent)
+        reached = State(shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent)
         return reached, False, True, swept, left
-    reached = State(shift, iteration, ready, half, best, idle, doubt, slow, spent)
+    reached = State(shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent)
     return reached, False, False, swept, left

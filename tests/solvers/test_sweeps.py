@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction as F
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -339,7 +339,7 @@ def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
-    discount=st.sampled_from([0.5, 0.99, 0.9999, 1 - 1e-7]),
+    discount=st.sampled_from([0.5, 0.99, 0.9999, 1 - 1e-7, 1 - 2**-52]),
     ring=st.booleans(),
     ends=st.booleans(),
     size=st.sampled_from([1e-3, 1.0, 1e7, 1e307]),
@@ -386,6 +386,33 @@ def test_rounds_end_alike_whatever_is_loaded(
             told += [one.pairs.tobytes(), one.state_error.tobytes()]
         found.append(told)
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("states", "discount", "size", "tol", "part"),
+    [(5, 1 - 2**-52, 1.0, 1e-6, 1e-10), (40, 1 - 1e-9, 1e5, None, 1e-6)],
+)
+def test_a_run_ends_where_floats_do(
+    states: int, discount: float, size: float, tol: Any, part: float, seed: int
+) -> None:
+    """On a ring, each of the two or three states next to one another follows, or does not.
+
+    Margins of 2^-52 are off by a part of themselves, and keep bounds apart that nothing else does;
+    of policies that stay here or there, bounds are a billion times as large as values.
+    """
+    rng = np.random.default_rng(seed)
+    chances = np.zeros((3, states, states))
+    for action, state in product(range(3), range(states)):
+        after = (state + rng.choice([-1, 0, 1], 2, replace=False)) % states
+        chances[action, state, after] = rng.dirichlet([1, 1])
+    mdp = MDP.from_arrays(chances, rng.normal(size=(states, 3)) * size, discount=discount)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        one, other = solve(mdp, tol=tol), solve(mdp, PolicyIteration())
+    assert one.iterations < 120
+    assert one.error_bound <= part * np.abs(one.value).max()
+    assert (np.abs(one.value - other.value) <= one.state_error + other.state_error).all()
 
 
 @pytest.mark.parametrize("make", SMALL)
