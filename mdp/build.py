@@ -359,15 +359,17 @@ def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
 
     None where compiled loops are not loaded, and where rows are not sound as they are.
     """
-    if COMPILING not in sys.modules or rows.dtype != np.float64:
+    wide = rows.shape[1] >= 2**31
+    if COMPILING not in sys.modules or rows.dtype != np.float64 or wide or not rows.shape[0]:
         return None
     offsets = rows.indptr.astype(np.int64)
     columns, data = np.empty(offsets[-1], dtype=rows.indices.dtype), np.empty(offsets[-1])
     ends, given = block_ends(offsets), (rows.shape[1], offsets, rows.indices, rows.data)
-    good = [False] * (len(ends) - 1)
+    good, size = [False] * (len(ends) - 1), max(int(np.diff(offsets).max()), loops.DIGITS)
 
     def work(number: int, first: int, last: int) -> None:
-        good[number] = loops.taken(first, last, *given, columns, data)
+        room = np.empty((3, size), dtype=np.int64)
+        good[number] = loops.taken(first, last, *given, columns, data, room)
 
     run_blocks(ends, work)
     return (offsets, columns, data) if all(good) else None

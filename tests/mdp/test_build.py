@@ -24,6 +24,7 @@ from exact_mdp.mdp import (
     NegativeError,
     ShapeError,
     StateSpace,
+    build,
 )
 
 HALF = Fraction(1, 2)
@@ -186,6 +187,37 @@ def test_pairs_may_be_missing_and_unsorted() -> None:
         assert mdp.transition.toarray().tolist() == [[0.5, 0.5], [1, 0], [0, 1]]
         assert mdp.forced.tolist() == [False, True]
         assert list(mdp.pairs_of(0)) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("states", "entries", "wrong"),
+    [
+        *[(40, 7, None), (300, 32, None), (300, 33, None), (200, 200, None), (70_000, 90, None)],
+        *[(300, 20, "twice"), (300, 50, "twice"), (200, 200, "twice"), (70_000, 90, "nothing")],
+    ],
+)
+def test_columns_may_stand_in_any_order(
+    states: int, entries: int, wrong: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compiled loops, once loaded, take rows of any length over as the rest of the house does."""
+    pairs, rng = 30, np.random.default_rng(entries)
+    columns = np.array([rng.permutation(states)[:entries] for _ in range(pairs)], dtype=np.int32)
+    chances = rng.dirichlet(np.full(entries, 5.0), pairs)
+    if wrong == "twice":
+        columns[7, 3] = columns[7, 5]
+    if wrong == "nothing":
+        chances[7, 3] = 0.0
+        chances[7] /= chances[7].sum()
+    offsets, found = np.arange(0, pairs * entries + 1, entries), []
+    for loaded in (True, False):
+        given = (chances.ravel(), columns.ravel(), offsets)
+        monkeypatch.setattr(build, "COMPILING", "sys" if loaded else "not loaded")
+        matrix = sp.csr_array(given, shape=(pairs, states))
+        taken = build._taken(matrix)
+        assert (taken is not None) == (loaded and wrong is None)
+        table = build.from_pairs(range(pairs), [0] * pairs, matrix, np.ones(pairs), "1/2")["table"]
+        found.append([part.tobytes() for part in (table.offsets, table.next, table.weight)])
+    assert found[0] == found[1]
 
 
 def test_rewards_of_moves_may_be_sparse() -> None:
