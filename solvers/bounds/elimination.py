@@ -118,6 +118,12 @@ def band(chain: sp.csr_array, discount: float, within: tuple[int, int]) -> Solve
     places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")
     places[lower + upper + row - chain.indices, chain.indices] = -discount * chain.data
     places[lower + upper] += 1.0
+    return factored(places, within)
+
+
+def factored(places: Floats, within: tuple[int, int]) -> Solve:
+    """Return elimination of a matrix in LAPACK's `places` for a band, which are used up."""
+    lower, upper = within
     factors, exchanged, failed = lapack.dgbtrf(places, lower, upper, overwrite_ab=True)
     if failed:
         raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")

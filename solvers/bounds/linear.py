@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -192,10 +192,8 @@ class LinearSystem:
     @cached_property
     def _band(self) -> tuple[tuple[int, int], float]:
         """How far transitions lead, and the multiplications of elimination if it pays, else 0."""
-        chain, within = self.transition, elimination.reach(self.transition)
-        work = 2.0 * chain.shape[0] * (within[0] + 1) * (sum(within) + 1)
-        narrow = sum(within) * chain.shape[0] <= MOST_FILL * chain.nnz
-        return within, work if narrow or work <= CHEAP else 0.0
+        within = elimination.reach(self.transition)
+        return within, _work(self.transition.shape[0], self.transition.nnz, within)
 
     @cached_property
     def _direct(self) -> Solve | None:
@@ -253,6 +251,42 @@ class LinearSystem:
             return elimination.sparse(self.transition, self.discount)
         except TooLarge as refusal:
             return refusal
+
+
+def _work(states: int, entries: int, within: tuple[int, int]) -> float:
+    """Return the multiplications of elimination `within` a band, if it pays, else 0."""
+    work = 2.0 * states * (within[0] + 1) * (sum(within) + 1)
+    narrow = sum(within) * states <= MOST_FILL * entries
+    return work if narrow or work <= CHEAP else 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Banded:
+    """As a `LinearSystem` that is eliminated within a band, of rows that loops hold side by side.
+
+    The same numbers come to the same places, so that the same bits come out.
+    """
+
+    discount: float
+    work: float
+    roughly: Solve
+    method: ClassVar[str] = "band"
+
+    @classmethod
+    def of(cls, rows: Any, ended: NDArray[np.bool_], discount: float) -> Banded | None:
+        """Return the equations of a policy's `rows` (`solvers.kernels.bellman.Known`).
+
+        None where a band does not pay. The rows of states that have `ended` (S,) count as empty.
+        """
+        places, states = (rows.slots, rows.ends, rows.indices), len(ended)
+        lower, upper, entries = loops.reach(*places, ended)
+        work = _work(states, entries, (lower, upper))
+        if not work:
+            return None
+        matrix = np.zeros((2 * lower + upper + 1, states), order="F")
+        loops.banded(*places, rows.data, ended, discount, lower + upper, matrix)
+        solve = elimination.factored(matrix, (lower, upper))
+        return cls(discount=discount, work=work, roughly=solve)
 
 
 def relatively(system: LinearSystem, constant: Floats) -> tuple[Floats, float]:

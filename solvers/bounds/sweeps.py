@@ -35,7 +35,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -45,7 +45,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
     COMPILED,
-    SLACK,
     TINY,
     UNIT,
     Gain,
@@ -58,6 +57,7 @@ from exact_mdp.solvers.bounds.gains import (
     loops_pay,
     rounding_facts,
 )
+from exact_mdp.solvers.bounds.sizes import Greatest, Sizes, risen, sizes
 from exact_mdp.solvers.solution import SolverError, Status
 
 bellman = later("exact_mdp.solvers.kernels.bellman")
@@ -266,7 +266,6 @@ class Remembered:
     q(l) = r(l) is what the ceilings say, of h = 0.
     """
 
-    flow: tuple[float, float]  # bounds of γ Σ_s' P(l, s') over all pairs
     margin: tuple[float, float]  # bounds of the margins of all pairs
     policy: Any  # a Known: the policy, its rows and the ceilings
     before: Floats  # (S,) h of the last pass
@@ -274,9 +273,6 @@ class Remembered:
     @classmethod
     def nothing(cls, mdp: MDP, weights: Weights, facts: RoundingFacts) -> Remembered:
         """Return what is known of a model before any pass."""
-        leak, leak_error = facts.leak, facts.leak_error
-        least, most = float(leak.min()) - leak_error, float(leak.max()) + leak_error
-        lost = 4 * UNIT * (1 + abs(least) + abs(most))
         margin, matrix = weights.margin, mdp.transition
         longest = np.diff(matrix.indptr)
         if longest.min() < longest.max():
@@ -286,7 +282,6 @@ class Remembered:
         slots = np.zeros(mdp.n_states + 1, dtype=matrix.indptr.dtype)
         np.cumsum(longest, out=slots[1:])
         return cls(
-            flow=(1 - most - lost, 1 - least + lost),
             margin=(float(margin.min()) - weights.error, float(margin.max()) + weights.error),
             policy=bellman.Known(
                 slots=slots,
@@ -312,49 +307,39 @@ class Remembered:
         most = max(-shift * self.margin[0], -shift * self.margin[1])
         return most + 4 * UNIT * abs(most)
 
-    def move(self, value: Floats) -> None:
+    def move(self, value: Floats, greatest: Greatest) -> None:
         """Go on to h = `value` (S,)."""
-        most = float(np.nextafter(bellman.climb(value, self.before), np.inf))
-        grown = max(self.flow[0] * most, self.flow[1] * most)
-        rise = self.policy.rise
-        rise += grown + 4 * UNIT * (abs(grown) + abs(rise))
+        climb = float(bellman.climb(value, self.before))
+        rise = risen(self.policy.rise, climb, greatest)
         self.policy = self.policy._replace(rise=rise)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Sizes:
-    """Of one h: how far apart its values are, and how large; and what bounds all pairs' d.
-
-    `gain` bounds |d|, `error` its rounding error, `noise` that of V and q.
-    """
-
-    span: float
-    value: float
-    gain: float
-    error: float
-    noise: float
 
 
 class CompiledSweeps(Sweeps):
     """As `Sweeps`, for large models."""
 
+    whole: ClassVar[bool] = False  # Whether every pass looks at all pairs, and is a judging one
+
+    @property
+    def alone(self) -> bool:
+        """Whether passes are work for one thread, so that many of them may be one call."""
+        return len(self._ends) == 2
+
     @np.errstate(over="ignore", invalid="ignore")
     def improve(self, value: Floats, shift: float = 0.0) -> Pass:
         """See `Sweeps.improve`; where all values are the same, there is no policy to follow."""
-        sizes, memory, step = self._sizes(value), self._memory, self._step
-        if sizes.span == 0:
-            return finite(self._alone(float(value[0]), shift, sizes))
-        memory.move(value)
+        (of, still), memory, step = self._sizes(value), self._memory, self._step
+        if still:
+            return finite(self._alone(float(value[0]), shift, of))
+        memory.move(value, self._greatest)
         policy = memory.policy
-        rounded = abs(policy.rise) + sizes.value + sizes.gain + sizes.error
-        error = sizes.error + 8 * UNIT * rounded
+        error = of.error + 8 * UNIT * (abs(policy.rise) + of.value + of.gain + of.error)
         found = self._blocks(2, bellman.improve, self.model, policy, value, shift, error, step)
         self._pairs, memory.policy = policy.pairs, policy._replace(known=True)
         low, high = float(found[:, 0].min()), float(found[:, 1].max())
-        floor = self._floor(sizes.noise, low, high)
+        floor = self._floor(of.noise, low, high)
         return finite(Pass(step=step, low=low, high=high, floor=floor))
 
-    def _alone(self, value: float, shift: float, sizes: _Sizes) -> Pass:
+    def _alone(self, value: float, shift: float, of: Sizes) -> Pass:
         """Improve values that are all `value`: transitions add nothing, and are not read."""
         first, live = self.mdp.pair_offsets[:-1], ~self.mdp.terminal
         gain = self.mdp.reward if value == 0 else self.mdp.reward - self.facts.leak * value
@@ -368,15 +353,15 @@ class CompiledSweeps(Sweeps):
         low, high = float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
         if not live.any():
             low = high = 0.0
-        floor = self._floor(sizes.noise, low, high)
+        floor = self._floor(of.noise, low, high)
         return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 
     def _judge(self, value: Floats, shift: float) -> Judged:
-        self._memory.move(value)
-        sizes = self._sizes(value)
-        tied = sizes.error if self.strict else sizes.noise
+        self._memory.move(value, self._greatest)
+        of, still = self._sizes(value)
+        tied = of.error if self.strict else of.noise
         spare = self._memory.drop(shift) + tied
-        return self._judged(value, shift, sizes.value, spare, still=sizes.span == 0)
+        return self._judged(value, shift, of.value, spare, still=still)
 
     def _judged(
         self, value: Floats, shift: float, size: float, spare: float, *, still: bool
@@ -399,6 +384,53 @@ class CompiledSweeps(Sweeps):
         floor = self._floor(float(found[:, 2].max()), low, high)
         return Judged(step=step, pairs=pairs, low=low, high=high, floor=floor)
 
+    def rounds(
+        self, count: int, settings: dict[str, Any], state: dict[str, Any], value: Floats
+    ) -> tuple[Any, Pass | None, bool, bool, int, int]:
+        """Go through rounds of modified policy iteration; see `solvers.kernels.rounds`.
+
+        `value` (S,) changes in place. The pass that has yet to be counted is given back.
+        """
+        most, states, memory = settings["most"], len(value), self._memory
+        settings |= {
+            "strict": self.strict,
+            "uniform": self.uniform,
+            "least_margin": self.least_margin,
+            "blur": self.blur,
+            "whole": self.whole,
+        }
+        step, extremes, pairs = np.empty(states), np.empty(3), memory.policy.pairs
+        if self.whole:
+            pairs = np.empty(states, dtype=np.int64)
+        reached, stopped, found, due, swept, left = loops.rounds(
+            count,
+            self.model,
+            self._known,
+            memory.policy,
+            self._greatest,
+            self.weights.value,
+            loops.Settings(**settings),
+            bellman.Slow(FIRST_SWEEPS, APART, LEAST),
+            loops.State(**state, rise=memory.policy.rise, known=memory.policy.known),
+            value,
+            memory.before,
+            step,
+            pairs,
+            np.empty((2, self._widest)),
+            np.empty(most + 2),
+            extremes,
+        )
+        memory.policy = memory.policy._replace(rise=reached.rise, known=reached.known)
+        if self.whole or reached.known:
+            self._pairs, self._rows = pairs, (None,)
+        if not found:
+            return reached, None, stopped, due, swept, left
+        low, high, floor = extremes.tolist()
+        ahead = Pass(step=step, low=low, high=high, floor=floor)
+        if self.whole:
+            ahead = Judged(step=step, low=low, high=high, floor=floor, pairs=pairs)
+        return reached, finite(ahead), stopped, due, swept, left
+
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
         step, policy = self._step, self._memory.policy
         found = self._blocks(2, bellman.follow, self.model, policy, value, shift, step)
@@ -407,7 +439,7 @@ class CompiledSweeps(Sweeps):
     @np.errstate(over="ignore", invalid="ignore")
     def settle(self, value: Floats, shift: float, goal: float, most: int) -> tuple[bool, float]:
         """See `Sweeps.settle`."""
-        if self._pairs is None or len(self._ends) > 2:
+        if self._pairs is None or not self.alone:
             return super().settle(value, shift, goal, most)
         self._hold(self._pairs)
         limits = bellman.Slow(FIRST_SWEEPS, APART, LEAST)
@@ -419,36 +451,37 @@ class CompiledSweeps(Sweeps):
     def _hold(self, pairs: Integers) -> None:
         """Have the rows of a policy side by side, as `improve` leaves them."""
 
+    @property
+    def held(self) -> Any:
+        """The rows of the policy last followed, side by side: a `solvers.kernels.bellman.Known`."""
+        return self._memory.policy
+
     def _blocks(self, count: int, work: Callable[..., None], *what: Any) -> Floats:
         """Run `work` on all blocks of states; return what each left as its `count` extremes."""
         extremes = np.empty((len(self._ends) - 1, count))
         run_blocks(self._ends, lambda n, first, last: work(first, last, *what, extremes[n]))
         return extremes
 
-    def _sizes(self, value: Floats) -> _Sizes:
-        """Return bounds for h = `value` (S,), which never have to look at a transition."""
-        facts, (most_reward, most_leak, terms, earned_error) = self.facts, self._greatest
+    def _sizes(self, value: Floats) -> tuple[Sizes, bool]:
+        """Return bounds for h = `value` (S,), and whether all of it is the same."""
         low, high = float(value.min()), float(value.max())
-        span, size = high - low, max(abs(low), abs(high))
-        rounded = float(gamma(terms + 8))
-        # No row sums up to 1.001.
-        flow, lost = 1.001 * self.mdp.discount * span, most_leak * size
-        error = rounded * flow + float(gamma(4)) * (most_reward + lost)
-        error += facts.leak_error * size + TINY * (1 + size) * (terms + 1) + earned_error
-        error *= SLACK
-        noise = rounded * (flow + size + most_reward) + error
-        gain = most_reward + flow + lost + error
-        return _Sizes(span=span, value=size, gain=gain, error=error, noise=noise)
+        return sizes(low, high, self.mdp.discount, self._greatest), low == high
 
     @cached_property
-    def _greatest(self) -> tuple[float, float, int, float]:
-        """The greatest reward and leak in size, roundings in a row, and error of a reward."""
-        sizes = [
-            max(abs(float(array.min())), abs(float(array.max())))
-            for array in (self.mdp.reward, self.facts.leak)
-        ]
-        terms = int(self.facts.terms(self.mdp, 0, self.mdp.n_pairs).max())
-        return sizes[0], sizes[1], terms, self.facts.reward_error_bound(self.mdp)
+    def _greatest(self) -> Greatest:
+        facts, mdp = self.facts, self.mdp
+        least, most = float(facts.leak.min()), float(facts.leak.max())
+        below, above = least - facts.leak_error, most + facts.leak_error
+        lost = 4 * UNIT * (1 + abs(below) + abs(above))
+        return Greatest(
+            reward=max(abs(float(mdp.reward.min())), abs(float(mdp.reward.max()))),
+            leak=max(abs(least), abs(most)),
+            terms=int(facts.terms(mdp, 0, mdp.n_pairs).max()),
+            reward_error=facts.reward_error_bound(mdp),
+            leak_error=facts.leak_error,
+            least_flow=1 - above - lost,
+            most_flow=1 - below + lost,
+        )
 
     @cached_property
     def _memory(self) -> Remembered:
@@ -482,7 +515,7 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _rounding(self) -> Floats:
         """γ(n + 8) of rows of n roundings."""
-        return gamma(np.arange(self._greatest[2] + 1) + 8)
+        return gamma(np.arange(self._greatest.terms + 1) + 8)
 
     @cached_property
     def _step(self) -> Floats:
@@ -493,6 +526,7 @@ class LoadedSweeps(CompiledSweeps):
     """As `Sweeps`, bit for bit: every pass of a small model looks at all pairs."""
 
     improve = Sweeps.improve
+    whole = True
 
     @cached_property
     def _reward_error(self) -> Floats:
@@ -516,41 +550,3 @@ class LoadedSweeps(CompiledSweeps):
         if self._rows[0] is not pairs:
             bellman.hold(self.model, pairs, self._memory.policy)
             self._rows = (pairs,)
-
-    def rounds(
-        self, count: int, settings: dict[str, Any], state: dict[str, Any], value: Floats
-    ) -> tuple[Any, Judged | None, bool, int, int]:
-        """Go through rounds of modified policy iteration; see `solvers.kernels.rounds`.
-
-        `value` (S,) changes in place. The pass that has yet to be counted is given back.
-        """
-        most, states = settings["most"], len(value)
-        settings |= {
-            "strict": self.strict,
-            "uniform": self.uniform,
-            "least_margin": self.least_margin,
-            "blur": self.blur,
-        }
-        step, pairs, extremes = np.empty(states), np.empty(states, dtype=np.int64), np.empty(3)
-        reached, found, due, swept, left = loops.rounds(
-            count,
-            self.model,
-            self._known,
-            self._memory.policy,
-            self.weights.value,
-            loops.Settings(**settings),
-            bellman.Slow(FIRST_SWEEPS, APART, LEAST),
-            loops.State(**state),
-            value,
-            step,
-            pairs,
-            np.empty((2, self._widest)),
-            np.empty(most + 2),
-            extremes,
-        )
-        self._pairs, self._rows = pairs, (None,)
-        if not found:
-            return reached, None, due, swept, left
-        low, high, floor = extremes.tolist()
-        judged = finite(Judged(step=step, pairs=pairs, low=low, high=high, floor=floor))
-        return reached, judged, due, swept, left

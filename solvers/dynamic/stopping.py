@@ -30,11 +30,11 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
 from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, UNIT
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, relatively
-from exact_mdp.solvers.bounds.sweeps import Judged, LoadedSweeps, Pass, Sweeps, sweeps_of
+from exact_mdp.solvers.bounds.linear import Banded, LinearSystem, policy_chain, relatively
+from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Judged, Pass, Sweeps, sweeps_of
 from exact_mdp.solvers.dynamic import pace
 from exact_mdp.solvers.dynamic.known import values_of
 from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
@@ -44,7 +44,7 @@ CORRECTIONS = 30
 MANY = 10_000
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PASS = 20_000  # operations in the time of the calls of one pass
-ROUNDS = 200  # in one compiled call, which cannot be interrupted
+ROUNDS = 200  # of a small model in one compiled call, which cannot be interrupted
 S = TypeVar("S")
 
 
@@ -133,8 +133,10 @@ class Run:
     def _hasten(self) -> None:
         """Go through the rounds before the next pass that may be the last, if they are compiled."""
         sweeps, values = self.values.sweeps, self.values
-        if not (self._most and isinstance(sweeps, LoadedSweeps)) or sweeps.mdp.terminal.all():
+        fused = self._most and isinstance(sweeps, CompiledSweeps) and sweeps.alone
+        if not fused or sweeps.mdp.terminal.all():
             return
+        count = max(1, ROUNDS * COMPILED // max(COMPILED, sweeps.mdp.n_transitions))
         arrived = False
         while not arrived:
             settings = {
@@ -160,7 +162,7 @@ class Run:
                 "slow": values.slow,
                 "spent": float(values.spent),
             }
-            state, arrived, due = values.hasten(ROUNDS, settings, state)
+            state, arrived, due = values.hasten(count, settings, state)
             self.iteration, self.ready = state.iteration, state.ready
             self._half, self._best, self._idle = state.half, state.best, state.idle
             if due:
@@ -286,16 +288,18 @@ class Iterate:
     ) -> tuple[Any, bool, bool]:
         """Go through at most `count` compiled rounds; see `solvers.kernels.rounds`.
 
-        Returns the state, whether the next pass has been found, and whether to `correct`.
+        Returns the state, whether the next pass is not one for there, and whether to `correct`.
         """
-        assert isinstance(self.sweeps, LoadedSweeps)
-        reached, found, due, swept, left = self.sweeps.rounds(count, settings, state, self.value)
+        assert isinstance(self.sweeps, CompiledSweeps)
+        reached, found, stopped, due, swept, left = self.sweeps.rounds(
+            count, settings, state, self.value
+        )
         self.shift, self.least, self.most = reached.shift, reached.least, reached.most
         self.slow, self.spent = reached.slow, reached.spent
         self._count("policies evaluated by sweeps", swept)
         self._count("policies left unevaluated", left)
         self.ahead = found
-        return reached, found is not None, due
+        return reached, stopped, due
 
     def judge(self, found: Pass) -> Judged:
         """Return the proven bounds of a pass found here."""
@@ -371,7 +375,8 @@ class Iterate:
     def _correct(self, goal: float) -> None:
         pairs = self.sweeps.policy
         assert pairs is not None
-        system, error = None, np.inf
+        system: LinearSystem | Banded | None = None
+        error = np.inf
         kept, shift = self.value.copy(), self.shift
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
@@ -384,8 +389,7 @@ class Iterate:
             if error <= goal or error > before / 2:
                 return
             if system is None:
-                chain, _ = policy_chain(self.sweeps.mdp, pairs)
-                system = LinearSystem(chain, self.sweeps.mdp.discount)
+                system = self._equations(pairs)
                 self.price = system.work
                 self._count(f"policies evaluated by {system.method}")
             kept[:], shift = self.value, self.shift
@@ -393,12 +397,26 @@ class Iterate:
                 middle = (low + high) / 2
                 self.shift += middle
                 step -= middle * self.sweeps.weights.margin[pairs]
-            if self.sweeps.uniform and system.discount > NEARLY_ONE:
+            if isinstance(system, LinearSystem) and self._relative:
                 better, gain = relatively(system, step)
                 self.value += better
                 self.shift += gain / (1 - system.discount)
             else:
                 self.value += system.roughly(step)
+
+    @property
+    def _relative(self) -> bool:
+        """Whether what values have in common is to be solved for apart."""
+        return self.sweeps.uniform and self.sweeps.mdp.discount > NEARLY_ONE
+
+    def _equations(self, pairs: Integers) -> LinearSystem | Banded:
+        """Return those of a policy that was followed just now."""
+        mdp = self.sweeps.mdp
+        if isinstance(self.sweeps, CompiledSweeps) and not self._relative:
+            found = Banded.of(self.sweeps.held, mdp.terminal, mdp.discount)
+            if found is not None:
+                return found
+        return LinearSystem(policy_chain(mdp, pairs)[0], mdp.discount)
 
 
 def conclude(

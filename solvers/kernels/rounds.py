@@ -13,19 +13,33 @@ from typing import NamedTuple
 import numpy as np
 
 from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.bounds import sizes
 from exact_mdp.solvers.dynamic import pace
-from exact_mdp.solvers.kernels.bellman import Facts, Known, Model, Slow, hold, judge, settle
+from exact_mdp.solvers.kernels.bellman import (
+    UNIT,
+    Facts,
+    Known,
+    Model,
+    Slow,
+    climb,
+    hold,
+    improve,
+    judge,
+    settle,
+)
 from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
 TINY = 2.0**-1000
-advanced, goal_of, middle_of = map(inlined, (pace.advanced, pace.goal, pace.middle))
+advanced, goal_of, middle_of = inlined(pace.advanced), inlined(pace.goal), inlined(pace.middle)
+sizes_of, risen = inlined(sizes.sizes), inlined(sizes.risen)
 
 
 class Settings(NamedTuple):
     """Of a run: what does not change on the way.
 
-    `tol` is 0 where the tolerance is `relative` to the greatest value; `most` sweeps are too many
-    for one policy; `last` is the number of the last pass; `work` is that of a pass.
+    Where a pass looks at the `whole` model it is a judging one, else an improving one. `tol` is 0
+    where the tolerance is `relative` to the greatest value; `most` sweeps are too many for one
+    policy; `last` is the number of the last pass; `work` is that of a pass.
     """
 
     tol: float
@@ -36,6 +50,7 @@ class Settings(NamedTuple):
     weight: float
     least_margin: float
     blur: float
+    whole: bool
     most: int
     last: int
     work: float
@@ -56,6 +71,8 @@ class State(NamedTuple):
     doubt: float
     slow: bool
     spent: float
+    rise: float
+    known: bool
 
 
 @inlined
@@ -67,31 +84,48 @@ def extent(value: Floats) -> tuple[float, float]:
     return low, high
 
 
+@inlined
+def sharp(facts: Facts, tiny: float) -> Facts:
+    """Return the facts, with what underflow may cost."""
+    errors, leak, margin = facts.reward_error, facts.leak_error, facts.margin_error
+    return Facts(errors, leak, margin, facts.merged, tiny, facts.rounding)
+
+
+@inlined
+def remembered(policy: Known, rise: float, known: bool) -> Known:
+    """Return what earlier passes left, as far as values have risen since."""
+    slots, ends, indices, data, numbers, pairs, ceilings, _, _ = policy
+    return Known(slots, ends, indices, data, numbers, pairs, ceilings, rise, known)
+
+
 @compiled
 def rounds(
     count: int,
     model: Model,
     facts: Facts,
     policy: Known,
+    greatest: sizes.Greatest,
     weights: Floats,
     settings: Settings,
     limits: Slow,
     state: State,
     value: Floats,
+    before: Floats,
     step: Floats,
     pairs: Numbers,
     room: Floats,
     errors: Floats,
     extremes: Floats,
-) -> tuple[State, bool, bool, int, int]:
+) -> tuple[State, bool, bool, bool, int, int]:
     """Go through at most `count` rounds, but the pass that may be the last is only looked at.
 
-    Returns the state, whether a pass stands in `step`, `pairs` and `extremes` that has yet to be
-    counted, whether equations are to be solved, and the policies swept for and left alone.
+    Returns the state, whether the next pass may be the last or is not one for here, whether it
+    stands in `step`, `pairs` and `extremes`, whether equations are to be solved, and the policies
+    swept for and left alone.
     """
     states, swept, left = len(value), 0, 0
-    shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent = state
-    weight, uniform = settings.weight, settings.uniform
+    shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent, rise, known = state
+    weight, uniform, stopped, found, due = settings.weight, settings.uniform, False, False, False
     for _ in range(count):
         bottom, top = extent(value)
         middle = (bottom + top) / 2
@@ -100,37 +134,42 @@ def rounds(
                 value[s] -= middle
             shift += middle
             bottom, top = extent(value)
-        size = max(abs(bottom), abs(top))
-        known = Facts(
-            facts.reward_error,
-            facts.leak_error,
-            facts.margin_error,
-            facts.merged,
-            TINY * (1 + size) if size != 0 else 0.0,
-            facts.rounding,
-        )
         still = bottom == top
-        judge(
-            0, states, model, known, policy, value, shift, settings.strict, still,
-            0.0, 0.0, step, pairs, room, extremes,
-        )  # fmt: skip
-        low, high, floor = extremes[0], extremes[1], extremes[2] / settings.least_margin
-        floor += max(abs(low), abs(high)) * settings.blur
+        if settings.whole:
+            size = max(abs(bottom), abs(top))
+            tiny = TINY * (1 + size) if size != 0 else 0.0
+            judge(
+                0, states, model, sharp(facts, tiny), policy, value, shift, settings.strict, still,
+                0.0, 0.0, step, pairs, room, extremes,
+            )  # fmt: skip
+            noise = extremes[2]
+        else:
+            if still:
+                stopped = True
+                break
+            rise = risen(rise, climb(value, before), greatest)
+            size, gain, error, noise = sizes_of(bottom, top, model.discount, greatest)
+            error += 8 * UNIT * (abs(rise) + size + gain + error)
+            improve(
+                0, states, model, remembered(policy, rise, known), value, shift, error, step,
+                extremes,
+            )  # fmt: skip
+            known = True
+        low, high = extremes[0], extremes[1]
+        floor = noise / settings.least_margin + max(abs(low), abs(high)) * settings.blur
         extremes[2] = floor
         now, least, since, stalled = advanced(low, high, floor, weight, settings.tol, best, idle)
         limit, centre = settings.tol, (low + high) / 2
         if limit == 0:
-            greatest = 1.0
+            largest = 1.0
             for s in range(states):
-                greatest = max(greatest, abs(value[s] + centre * weights[s]))
-            limit = settings.relative * greatest
+                largest = max(largest, abs(value[s] + centre * weights[s]))
+            limit = settings.relative * largest
         close = stalled or doubt * now <= limit
         done = close and (ready or not settings.polish)
         if done or iteration + 1 == settings.last or not np.isfinite(high - low):
-            reached = State(
-                shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent
-            )
-            return reached, True, False, swept, left
+            stopped, found = True, True
+            break
         half, best, idle, ready = now, least, since, close
         iteration += 1
         spent += settings.work
@@ -142,20 +181,23 @@ def rounds(
         if iteration == 1:
             continue
         if not slow:
-            hold(model, pairs, policy)
+            if settings.whole:
+                hold(model, pairs, policy)
             goal = 0.0 if ready else goal_of(half, idle, weight, settings.tol)
-            found, shift = settle(
+            enough, shift = settle(
                 model, policy, weights, value, shift, goal, settings.most, limits, uniform, step,
                 errors,
             )  # fmt: skip
-            swept += found
-            slow = not found
-            if found:
+            swept += enough
+            slow = not enough
+            if enough:
                 continue
         if spent < settings.price:
             left += 1
             continue
-        reached = State(shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent)
-        return reached, False, True, swept, left
-    reached = State(shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent)
-    return reached, False, False, swept, left
+        due = True
+        break
+    reached = State(
+        shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent, rise, known
+    )
+    return reached, stopped, found, due, swept, left

@@ -433,6 +433,29 @@ def test_compiled_rounds_may_be_cut_anywhere(
     assert stopped.value.solution.iterations == whole.iterations - 1
 
 
+@pytest.mark.parametrize("tol", [None, 1e-6])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: garnet(1_300, seed=41, discount="99/100"),
+        lambda: uneven(garnet(1_500, seed=42, ends=True), 42),
+        lambda: queue(2_500).model(),
+    ],
+)
+def test_rounds_of_larger_models_are_those_of_python(
+    make: Callable[[], MDP], tol: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for alone in (True, False):
+        mdp = make()
+        assert mdp.n_transitions >= COMPILED
+        monkeypatch.setattr(CompiledSweeps, "alone", alone)
+        one = solve(mdp, ModifiedPolicyIteration(tol=tol))
+        told = [part.tobytes() for part in (one.value, one.pairs, one.state_error)]
+        found.append((one.iterations, one.stats, told))
+    assert found[0] == found[1]
+
+
 def test_loops_are_loaded_once_numpy_has_taken_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gains_module, "LOOPS", "not loaded")
     monkeypatch.setattr(gains_module, "_in_numpy", 0)
