@@ -93,7 +93,7 @@ def run(
     output = _Output(sys.stdout)
     try:
         with redirect_stdout(output), _signals(), warnings.catch_warnings():
-            warnings.showwarning = _warner()
+            warnings.showwarning = warner()
             with command.make_context(program, list(words), obj=list(words)) as context:
                 status = command.invoke(context)
             output.flush()
@@ -320,7 +320,7 @@ def _silence(stream: TextIO) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def _warner() -> Callable[..., None]:
+def warner() -> Callable[..., None]:
     """Return what tells a warning as one line on standard error, each text once in a command."""
     told: set[str] = set()
 

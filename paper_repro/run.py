@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -15,6 +16,7 @@ from typing import Any
 
 import click
 
+from exact_mdp.analysis.exit_status import warner
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.lazy import later
@@ -253,8 +255,17 @@ def _alike(reading: Reading, claims: Sequence[PaperClaim]) -> Iterator[Reading]:
 def _beside(work: Sequence[Work]) -> Iterator[Iterator[object]]:
     """Start work in other processes, one for each core; give what they return, in order."""
     parallel = joblib.Parallel(n_jobs=-1, return_as="generator", batch_size=1)
-    with closing(parallel(joblib.delayed(each)() for each in work)) as finished:
+    with closing(parallel(joblib.delayed(_done)(each) for each in work)) as finished:
         yield finished
+
+
+_WARN = warner()  # tells each text once in a process
+
+
+def _done(work: Work) -> object:
+    """Do what is worked on in another process, which tells warnings as the command does."""
+    warnings.showwarning = _WARN
+    return work()
 
 
 def _after(finished: Iterator[object], others: Sequence[Reading]) -> Iterator[Reading]:

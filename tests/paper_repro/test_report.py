@@ -47,6 +47,7 @@ from exact_mdp.paper_repro.report.report import (
 )
 from exact_mdp.paper_repro.report.tables import all_tables
 from exact_mdp.paper_repro.reported import ANGRY, FIGURES, FINAL, ORDERS, PAPER, PLACES, STATED
+from exact_mdp.paper_repro.run import _done
 from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
 
 DRAWN = ("three_policies", "trial_flow")  # the figures that are drawn here: the quickest ones
@@ -561,3 +562,13 @@ def test_the_main_job_writes_everything_it_names(tmp_path: Path) -> None:
     assert again.exit_code == 0
     assert json.loads((out / "numbers.json").read_text()) == rows
     assert "earlier run" in json.loads((out / "run.json").read_text())["reused"]
+
+
+def test_other_processes_tell_a_warning_in_one_line_and_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        for _ in range(2):
+            _done(lambda: warnings.warn("a chance is cut off", stacklevel=1))
+    assert capsys.readouterr().err == "warning: a chance is cut off\n"
