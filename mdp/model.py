@@ -172,12 +172,12 @@ class MDP(Parts):
             f"{', costs to minimise' if self.sense == 'min' else ''})"
         )
 
-    def frame(self, states: Iterable[object] | None = None) -> DataFrame:
+    def frame(self, states: object = None) -> DataFrame:
         """Return the outcomes as a table, with exact numbers.
 
         Parameters
         ----------
-        states : iterable of states, optional
+        states : state, or iterable of states, optional
             Those whose outcomes are wanted, by number or by name; all by default.
 
         Returns

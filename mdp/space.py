@@ -288,7 +288,7 @@ class StateSpace:
         """
         return self._names.number(state)
 
-    def numbers(self, states: Iterable[object]) -> list[int]:
+    def numbers(self, states: object) -> list[int]:
         """Return the numbers of states that are given together, as `number` does of one."""
         return self._names.numbers(states)
 

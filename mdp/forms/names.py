@@ -141,16 +141,18 @@ class Names:
         """Return the number of one thing; raises ModelError where it is none, or may be two."""
         return self.numbers([thing])[0]
 
-    def numbers(self, things: Iterable[object]) -> list[int]:
+    def numbers(self, things: object) -> list[int]:
         """Return the numbers of things; raises ModelError where there are two readings."""
         found = self.readings(things)
         if found[-1].error:
             raise found[-1].error
         return found[0].numbers
 
-    def readings(self, things: Iterable[object]) -> list[Reading]:
-        """Return the one or two readings of things that are given together."""
-        given = list(things)
+    def readings(self, things: object) -> list[Reading]:
+        """Return the one or two readings of things that are given together, or of one alone."""
+        given = [things]
+        if isinstance(things, Iterable) and not isinstance(things, str):
+            given = list(things)
         certain = [self._certain(thing) for thing in given]
         loose = [place for place, number in enumerate(certain) if number is None]
         named, counted = list(certain), list(certain)

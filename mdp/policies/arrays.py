@@ -66,8 +66,10 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     fits = _distributions(array)
     wrong = np.flatnonzero(layout.counts & ~fits)
     if len(wrong) and kind != "q" and model.indifferent.any():
-        layout = _layout(model, array.shape, ~model.indifferent)
-        wrong = np.flatnonzero(layout.counts & ~fits)
+        choosing = _layout(model, array.shape, ~model.indifferent)
+        if kind == "policy" or choosing.counts.any():
+            layout = choosing
+            wrong = np.flatnonzero(layout.counts & ~fits)
     if kind == "q" or (kind == "auto" and len(wrong)):
         rule = _greedy(array, layout, costs=model.sense == "min")
         return layout.parts(rule, values=array, source=Q_TABLE)

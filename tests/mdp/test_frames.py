@@ -16,6 +16,8 @@ def test_a_model_and_a_policy_are_tables_in_a_notebook() -> None:
     ]
     assert [tuple(row) for row in mdp.frame().to_numpy()] == rows
     assert len(mdp.frame([mdp.space.label(0)])) == sum(row[0] == rows[0][0] for row in rows)
+    for alone in (0, mdp.space.label(0)):
+        assert mdp.frame(alone).equals(mdp.frame([0]))
     page = mdp._repr_html_()
     assert page.count("<tr") == 21
     assert f"{len(rows) - 20:,} rows more" in page

@@ -124,6 +124,13 @@ def test_rows_may_hold_anything_where_all_actions_are_the_same() -> None:
         Policy.of(mdp, table * 0, kind="policy")
 
 
+def test_action_values_are_read_where_no_state_has_a_choice_that_matters() -> None:
+    mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[3, 3], [0, 0]])
+    policy = Policy.of(mdp, np.array([[3.0, 2.9], [0, 0]]))
+    assert policy.rule.tolist() == [0, 0]
+    assert check(mdp, policy).passed
+
+
 @given(models(discounts=(Fraction(1, 2),)), st.booleans())
 def test_states_whose_actions_are_the_same(drawn: Rows, floats: bool) -> None:
     mdp = drawn.model(floats=floats)
