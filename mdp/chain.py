@@ -89,7 +89,10 @@ def strong_components(graph: sp.csr_array) -> Integers:
     graphs take 0.2 s to load: those are for large ones.
     """
     if _large(graph):
-        _, found = csgraph.connected_components(graph, directed=True, connection="strong")
+        # From 1.18 on SciPy reads memory as it lies, and a model's columns may be a strided view.
+        columns, rows = map(np.ascontiguousarray, (graph.indices, graph.indptr))
+        packed = sp.csr_array((graph.data, columns, rows), graph.shape)
+        _, found = csgraph.connected_components(packed, directed=True, connection="strong")
         if (np.repeat(found, np.diff(graph.indptr)) < found[graph.indices]).any():
             raise RuntimeError("strongly connected components are not numbered from the last one")
         return np.asarray(found, dtype=np.int64)

@@ -158,6 +158,17 @@ def test_a_thousand_subtasks_fall_level_by_level() -> None:
     assert check_rank(mdp, termination(mdp).rank)
 
 
+@pytest.mark.parametrize("large", [False, True])
+def test_the_columns_of_a_graph_may_be_a_strided_view(
+    large: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chain, "_large", lambda _: large)
+    columns = np.repeat(np.array([1, 2, 1], dtype=np.int32), 2)[::2]
+    graph = sp.csr_array((np.ones(3), columns, np.arange(4, dtype=np.int32)), (3, 3))
+    assert not graph.indices.flags.c_contiguous
+    assert chain.strong_components(graph).tolist() == [1, 0, 0]
+
+
 @given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
 def test_small_graphs_are_searched_as_scipy_searches_large_ones(
     size: int, ends: list[tuple[int, int]], data: st.DataObject

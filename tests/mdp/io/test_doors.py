@@ -106,7 +106,7 @@ def test_what_is_refused_is_named(tmp_path: Path) -> None:
         listening.bind(str(tmp_path / "s"))
         with pytest.raises(ModelError, match="cannot read the file"):
             read_text(tmp_path / "s")
-    with pytest.raises(ModelError, match="null byte"):
+    with pytest.raises(ModelError, match=r"null (byte|character)"):
         read_text("a\0b")
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(3):
