@@ -129,23 +129,29 @@ def strong_components(graph: sp.csr_array) -> Integers:
 
 def closure(graph: sp.csr_array, first: Mask) -> Mask:
     """Return (K,) True for nodes that can be reached from `first` (K,) along a graph's rows."""
-    seen, begin = first.copy(), np.flatnonzero(first)
+    seen, found = first.copy(), np.flatnonzero(first)
     if _large(graph):
         # One more node leads to all the first ones, so that a single search serves.
-        indices, size = np.concatenate([graph.indices, begin]), len(first) + 1
+        indices, size = np.concatenate([graph.indices, found]), len(first) + 1
         offsets = np.append(graph.indptr, len(indices))
         more = sp.csr_array((np.ones(len(indices)), indices, offsets), (size, size))
-        found = csgraph.breadth_first_order(more, size - 1, return_predecessors=False)[1:]
-    else:
-        found = begin.tolist()
-        offsets, after, known = graph.indptr.tolist(), graph.indices.tolist(), first.tolist()
-        for node in found:
-            for other in after[offsets[node] : offsets[node + 1]]:
-                if not known[other]:
-                    known[other] = True
-                    found.append(other)
-    seen[found] = True
-    return seen
+        seen[csgraph.breadth_first_order(more, size - 1, return_predecessors=False)[1:]] = True
+        return seen
+    # Most searches are over after some rounds of many nodes; where they are narrow, one by one.
+    for _ in range(FIRST):
+        after = graph.indices[spans(graph.indptr[found], graph.indptr[found + 1])]
+        found = np.unique(after[~seen[after]])
+        seen[found] = True
+        if not len(found):
+            return seen
+    offsets, following, known = graph.indptr.tolist(), graph.indices.tolist(), seen.tolist()
+    waiting = found.tolist()
+    for node in waiting:
+        for other in following[offsets[node] : offsets[node + 1]]:
+            if not known[other]:
+                known[other] = True
+                waiting.append(other)
+    return np.array(known)
 
 
 def _large(graph: sp.csr_array) -> bool:

@@ -41,6 +41,7 @@ from exact_mdp.solvers.average.chain import ExactAverages
 from exact_mdp.solvers.average.checker import Rationals, surplus
 from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.proof.checker import policy_pairs
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError
@@ -115,7 +116,7 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
 def _ties(step: MDP, best: AverageCertificate, gap: Numbers) -> Flags:
     """Return (L,) where the rounding of a row, and of the best one, can cause the whole gap."""
     bias = best.bias.astype(np.float64)
-    own = per_use(step, bias, UNIT * np.abs(bias)).low
+    own = per_use(step, FixedPoint(value=bias, error=UNIT * np.abs(bias))).low
     taken = policy_pairs(step, best.policy)
     return np.asarray(gap.astype(np.float64) * SLACK <= own + own[taken][step.pair_state])
 

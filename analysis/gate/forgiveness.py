@@ -40,7 +40,9 @@ from exact_mdp.analysis.gate.exact_policy import (
 )
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
+from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -79,19 +81,28 @@ def _roundings(mdp: MDP) -> tuple[Floats, Floats]:
     return _ROUNDINGS[mdp]
 
 
-def per_use(mdp: MDP, value: Floats, error: Floats) -> Range:
-    """Return e(l) of every pair, (L,), for values (S,) known up to an error (S,)."""
-    table, first = mdp.table, mdp.table.offsets[:-1]
-    rounded, moved = _roundings(mdp)
+def per_use(mdp: MDP, known: FixedPoint, pairs: Integers | None = None) -> Range:
+    """Return e(l) of some pairs (K,), or of all, for values (S,) known up to an error."""
+    table = mdp.table
+    (rounded, moved), first, following = _roundings(mdp), table.offsets[:-1], table.next
+    if pairs is not None:
+        rounded, moved, (first, following) = rounded[pairs], moved[pairs], _outcomes(mdp, pairs)
     # What is not known (NaN) lies where the policy never comes.
-    there = np.nan_to_num(value, nan=0.0)[table.next]
-    off = np.nan_to_num(error, nan=0.0, posinf=0.0)[table.next]
+    there = np.nan_to_num(known.value, nan=0.0)[following]
+    off = np.nan_to_num(known.error, nan=0.0, posinf=0.0)[following]
     with np.errstate(over="ignore", invalid="ignore"):
         span = np.maximum.reduceat(there, first) - np.minimum.reduceat(there, first)
         doubt = 2 * np.maximum.reduceat(off, first)
         least = rounded + mdp.discount * (moved * np.maximum(span - doubt, 0.0))
         most = rounded + mdp.discount * (moved * (span + doubt))
     return Range(low=least / SLACK, high=most * SLACK + TINY * (most > 0))
+
+
+def _outcomes(mdp: MDP, pairs: Integers) -> tuple[Integers, Integers]:
+    """Return where the outcomes of each of some pairs (K,) begin, and their next states."""
+    begins, ends = mdp.table.offsets[pairs], mdp.table.offsets[pairs + 1]
+    first = np.concatenate([[0], np.cumsum(ends - begins)[:-1]])
+    return first, mdp.table.next[spans(begins, ends)]
 
 
 def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
@@ -115,16 +126,13 @@ def _exact_roundings(mdp: MDP, pair: int) -> tuple[Fraction, Fraction]:
     return rewards, sum(map(Fraction, moved.tolist()), Fraction(0))
 
 
-def in_all(chain: PolicyChain, each: Range) -> Range:
-    """Return F (S,) of a policy, from e(l) of every pair; up to infinity where floats fail."""
-    mdp = chain.mdp
+def in_all(chain: PolicyChain, known: FixedPoint) -> Range:
+    """Return F (S,) of a pure policy, for known values; up to infinity where floats fail."""
+    mdp, each = chain.mdp, per_use(chain.mdp, known, chain.pairs)
     counted = ~mdp.terminal
     if mdp.discount_exact == 1:
         counted &= chain.ends
-    low, high = (
-        np.where(counted, np.add.reduceat(chain.weights * side, mdp.pair_offsets[:-1]), 0.0)
-        for side in (each.low / SLACK, each.high * SLACK)
-    )
+    low, high = np.where(counted, each.low, 0.0), np.where(counted, each.high, 0.0)
     if not high.any():
         return Range(low=high, high=high)
     try:
@@ -161,8 +169,7 @@ class Side:
     """A policy with its values (S,) and how far these may be off (S,)."""
 
     chain: PolicyChain
-    value: Floats
-    error: Floats
+    found: FixedPoint
 
     def uses(self) -> tuple[Floats, Floats]:
         """Return the uses (L,) of every pair from the start, and their errors; SolverError."""
@@ -175,8 +182,9 @@ class Side:
 
     def worth(self) -> tuple[Floats, Floats]:
         """Return the values (S,) and errors; 0 where they are not known, which is not reached."""
-        off = np.where(np.isnan(self.value), 0.0, np.nan_to_num(self.error, posinf=0.0))
-        return np.nan_to_num(self.value, nan=0.0), off
+        value, error = self.found.value, self.found.error
+        off = np.where(np.isnan(value), 0.0, np.nan_to_num(error, posinf=0.0))
+        return np.nan_to_num(value, nan=0.0), off
 
 
 def moved_at_start(mdp: MDP, own: Side, best: Side) -> tuple[Fraction, Fraction | float]:
@@ -186,13 +194,14 @@ def moved_at_start(mdp: MDP, own: Side, best: Side) -> tuple[Fraction, Fraction 
     except SolverError:
         return Fraction(0), inf
     (a, da), (b, db) = own.worth(), best.worth()
+    if own.chain is best.chain:  # x is nearly 0, and rewards that are used alike move alike
+        apart = 2 * float((np.abs(b - a) * (1 + UNIT) + da + db).max())
+        most = float((_roundings(mdp)[1] * (u + du)).sum()) * mdp.discount * apart * SLACK
+        return Fraction(0), Fraction(most + TINY) if isfinite(most) else inf
     # Pairs that neither policy uses move nothing.
     used = np.flatnonzero((own.chain.weights > 0) | (best.chain.weights > 0))
-    offsets = mdp.table.offsets
-    begins, ends = offsets[used], offsets[used + 1]
-    first = np.concatenate([[0], np.cumsum(ends - begins)[:-1]])
-    pair = np.repeat(np.arange(len(used)), ends - begins)
-    there = mdp.table.next[spans(begins, ends)]
+    first, there = _outcomes(mdp, used)
+    pair = np.repeat(np.arange(len(used)), np.diff(first, append=len(there)))
     rounded, moved = (part[used] for part in _roundings(mdp))
     u, du, v, dv = (part[used] for part in (u, du, v, dv))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -241,15 +250,35 @@ def policy_taking(mdp: MDP, marked: Flags) -> PolicyChain:
     return PolicyChain(mdp=mdp, chosen=chosen)
 
 
-def tie_range(mdp: MDP, value: Floats, error: Floats, best: PolicyChain) -> Range:
-    """Return (L,) the gap up to which each pair ties with the best; V* is known up to an error."""
-    each = per_use(mdp, value, error)
-    later = in_all(best, each)
+def tie_range(
+    mdp: MDP, known: FixedPoint, best: PolicyChain, pairs: Integers | None = None
+) -> Range:
+    """Return (K,) the gap up to which some pairs, or all, tie with the best, for V* as known."""
+    if pairs is not None and not len(pairs):
+        return Range(low=np.empty(0), high=np.empty(0))
+    each, later = per_use(mdp, known, pairs), in_all(best, known)
+    rows, state = mdp.transition, mdp.pair_state
+    if pairs is not None:
+        rows, state = rows[pairs], state[pairs]
     low, high = (
-        here + mdp.discount * (mdp.transition @ after) + after[mdp.pair_state]
+        here + mdp.discount * (rows @ after) + after[state]
         for here, after in ((each.low, later.low), (each.high, later.high))
     )
     return Range(low=low / SLACK, high=high * SLACK)
+
+
+def widest_tie(mdp: MDP, known: FixedPoint) -> float:
+    """Return an upper bound of every pair's `tie_range` that takes no equations.
+
+    With E the most that e(l) can be, F* ≤ E w / m, as w - γ P w ≥ m > 0 (`solvers.bounds.bounds`).
+    """
+    rounded, moved = _roundings(mdp)
+    weights, value = margin_weights(mdp), known.value
+    with np.errstate(over="ignore", invalid="ignore"):
+        span = float(value.max() - value.min()) + 2 * float(known.error.max())
+        each = (float(rounded.max()) + mdp.discount * float(moved.max()) * span) * SLACK + TINY
+        often = float(weights.value.max() / weights.least.min())
+    return each * (1 + 2 * often) * SLACK
 
 
 def exact_ties(mdp: MDP, best: Certificate, tie: Range, pairs: Integers) -> Flags:
@@ -295,7 +324,9 @@ def exact_forgiveness(
     sides = []
     for of, values in ((chain, own), (ideal, best)):
         worth = values.value_float  # rounded once
-        sides.append(Side(chain=of, value=worth, error=UNIT * np.abs(worth) + TINY))
+        sides.append(
+            Side(chain=of, found=FixedPoint(value=worth, error=UNIT * np.abs(worth) + TINY))
+        )
     low, high = moved_at_start(mdp, *sides)
 
     def make() -> Fraction:

@@ -42,6 +42,7 @@ from exact_mdp.analysis.gate.forgiveness import (
     of_floats,
     policy_taking,
     tie_range,
+    widest_tie,
 )
 from exact_mdp.analysis.gate.waiting import kept, ways_out
 from exact_mdp.mdp.chain import components, endless, is_acyclic
@@ -296,7 +297,8 @@ def _gaps(mdp: MDP, best: Certificate, *, ties: bool = True) -> tuple[Flags, Flo
     if ties and of_floats(mdp):
         value = best.value_float
         ideal = policy_taking(mdp, best.optimal_pairs)
-        tie = tie_range(mdp, value, UNIT * np.abs(value) + TINY, ideal)
+        rounded = FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
+        tie = tie_range(mdp, rounded, ideal)
         with np.errstate(invalid="ignore"):
             equal = others & (gap + doubt <= tie.low)
             open_ = others & ~equal & ~(gap - doubt > tie.high)
@@ -312,13 +314,16 @@ def _gaps(mdp: MDP, best: Certificate, *, ties: bool = True) -> tuple[Flags, Flo
 
 
 def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
-    own = evaluate(mdp, chain)
-    value, single = optimum.value, len(chain.pairs) == mdp.n_states
+    if np.array_equal(chain.pairs, optimum.pairs):
+        own = FixedPoint(value=optimum.value, error=optimum.state_error)
+    else:
+        found = evaluate(mdp, chain)
+        own = FixedPoint(value=found.value, error=found.error)
+    value, single = optimum.value, chain.pure
     near = ActionBounds.of(mdp, optimum)
     best = at_start(mdp, FixedPoint(value=value, error=optimum.state_error))
-    mine = own.start
-    forgiveness, tie = _bounded_forgiveness(mdp, chain, own.value, own.error, optimum)
-    loses = near.least_gap > tie
+    mine = at_start(mdp, own)
+    forgiveness, loses = _bounded_forgiveness(mdp, chain, own, optimum, near.least_gap)
     lost: Certified | Bounded
     if near.all_best(chain):
         lost = Certified(value=Fraction(0))
@@ -346,20 +351,23 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
 
 
 def _bounded_forgiveness(
-    mdp: MDP, chain: PolicyChain, value: Floats, error: Floats, optimum: Bounds
-) -> tuple[Forgiveness, Floats]:
-    """Return what rounding can move at the start, against the policy bounded, and by pair."""
+    mdp: MDP, chain: PolicyChain, own: FixedPoint, optimum: Bounds, least_gap: Floats
+) -> tuple[Forgiveness, Flags]:
+    """Return what rounding can move at the start, and the pairs (L,) that lose more than that."""
     if not of_floats(mdp):
-        return Forgiveness(low=Fraction(0), high=Fraction(0)), np.zeros(mdp.n_pairs)
+        return Forgiveness(low=Fraction(0), high=Fraction(0)), least_gap > 0
     taken = np.zeros(mdp.n_pairs, dtype=bool)
     taken[optimum.pairs] = True
     ideal = policy_taking(mdp, taken)
     if np.array_equal(ideal.weights, chain.weights):
         ideal = chain  # what is known of it need not be found again
-    tie = tie_range(mdp, optimum.value, optimum.state_error, ideal)
-    best = Side(chain=ideal, value=optimum.value, error=optimum.state_error)
-    low, high = moved_at_start(mdp, Side(chain=chain, value=value, error=error), best)
-    return Forgiveness(low=low, high=high), tie.high
+    best = FixedPoint(value=optimum.value, error=optimum.state_error)
+    # Few pairs are so near to the best that rounding could make them tie.
+    loses = least_gap > 0
+    open_ = np.flatnonzero(loses & ~(least_gap > widest_tie(mdp, best)))
+    loses[open_] = least_gap[open_] > tie_range(mdp, best, ideal, open_).high
+    low, high = moved_at_start(mdp, Side(chain=chain, found=own), Side(chain=ideal, found=best))
+    return Forgiveness(low=low, high=high), loses
 
 
 def _optimum(mdp: MDP) -> Bounds:

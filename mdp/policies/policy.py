@@ -323,6 +323,10 @@ class Policy(NDArrayOperatorsMixin):
             state does not offer.
         """
         weights, wanted = self._by_pair(model, self.rule)
+        if self.deterministic and self.space.extra == model.space.extra:
+            taken = np.flatnonzero(weights == 1)
+            if np.array_equal(model.pair_state[taken], np.arange(model.n_states)):
+                return weights
         weights = weights.astype(np.float64)
         offered = np.add.reduceat((weights > 0).astype(np.int64), model.pair_offsets[:-1])
         if model.space.extra and self.space.extra != model.space.extra:

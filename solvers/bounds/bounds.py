@@ -94,7 +94,7 @@ def bounds(mdp: MDP, value: Floats, pairs: Integers | None = None) -> Bounds:
         raise ValueError("terminal states are worth 0")
     found = sweeps_of(mdp, weights).judge(value)
     low, high = found.low, found.high
-    if pairs is None:
+    if pairs is None or np.array_equal(pairs, found.pairs):
         pairs = found.pairs
     elif live.any():
         gain = gains(mdp, value)

@@ -145,6 +145,11 @@ def sparse(chain: sp.csr_array, discount: float) -> Solve:
         )
     # The order is kept, but for changes that leave the fill of a symmetric pattern as it is.
     inner = _superlu(matrix, permc_spec="NATURAL", options={"SymmetricMode": True})
+    return reordered(inner, order)
+
+
+def reordered(inner: Solve, order: Numbers) -> Solve:
+    """Return the same for states (S,) in their own order, of elimination in another."""
 
     def solve(constant: Floats) -> Floats:
         value = np.empty(len(constant))
@@ -182,10 +187,16 @@ def fill(matrix: sp.csc_array) -> int | None:
     return None if found < 0 else found
 
 
+def near_order(matrix: sp.csr_array | sp.csc_array) -> Numbers:
+    """Return the states (S,) in the order of Reverse Cuthill and McKee, neighbours near."""
+    pattern = (matrix + matrix.T).tocsr()
+    return np.asarray(csgraph.reverse_cuthill_mckee(pattern, symmetric_mode=True))
+
+
 def fill_order(matrix: sp.csc_array) -> Numbers:
     """Return the states (S,) in an order that keeps the fill low."""
     if matrix.nnz > MOST_ORDERED:
-        return np.asarray(csgraph.reverse_cuthill_mckee(matrix + matrix.T, symmetric_mode=True))
+        return near_order(matrix)
     try:
         nearly: Any = linalg.spilu(matrix, drop_tol=1.0, fill_factor=1.0, permc_spec="COLAMD")
     except RuntimeError as error:

@@ -6,18 +6,21 @@ The values of a policy, its second moments, its expected steps and (with P trans
 all have this form. The chain must leak: at discount 1 the rows of terminal states, where x is 0,
 have to be empty (`policy_chain` does that).
 
-Solving: where an order of the states is known along which the chain only falls, by substitution;
-where all transitions are to near numbers, or that costs little, by elimination within that band; up
+Solving: where an order of the states is known along which the chain only falls, by substitution.
+Else by sweeps, where a few lead there, as in chains that mix soon, unless elimination costs less.
+That is done within a band, where all transitions are to near numbers, or that costs little, as
+the states are numbered or by the order of Reverse Cuthill and McKee (a ring has a narrow one); up
 to 500 states, by sparse elimination, as are larger ones of few transitions where the factors stay
-small: loading compiled loops would take longer. Otherwise by sweeps, where a few lead there, as in
-chains that mix soon; else by BiCGSTAB, which does not fill the matrix. Where that does not converge
-soon, by sparse elimination, if there is room for its factors; if not, by GMRES, and by BiCGSTAB
-with more patience. Steps of iterative refinement follow.
+small: loading compiled loops would take longer. Otherwise by BiCGSTAB, which does not fill the
+matrix. Where that does not converge soon, by sparse elimination, if there is room for its factors;
+if not, by GMRES, and by BiCGSTAB with more patience. Steps of iterative refinement follow.
 
 Bounding: let k be at least |c + γ P x - x|, its rounding errors included. If e ≥ 0 satisfies
 e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is nonnegative. So the error solves the same
 equation with the residual for a constant; what comes out is then verified with the rounding errors
-counted. That e - γ P e > 0 for some e > 0 also proves that the chain leaks
+counted. Where k / (1 - γ P 1) is about the same in all states, its maximum will do for e: no other
+is below its minimum, as 1 = (I - γP)⁻¹ (1 - γ P 1). That e - γ P e > 0 for some e > 0 also proves
+that the chain leaks
 (Berman and Plemmons, Nonnegative Matrices in the Mathematical Sciences, 1979, chapter 6, M35).
 
 Iteration is compiled (`solvers.kernels.linear`): each step of SciPy's own is some hundred calls. Of
@@ -37,10 +40,10 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import Solve, TooLarge
-from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma, loops_pay
 from exact_mdp.solvers.solution import Bounded, SolverError, Status
 
 compiling = later("exact_mdp.solvers.kernels.compiling")
@@ -54,6 +57,9 @@ CHEAP = 2e7  # multiplications within the band: some milliseconds
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
 SWEEPS, STEPS, PATIENT = 60, 400, 8000
+TRIED, CLOSE = 6, 1e-12  # sweeps after which to ask how fast they are; a sum that is nearly 1
+ABOUT = 30  # sweeps of chains that mix soon
+ALIKE = 2  # how much greater than need be an error bound may be that takes no equations
 DIRECTIONS, GMRES_STEPS = 20, 400
 
 
@@ -107,8 +113,7 @@ class LinearSystem:
 
         Raises SolverError where no error can be verified: the chain does not leak, or too slowly.
         """
-        value = self.approximate(constant)
-        residual = self._residual(constant, value)
+        value, residual = self._refined(constant)
         rounding = self._rounding(np.abs(constant), np.abs(value))
         excess = (np.abs(residual) * (1 + 4 * UNIT) + rounding + constant_error) * SLACK
         return FixedPoint(value=value, error=self._dominating(excess))
@@ -120,6 +125,10 @@ class LinearSystem:
             return np.zeros_like(excess)
         if not np.isfinite(largest):
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            each = excess / self._leak
+        if (self._leak > 0).all() and each.max() <= ALIKE * each.min():
+            return np.full_like(excess, float(each.max()) * SLACK)
         # Of a scale of 1, and nowhere so small that rounding would swallow the margin.
         wanted = excess / largest + 2.0**-10
         nothing = np.zeros_like(wanted)
@@ -130,9 +139,20 @@ class LinearSystem:
                 return np.asarray(error * (float((excess / slack).max()) * SLACK))
         raise SolverError(Status.NO_BOUND)
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    @cached_property
+    def _leak(self) -> Floats:
+        """(S,) lower bounds of 1 - γ P 1."""
+        every = np.ones(self.transition.shape[0])
+        nothing = np.zeros_like(every)
+        return np.asarray(-self._residual(nothing, every) - self._rounding(nothing, every))
+
     def approximate(self, constant: Floats) -> Floats:
         """Return x (S,) for a constant (S,), refined, without any claim about its error."""
+        return self._refined(constant)[0]
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def _refined(self, constant: Floats) -> tuple[Floats, Floats]:
+        """Return x (S,), refined, and its residual as computed."""
         value = self._nearly(constant, FIRST)
         residual = self._residual(constant, value)
         size = float(np.abs(residual).max(initial=0.0))
@@ -148,15 +168,18 @@ class LinearSystem:
             if smaller > size / 2:
                 break
             size = smaller
-        return value
+        return value, residual
 
     def _floor(self, constant: Floats, value: Floats) -> float:
         """Return the size of a residual that may be rounding alone: to refine it brings nothing."""
-        return 4 * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
+        return 8 * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
 
     def roughly(self, constant: Floats) -> Floats:
-        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller."""
-        return self._nearly(constant, 1e-2)
+        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller.
+
+        For those who have tried sweeps.
+        """
+        return self._nearly(constant, 1e-2) if self._direct is None else self._direct(constant)
 
     def _residual(self, constant: Floats, value: Floats) -> Floats:
         return np.asarray(constant + self.discount * (self.transition @ value) - value)
@@ -169,10 +192,38 @@ class LinearSystem:
         largest = float(value.max(initial=0.0))
         return np.asarray(total + TINY * (terms + 1) * (largest + (largest > 0)))
 
+    @cached_property
+    def without_one(self) -> tuple[int, LinearSystem, Floats]:
+        """A state that is often visited, the system without what leads there, and steps till then.
+
+        Steps (S,) are discounted and known roughly.
+        """
+        chain, states = self.transition, self.transition.shape[0]
+        share, back = np.full(states, 1 / states), chain.T.tocsr()
+        for _ in range(STEPS):
+            share = back @ share
+        often = int(np.argmax(share))
+        kept = np.where(chain.indices == often, 0.0, chain.data)
+        others = LinearSystem(
+            sp.csr_array((kept, chain.indices, chain.indptr), chain.shape), self.discount
+        )
+        return often, others, others.roughly(np.ones(states))
+
     # ---- solvers -----------------------------------------------------------------------------
 
     def _nearly(self, constant: Floats, rtol: float) -> Floats:
-        """Return x (S,), where it is iterated for with a residual of that part of the constant."""
+        """Return x (S,), where it is iterated for with a residual of that part of the constant.
+
+        Sweeps go on to the least residual there is where it is `FIRST`.
+        """
+        size = float(np.abs(constant).max(initial=0.0))
+        if self._mixes[0] and np.isfinite(size) and size > 0:
+            fine = 4 * UNIT if rtol == FIRST else 0.0
+            # Tests for convergence are absolute.
+            found = sweeping(self.transition, self.discount, constant / size, rtol, fine)
+            if found is not None:
+                return np.asarray(found * size)
+            self._mixes[0] = False
         return self._iteration(constant, rtol) if self._direct is None else self._direct(constant)
 
     @property
@@ -190,10 +241,23 @@ class LinearSystem:
         return self._band[1]
 
     @cached_property
-    def _band(self) -> tuple[tuple[int, int], float]:
-        """How far transitions lead, and the multiplications of elimination if it pays, else 0."""
+    def _as_numbered(self) -> tuple[tuple[int, int], float]:
         within = elimination.reach(self.transition)
         return within, _work(self.transition.shape[0], self.transition.nnz, within)
+
+    @cached_property
+    def _band(self) -> tuple[tuple[int, int], float, Numbers | None]:
+        """How far transitions lead, the multiplications of elimination if it pays, else 0.
+
+        Where it pays in another order of the states alone, that comes third.
+        """
+        within, work = self._as_numbered
+        if work:
+            return within, work, None
+        order = elimination.near_order(self.transition)
+        within = elimination.reach(self.transition[order][:, order])
+        work = _work(self.transition.shape[0], self.transition.nnz, within)
+        return within, work, order if work else None
 
     @cached_property
     def _direct(self) -> Solve | None:
@@ -201,7 +265,10 @@ class LinearSystem:
         chain, rate = self.transition, self.discount
         if self.order is not None:
             return elimination.substitution(chain, rate, self.order)
-        within, work = self._band
+        within, work, order = self._band
+        if order is not None:
+            inner = elimination.band(chain[order][:, order], rate, within)
+            return elimination.reordered(inner, order)
         if work:
             return elimination.band(chain, rate, within)
         return elimination.sparse(chain, rate) if chain.shape[0] <= DIRECT_STATES else None
@@ -217,11 +284,6 @@ class LinearSystem:
             if left <= max(rtol * size, self._floor(constant, value)):
                 return value
         scaled = constant / size  # tests for breakdown are absolute
-        if self._mixes[0]:
-            found = sweeping(self.transition, self.discount, scaled, rtol)
-            if found is not None:
-                return np.asarray(found * size)
-            self._mixes[0] = False
         if "_last_resort" not in vars(self):
             found = quickly(self.transition, self.discount, scaled, rtol)
             if found is not None:
@@ -241,8 +303,11 @@ class LinearSystem:
 
     @cached_property
     def _mixes(self) -> list[bool]:
-        """Whether sweeps were never found to be slow."""
-        return [True]
+        """Whether sweeps may be fast: they were never found to be slow, and cost less."""
+        if self.order is not None:
+            return [False]
+        work = self._as_numbered[1]
+        return [work == 0 or work > ABOUT * 2 * self.transition.nnz]
 
     @cached_property
     def _last_resort(self) -> Solve | TooLarge:
@@ -295,15 +360,8 @@ def relatively(system: LinearSystem, constant: Floats) -> tuple[Floats, float]:
     h + g / (1 - γ) satisfies the system's equation. Its values may be as large as 1 / (1 - γ), h is
     only as large as they differ: what leads to that state is left out, and g stands in its place.
     """
-    chain, states = system.transition, system.transition.shape[0]
-    share = np.full(states, 1 / states)
-    for _ in range(STEPS):
-        share = chain.T @ share
-    often = int(np.argmax(share))
-    kept = np.where(chain.indices == often, 0.0, chain.data)
-    cut = sp.csr_array((kept, chain.indices, chain.indptr), chain.shape)
-    others = LinearSystem(cut, system.discount)
-    earned, steps = others.roughly(constant), others.roughly(np.ones(states))
+    often, others, steps = system.without_one
+    earned = others.roughly(constant)
     gain = float(earned[often] / steps[often])
     return earned - gain * steps, gain
 
@@ -347,11 +405,54 @@ def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
     return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
 
 
-def sweeping(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:
-    """Return x (S,) with a residual of at most `rtol`, or None where sweeps would be too many."""
-    value, room = np.empty((2, len(constant)))
-    done = loops.swept(_rows(chain), float(discount), constant, rtol, SWEEPS, value, room)
+def sweeping(
+    chain: sp.csr_array, discount: float, constant: Floats, enough: float, fine: float = 0.0
+) -> Floats | None:
+    """Return x (S,) with a residual of at most `enough`, or None where sweeps would be too many.
+
+    See `solvers.kernels.linear.swept`, which this is in NumPy for small chains.
+    """
+    if chain.nnz >= COMPILED or loops_pay(chain.nnz):
+        value, room = np.empty((2, len(constant)))
+        rows = compiling.Rows(chain.indptr, chain.indices, chain.data)
+        limits = (enough, fine, SWEEPS, TRIED, CLOSE)
+        done = loops.swept(rows, float(discount), constant, *limits, value, room)
+    else:
+        value, done = _swept(chain, discount, constant, enough, fine)
     return np.asarray(value) if done and np.all(np.isfinite(value)) else None
+
+
+def _swept(
+    chain: sp.csr_array, discount: float, constant: Floats, enough: float, fine: float
+) -> tuple[Floats, bool]:
+    states, before, earned = len(constant), np.inf, float(np.abs(constant).max())
+    row = np.repeat(np.arange(states), np.diff(chain.indptr))
+
+    def ones(places: Integers) -> bool:
+        total = np.bincount(places, chain.data, states)
+        return bool(discount < 1 and (np.abs(total - 1) < CLOSE).all())
+
+    whole = ones(row)
+    kept = not whole and ones(chain.indices)
+    value = np.full(states, np.cumsum(constant)[-1] / (1 - discount) / states if kept else 0.0)
+    for sweep in range(SWEEPS):
+        room = constant
+        if sweep or kept:
+            ahead = np.bincount(row, chain.data * value[chain.indices], states)
+            room = constant + discount * ahead - value
+        low, high = float(room.min()), float(room.max())
+        middle = (low + high) / 2 if whole else 0.0
+        error = max(high - middle, middle - low)
+        value += room + (discount * middle / (1 - discount) if whole else 0.0)
+        goal = max(fine * max(earned, float(np.abs(value).max())), 0.0 if fine else enough)
+        if error * discount <= goal:
+            return value, True
+        if sweep >= TRIED and not (
+            error < before and error * (error / before) ** (SWEEPS - sweep) <= enough
+        ):
+            return value, error <= enough
+        before = error
+    return value, before <= enough
 
 
 def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:

@@ -82,5 +82,5 @@ def improved(
         pairs = greedy(mdp, gain, keep=pairs)
         # A policy that comes back differs from the last by rounding errors alone.
         if pairs.tobytes() in seen:
-            return bounds(mdp, value, greedy(mdp, gain)), iteration, True
+            return bounds(mdp, value), iteration, True
     return bounds(mdp, value), iteration, False

@@ -18,7 +18,6 @@ import numpy as np
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.kernels.compiling import Rows, at, compiled, span
 
-TRIED, CLOSE = 6, 1e-12  # sweeps after which to ask how fast they are; a sum that is nearly 1
 LEAST = 1e-14  # a cosine that is nothing but rounding
 
 
@@ -199,21 +198,27 @@ def swept(
     rows: Rows,
     discount: float,
     constant: Floats,
-    goal: float,
+    enough: float,
+    fine: float,
     most: int,
+    tried: int,
+    close: float,
     value: Floats,
     room: Floats,
 ) -> bool:
-    """Write x into `value` (S,) with a residual r of at most `goal`, where sweeps x + r lead there.
+    """Write x into `value` (S,) with a residual r of at most `enough`, where sweeps x + r lead.
 
     Where all rows sum to 1 and γ < 1, what r is in the middle of its range is what all values still
     lack, divided by 1 - γ: with m for that middle, the next residual is γ (P r - m), and so falls
     as fast as the chain mixes. Where all columns do, as in equations of visits, x sums to Σ c
     divided by 1 - γ, and what begins with that sum keeps it: r sums to 0, and falls as fast. Sweeps
-    end once `most` of them would not do, as they go on.
+    end once `most` of them would not do, as they go on. Each finds r anew, so that they refine x,
+    too: those that are `enough` go on to a residual of `fine` of the values, or while it falls.
+    `solvers.bounds.linear.sweeping` says the same in NumPy, bit for bit.
     """
     indptr, indices, data = rows
     states, before, whole, mass = len(constant), np.inf, discount < 1, 0.0
+    earned = 0.0
     for state in range(states):
         value[state] = 0.0
     for state in range(states):
@@ -221,42 +226,39 @@ def swept(
         for i in span(indptr[state], indptr[state + 1]):
             total += data[i]
             value[at(indices[i])] += data[i]
-        whole &= abs(total - 1) < CLOSE
+        whole &= abs(total - 1) < close
         mass += constant[state]
+        earned = max(earned, abs(constant[state]))
         room[state] = constant[state]
     kept = discount < 1 and not whole
     for state in range(states):
-        kept &= abs(value[state] - 1) < CLOSE
+        kept &= abs(value[state] - 1) < close
     for state in range(states):
         value[state] = mass / (1 - discount) / states if kept else 0.0
-    if kept:
-        residual(rows, discount, value, room)
-        for state in range(states):
-            room[state] = constant[state] - room[state]
     for sweep in range(most):
-        low, high = np.inf, -np.inf
+        if sweep > 0 or kept:
+            for state in range(states):
+                ahead = 0.0
+                for i in span(indptr[state], indptr[state + 1]):
+                    ahead += data[i] * value[at(indices[i])]
+                room[state] = constant[state] + discount * ahead - value[state]
+        low, high, size = np.inf, -np.inf, earned
         for state in range(states):
             low, high = min(low, room[state]), max(high, room[state])
         middle = (low + high) / 2 if whole else 0.0
         error = max(high - middle, middle - low)
-        if kept and error <= goal:
-            return True
         more = discount * middle / (1 - discount) if whole else 0.0
         for state in range(states):
             value[state] += room[state] + more
-        if not kept and error * discount <= goal:
+            size = max(size, abs(value[state]))
+        if error * discount <= max(fine * size, 0.0 if fine > 0 else enough):
             return True
-        if sweep >= TRIED:
-            rate = error / before
-            if not rate < 1 or error * rate ** (most - sweep) > goal:
-                return False
+        if sweep >= tried:
+            falls = error < before and error * (error / before) ** (most - sweep) <= enough
+            if not falls:
+                return bool(error <= enough)
         before = error
-        for state in range(states):
-            ahead = 0.0
-            for i in span(indptr[state], indptr[state + 1]):
-                ahead += data[i] * value[at(indices[i])]
-            room[state] = constant[state] + discount * ahead - value[state]
-    return False
+    return bool(before <= enough)
 
 
 @compiled

@@ -59,8 +59,8 @@ class Evaluation(Pictured):
         Mean return from every state, and how far it may be from the exact one. Where every episode
         ends at discount 1, NaN and infinity in states from which the policy may not end; no episode
         comes there. Else the total reward, which may be infinite.
-    ends : bool
-        True where every episode ends with probability 1.
+    given : PolicyChain
+        The same without the ends that states of rest stand for; else the chain itself.
     settled : bool
         False where an episode may go on for ever and earn: then only the mean is known.
 
@@ -75,9 +75,9 @@ class Evaluation(Pictured):
     """
 
     chain: PolicyChain
+    given: PolicyChain
     value: Floats
     error: Floats
-    ends: bool = True
     settled: bool = True
 
     claim: ClassVar[Claim] = Claim.BOUNDED
@@ -87,6 +87,11 @@ class Evaluation(Pictured):
     def mdp(self) -> MDP:
         """The model."""
         return self.chain.mdp
+
+    @property
+    def ends(self) -> bool:
+        """True where every episode ends with probability 1."""
+        return self.given.ends_from_start
 
     @property
     def policy(self) -> Policy | None:
@@ -448,27 +453,23 @@ def evaluate(
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
-    mdp, ends = chain.mdp, chain.ends_from_start
+    mdp, given = chain.mdp, chain
     if mdp.discount_exact == 1 and not arrives(chain):
         try:
             chain = rested(chain)
         except ModelError:
             alone = solve(model_of(chain))
             return Evaluation(
-                chain=chain, value=alone.value, error=alone.state_error, ends=ends, settled=False
+                chain=chain, given=chain, value=alone.value, error=alone.state_error, settled=False
             )
         mdp = chain.mdp
     live = ~mdp.terminal
     if mdp.discount_exact == 1:
         live &= chain.ends
-    with np.errstate(over="ignore"):  # what is beyond the floats is refused as it is solved for
-        reward = np.add.reduceat(chain.weights * mdp.reward, mdp.pair_offsets[:-1])
-    error = chain.total(chain.probability * np.abs(chain.gain))
-    earning = chain.total(chain.gain != 0)  # nothing that is 0 is rounded
-    error = gamma(chain.outcomes + chain.roundings + 4) * error + TINY * earning
+    reward, error = chain.reward
     found = chain.discounted.solve(np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
     known = live | mdp.terminal
     value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)
     value.setflags(write=False)
     bound.setflags(write=False)
-    return Evaluation(chain=chain, value=value, error=bound, ends=ends)
+    return Evaluation(chain=chain, given=given, value=value, error=bound)

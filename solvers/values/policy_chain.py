@@ -36,6 +36,7 @@ from exact_mdp.mdp.table import (
     exact,
 )
 from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.gains import TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
 from exact_mdp.solvers.solver import Criterion, solve
 
@@ -99,7 +100,10 @@ class PolicyChain:
     def weights(self) -> Floats:
         """(L,) probability of each pair given its state; sums to 1 over the pairs of a state."""
         given = self.chosen if self.shares is None else self.shares
-        total = np.add.reduceat(given, self.mdp.pair_offsets[:-1])[self.mdp.pair_state]
+        total = np.add.reduceat(given, self.mdp.pair_offsets[:-1])
+        if self.shares is None and (total == 1).all():
+            return given
+        total = total[self.mdp.pair_state]
         return np.asarray(given / total) if self.shares is None else divide(given, total)
 
     @cached_property
@@ -122,8 +126,14 @@ class PolicyChain:
     @cached_property
     def roundings(self) -> int:
         """How often a probability was rounded on its way from the exact number, at most."""
-        most = int(np.bincount(self.mdp.pair_state[self.pairs]).max())
-        return 1 if most == 1 else 2 * most + 2
+        if self.pure:
+            return 1
+        return 2 * int(np.bincount(self.mdp.pair_state[self.pairs]).max()) + 2
+
+    @property
+    def pure(self) -> bool:
+        """Whether the policy takes a single pair in each state."""
+        return len(self.pairs) == self.mdp.n_states
 
     @cached_property
     def table(self) -> OutcomeTable:
@@ -156,12 +166,25 @@ class PolicyChain:
         total = np.bincount(self.source, weights=amounts, minlength=self.mdp.n_states)
         return np.asarray(total, dtype=np.float64)
 
+    @cached_property
+    def reward(self) -> tuple[Floats, Floats]:
+        """(S,) the expected reward of each state, and how far that may be from the exact one."""
+        mdp = self.mdp
+        if self.pure and len(mdp.table.gain) == mdp.n_pairs:
+            earned = mdp.reward[self.pairs]
+            return earned, UNIT * np.abs(earned) + TINY * (mdp.table.gain[self.pairs] != 0)
+        with np.errstate(over="ignore"):  # what is beyond the floats is refused as it is solved for
+            earned = np.add.reduceat(self.weights * mdp.reward, mdp.pair_offsets[:-1])
+        error = self.total(self.probability * np.abs(self.gain))
+        earning = self.total(self.gain != 0)  # nothing that is 0 is rounded
+        return earned, gamma(self.outcomes + self.roundings + 4) * error + TINY * earning
+
     # ---- graph -------------------------------------------------------------------------------
 
     @cached_property
     def transition(self) -> sp.csr_array:
         """(S, S) probabilities; the rows of terminal states are empty."""
-        if self.roundings == 1 and not self.mdp.terminal.any():
+        if self.pure and not self.mdp.terminal.any():
             return self.mdp.transition[self.pairs]
         mdp, used = self.mdp, self.pairs[~self.mdp.terminal[self.mdp.pair_state[self.pairs]]]
         shape = (mdp.n_states, mdp.n_pairs)
@@ -173,16 +196,28 @@ class PolicyChain:
     @cached_property
     def graph(self) -> sp.csr_array:
         """(S, S) positive entries where a transition is possible, however rare."""
-        if self.probability.min() > 0:
+        if self._complete or self.probability.min() > 0:
             return self.transition
         # Probabilities below the range of floats have become 0, and the matrix has lost them.
         kept = ~self.mdp.terminal[self.source]
         entries = (self.source[kept], self.table.next[kept])
         return sp.csr_array((np.ones(len(entries[0])), entries), self.transition.shape)
 
+    @property
+    def _complete(self) -> bool:
+        """Whether the matrix is seen to have an entry above 0 for each outcome of a pure policy."""
+        if not self.pure:
+            return False
+        offsets, live = self.mdp.table.offsets, self.pairs[~self.mdp.terminal]
+        outcomes = int((offsets[live + 1] - offsets[live]).sum())
+        chain = self.transition
+        return bool(chain.nnz == outcomes and chain.data.min(initial=1.0) > 0)
+
     @cached_property
     def order(self) -> Integers | None:
         """(S,) numbers that fall along every transition, where such are known."""
+        if not self.mdp.terminal.any():
+            return None
         chain, states = self.graph, self.mdp.n_states
         row = np.repeat(np.arange(states), np.diff(chain.indptr))
         return np.arange(states, 0, -1) if (chain.indices > row).all() else levels(self.mdp)
@@ -197,10 +232,10 @@ class PolicyChain:
     @cached_property
     def stuck(self) -> Mask:
         """(S,) True where no terminal state can be reached any more."""
-        if self.order is not None:
-            return np.zeros(self.mdp.n_states, dtype=bool)
         if not self.mdp.terminal.any():
             return np.ones(self.mdp.n_states, dtype=bool)
+        if self.order is not None:
+            return np.zeros(self.mdp.n_states, dtype=bool)
         return ~closure(self.graph.T.tocsr(), self.mdp.terminal)
 
     @cached_property

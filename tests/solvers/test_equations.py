@@ -16,6 +16,7 @@ from exact_mdp.mdp.chain import topological_levels
 from exact_mdp.solvers import SolverError
 from exact_mdp.solvers.bounds import elimination, linear
 from exact_mdp.solvers.bounds.elimination import TooLarge, band, fill, matrix_of, reach, sparse
+from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.bounds.linear import (
     FixedPoint,
     LinearSystem,
@@ -484,6 +485,70 @@ def test_sweeps_solve_what_mixes_soon(seed: int, leaks: bool, turned: bool, rate
     assert found is not None
     left = constant + rate * (chain @ found) - found
     assert np.abs(left).max() <= 1e-11 + 1e-14 / (1 - rate)
+
+
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 10**6),
+    turned=st.booleans(),
+    rate=st.sampled_from([0.0, 0.5, 0.95, 0.9999, 1.0]),
+    fine=st.sampled_from([0.0, 2.0**-51]),
+    breadth=st.sampled_from([1, 3, 30]),
+)
+def test_sweeps_are_the_same_compiled_and_not(
+    seed: int, turned: bool, rate: float, fine: float, breadth: int
+) -> None:
+    """Bit for bit; those that are fine leave a residual that is rounding alone."""
+    rng = np.random.default_rng(seed)
+    chain = rng.dirichlet(np.ones(30), 30) * (rng.random((30, 30)) < breadth / 30)
+    chain /= np.where(chain.any(axis=1), chain.sum(axis=1), 1.0)[:, None]
+    matrix = sp.csr_array(chain.T if turned else chain)
+    constant = np.clip(rng.normal(size=30), -1, 1)
+    found = []
+    for threshold in (0, 10**6):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(linear, "COMPILED", threshold)
+            patch.setattr(linear, "loops_pay", lambda _: False)
+            found.append(sweeping(matrix, rate, constant, 1e-9, fine))
+    assert (found[0] is None) == (found[1] is None)
+    if found[0] is not None and found[1] is not None:
+        assert np.array_equal(*found)
+        left = np.abs(constant + rate * (matrix @ found[0]) - found[0]).max()
+        assert left <= (64 * UNIT * max(1.0, np.abs(found[0]).max()) if fine and rate < 1 else 2e-9)
+
+
+@pytest.mark.parametrize("shuffle", [False, True])
+def test_a_ring_is_eliminated_within_a_band(shuffle: bool) -> None:
+    """Its wrap-around is no reason for dense factors: there is an order with a narrow band."""
+    size = 700
+    ring = sp.csr_array(0.5 * np.eye(size) + 0.5 * np.roll(np.eye(size), 1, axis=1))
+    chain = shuffled(ring) if shuffle else ring
+    system, constant = LinearSystem(chain, 0.99999), np.random.default_rng(4).normal(size=size)
+    assert system.method == "band"
+    assert max(reach(chain)) > size / 2
+    found = system.solve(constant)
+    exact = np.linalg.solve(np.eye(size) - 0.99999 * chain.toarray(), constant)
+    assert (np.abs(found.value - exact) <= found.error + 1e-9).all()
+    assert found.error.max() < 1e-6
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 10**6), rate=st.sampled_from([F(1, 2), F(19, 20), F(9999, 10000)]))
+def test_an_error_bound_that_takes_no_equations_holds(seed: int, rate: F) -> None:
+    """It is no more than `ALIKE` times what the equations of the error would give."""
+    rng = np.random.default_rng(seed)
+    chain = sp.csr_array(rng.dirichlet(np.ones(6), 6).round(3))
+    chain = sp.csr_array(chain / np.maximum(chain.sum(axis=1), 1.0)[:, None])
+    system, excess = LinearSystem(chain, float(rate)), rng.uniform(0.5, 1, 6) ** 3
+    error = system._dominating(excess)
+    entries = [[F(x) for x in row] for row in chain.toarray()]
+    left = [
+        F(e) - F(float(rate)) * sum((p * F(x) for p, x in zip(row, error, strict=True)), F(0))
+        for e, row in zip(error, entries, strict=True)
+    ]
+    assert all(have >= F(need) for have, need in zip(left, excess, strict=True))
+    least = np.linalg.solve(np.eye(6) - float(rate) * chain.toarray(), excess)
+    assert (error <= (linear.ALIKE + 0.1) * least).all()
 
 
 def test_sweeps_that_would_be_too_many_end_early() -> None:
