@@ -192,8 +192,6 @@ def _disagreements(
             gap=float(gap[state]),
             expected_visits=float(visits[state]),
             cost=float(cost[state]),
-            gain_if_corrected=None,
-            loss_if_alone=None,
         )
         for state in states[order].tolist()
     )

@@ -185,14 +185,16 @@ class Audit(Pictured):
         adds expected visits, what one correction gains, and what one mistake costs alone.
         """
         lost = sum(each.cost for each in self.disagreements)
+        names = ["label", "learned", "optimal", "cost", "share", "gap"]
+        if full:
+            names += ["expected_visits", "gain_if_corrected", "loss_if_alone"]
+        known = set(names) - {"optimal", "share"} | {"state"}
         rows = [
-            vars(each) | {"optimal": " or ".join(each.optimal), "share": share_of(each.cost, lost)}
+            {name: getattr(each, name) for name in known}
+            | {"optimal": " or ".join(each.optimal), "share": share_of(each.cost, lost)}
             for each in self.disagreements
         ]
-        shown = ["label", "learned", "optimal", "cost", "share", "gap"]
-        rest = [name for name in Disagreement.__dataclass_fields__ if name not in shown]
-        table = pandas.DataFrame(rows, columns=[*shown, *rest]).set_index("state")
-        return table if full else table[shown]
+        return pandas.DataFrame(rows, columns=["state", *names]).set_index("state")
 
     @property
     def value(self) -> Certified | Bounded:

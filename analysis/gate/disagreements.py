@@ -19,8 +19,9 @@ Mathematical Statistics 21, 1950). Without a way back to s the divisor is 1.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -64,13 +65,10 @@ class Disagreement:
         Discounted visits of the policy from the start; at discount 1 their expected number.
     cost : float
         expected_visits · gap, and what is lost by waiting; these sum to the regret.
-    gain_if_corrected : float or None
-        What the policy's value at the start gains if this state alone is corrected.
-    loss_if_alone : float or None
-        What the optimal value at the start loses if this state alone is wrong.
-        Both are None beyond the 50 costliest states of a model with cycles and over 500 states,
-        in models where floating point cannot bound the visits, and where the changed policy would
-        never end, or nearly never.
+    prices : Prices, optional
+        Where `gain_if_corrected` and `loss_if_alone` are from. These are None beyond the 50
+        costliest states of a model with cycles and over 500 states, in models where floating point
+        cannot bound the visits, and where the changed policy would never end, or nearly never.
     """
 
     state: int
@@ -80,8 +78,54 @@ class Disagreement:
     gap: float
     expected_visits: float
     cost: float
-    gain_if_corrected: float | None
-    loss_if_alone: float | None
+    prices: Prices | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def gain_if_corrected(self) -> float | None:
+        """What the policy's value at the start gains if this state alone is corrected."""
+        return self._price[0]
+
+    @property
+    def loss_if_alone(self) -> float | None:
+        """What the optimal value at the start loses if this state alone is wrong."""
+        return self._price[1]
+
+    @property
+    def _price(self) -> tuple[float | None, float | None]:
+        known = {} if self.prices is None else self.prices.by_state
+        return known.get(self.state, (None, None))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prices:
+    """What a policy's changes in single states are worth, found when the first is asked for.
+
+    The policy of `chain` has the visits (S,) given; `states` (K,) are those to be priced.
+    """
+
+    chain: PolicyChain
+    found: Regret
+    visited: Floats
+    states: Integers
+
+    @cached_property
+    def by_state(self) -> dict[int, tuple[float | None, float | None]]:
+        """Gain if corrected and loss if alone of each state that has such prices."""
+        found, best = self.found, policy_taking(self.chain.mdp, self.found.optimal_pairs)
+        try:
+            others, floats = own_visits(best, exact=isinstance(found.at_start, Certified))
+        except SolverError:
+            return {}
+        if not floats:
+            return {}
+        corrected = _changes(self.chain, found.learned_value, self.visited, best, self.states)
+        losses = -_changes(best, found.optimal_value, others, self.chain, self.states)
+        return {
+            state: (None if np.isnan(gain) else gain, None if np.isnan(loss) else loss)
+            for state, gain, loss in zip(
+                self.states.tolist(), corrected.tolist(), losses.tolist(), strict=True
+            )
+        }
 
 
 def own_visits(chain: PolicyChain, *, exact: bool) -> tuple[Floats, bool]:
@@ -123,23 +167,13 @@ def disagreements(
         waits = shares(chain, found.by_state, gap, wrong)
         gap, cost = np.where(waits > 0, found.by_state, gap), cost + waits
     states = states[np.lexsort((states, -gap[states], -cost[states]))]
-    best = policy_taking(mdp, found.optimal_pairs)
     cheap = levels(mdp) is not None or mdp.n_states <= LARGE
-    changed = states if cheap else states[:PRICED]
-    prices: Iterator[tuple[float, float]] = iter(())
-    others, floats = visited, False
+    prices = None
     if priced:
-        others, floats = own_visits(best, exact=isinstance(found.at_start, Certified))
-    if floats:
-        corrected = _changes(chain, found.learned_value, visited, best, changed)
-        losses = -_changes(best, found.optimal_value, others, chain, changed)
-        prices = zip(corrected.tolist(), losses.tolist(), strict=True)
+        changed = states if cheap else states[:PRICED]
+        prices = Prices(chain=chain, found=found, visited=visited, states=changed)
     listed = []
     for state in states.tolist():
-        gain, loss = (
-            None if price is None or np.isnan(price) else price
-            for price in next(prices, (None, None))
-        )
         right = [pair for pair in mdp.pairs_of(state) if found.optimal_pairs[pair]]
         if isinstance(found.optimum, Certificate):
             right = attaining(mdp, found.optimum, found.optimal_pairs, state)
@@ -152,8 +186,7 @@ def disagreements(
                 gap=float(gap[state]),
                 expected_visits=float(visited[state]),
                 cost=float(cost[state]),
-                gain_if_corrected=gain,
-                loss_if_alone=loss,
+                prices=prices,
             )
         )
     return tuple(listed)

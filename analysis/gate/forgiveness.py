@@ -190,14 +190,15 @@ class Side:
 def moved_at_start(mdp: MDP, own: Side, best: Side) -> tuple[Fraction, Fraction | float]:
     """Return bounds of what rounding can move in the difference of two values at the start."""
     try:
-        (u, du), (v, dv) = own.uses(), best.uses()
+        u, du = own.uses()
+        v, dv = (u, du) if own.chain is best.chain else best.uses()
     except SolverError:
         return Fraction(0), inf
     (a, da), (b, db) = own.worth(), best.worth()
     if own.chain is best.chain:  # x is nearly 0, and rewards that are used alike move alike
-        apart = 2 * float((np.abs(b - a) * (1 + UNIT) + da + db).max())
-        most = float((_roundings(mdp)[1] * (u + du)).sum()) * mdp.discount * apart * SLACK
-        return Fraction(0), Fraction(most + TINY) if isfinite(most) else inf
+        span_at_most = 2 * float((np.abs(b - a) * (1 + UNIT) + da + db).max())
+        high = float((_roundings(mdp)[1] * (u + du)).sum()) * mdp.discount * span_at_most * SLACK
+        return Fraction(0), Fraction(high + TINY) if isfinite(high) else inf
     # Pairs that neither policy uses move nothing.
     used = np.flatnonzero((own.chain.weights > 0) | (best.chain.weights > 0))
     first, there = _outcomes(mdp, used)
