@@ -169,6 +169,22 @@ def test_the_columns_of_a_graph_may_be_a_strided_view(
     assert chain.strong_components(graph).tolist() == [1, 0, 0]
 
 
+@pytest.mark.parametrize("rounds", [0, 1, 8])
+def test_narrow_searches_go_on_one_by_one(monkeypatch: pytest.MonkeyPatch, rounds: int) -> None:
+    """A line of 40 states with a loop at its end: more rounds than are taken many at a time."""
+    monkeypatch.setattr(chain, "FIRST", rounds)
+    monkeypatch.setattr(chain, "_large", lambda _: False)
+    line = np.eye(40, k=1)
+    line[39, 20] = 1
+    begin = np.arange(40) == 5
+    assert np.array_equal(chain.closure(sp.csr_array(line), begin), np.arange(40) >= 5)
+    parts = chain.strong_components(sp.csr_array(line))
+    assert (parts[20:] == parts[39]).all()
+    assert len(set(parts.tolist())) == 21
+    line[39, 0] = 1  # the first node now comes back to itself by way of all the others
+    assert not chain.strong_components(sp.csr_array(line)).any()
+
+
 @given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
 def test_small_graphs_are_searched_as_scipy_searches_large_ones(
     size: int, ends: list[tuple[int, int]], data: st.DataObject

@@ -1,0 +1,102 @@
+"""What rounding forgives, by short cuts: each against the long way round."""
+
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from exact_mdp import MDP, check
+from exact_mdp.analysis.gate import regret
+from exact_mdp.analysis.gate.forgiveness import Side, moved_at_start, tie_range, widest_tie
+from exact_mdp.solvers import solve
+from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+
+def model(seed: int, rate: str) -> MDP:
+    """Return a model of floats that often ties; at discount 1 the last state is the end."""
+    rng, size = np.random.default_rng(seed), 6
+    rows = rng.dirichlet(np.full(size, 0.3), (3, size))
+    rows[1] = rows[0]
+    reward = rng.choice([0.1, 0.3, 0.7], (size, 3)) * 10.0 ** rng.integers(-3, 4)
+    if rate == "1":
+        rows[:, :-1] = 0.8 * rows[:, :-1] + 0.2 * np.eye(size)[-1]
+        rows[:, -1], reward[-1] = np.eye(size)[-1], 0.0
+    return MDP.from_arrays(rows / rows.sum(axis=2, keepdims=True), reward, discount=rate)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10**6), st.sampled_from(["1/2", "99/100", "99999/100000", "1"]))
+def test_a_gap_beyond_the_widest_tie_is_beyond_each(seed: int, rate: str) -> None:
+    mdp = model(seed, rate)
+    found = solve(mdp)
+    known = FixedPoint(value=found.value, error=found.state_error)
+    chain = PolicyChain.of(mdp, found)
+    every = tie_range(mdp, known, chain)
+    assert every.high.max() <= widest_tie(mdp, known)
+    some = np.arange(0, mdp.n_pairs, 2)
+    few = tie_range(mdp, known, chain, some)
+    assert np.array_equal(few.high, every.high[some])
+    assert np.array_equal(few.low, every.low[some])
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10**6), st.sampled_from(["1/2", "99/100", "1"]))
+def test_what_both_do_alike_moves_both_alike(seed: int, rate: str) -> None:
+    """The bounds of a policy against itself hold those of the same policy written twice."""
+    mdp = model(seed, rate)
+    rng, sides = np.random.default_rng(seed), list[Side]()
+    policy = rng.integers(0, 3, mdp.n_states)
+    chains = [PolicyChain.of(mdp, policy) for _ in range(2)]
+    for chain, off in zip(chains, (0.0, 1e-9), strict=True):
+        own = evaluate(mdp, chain)
+        known = FixedPoint(value=own.value + off * ~mdp.terminal, error=own.error)
+        sides.append(Side(chain=chain, found=known))
+    low, high = moved_at_start(mdp, *sides)
+    alike = moved_at_start(mdp, sides[0], Side(chain=chains[0], found=sides[1].found))
+    assert alike[0] == 0
+    assert alike[0] <= low <= high
+    assert alike[1] >= low
+    # A span of x is at most twice its size.
+    assert alike[1] <= F(10) ** -9
+
+
+@pytest.mark.parametrize("rate", ["99/100", "1"])
+@pytest.mark.parametrize("seed", range(6))
+def test_audits_are_the_same_without_the_short_cut(
+    monkeypatch: pytest.MonkeyPatch, seed: int, rate: str
+) -> None:
+    mdp = model(seed, rate)
+    policy = np.random.default_rng(seed).integers(0, 3, mdp.n_states)
+    found: list[Any] = []
+    for way in (widest_tie, lambda *_: np.inf):
+        monkeypatch.setattr(regret, "widest_tie", way)
+        found.append(check(mdp, policy, exact_values=False))
+    one, other = found
+    assert np.array_equal(one.regret.optimal_pairs, other.regret.optimal_pairs)
+    assert np.array_equal(one.regret.gap, other.regret.gap)
+    assert (one.passed, one.disagreements) == (other.passed, other.disagreements)
+
+
+def test_prices_are_worked_out_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    mdp = model(3, "99/100")
+    asked = list[int]()
+    inner = PolicyChain.discounted.func  # type: ignore[attr-defined]
+    audit = check(mdp, [2] * 6, exact_values=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(PolicyChain, "discounted", property(lambda c: asked.append(1) or inner(c)))
+        frame = audit.frame()
+        assert not asked
+        full = audit.frame(full=True)
+        assert asked
+    assert list(full.columns) == [
+        *frame.columns,
+        "expected_visits",
+        "gain_if_corrected",
+        "loss_if_alone",
+    ]
+    assert full["gain_if_corrected"].notna().all()
