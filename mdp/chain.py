@@ -170,7 +170,7 @@ def numbered_in_order(mdp: MDP) -> bool:
     One comparison for each pair, so that finding this structure costs less than using it.
     """
     first = int(mdp.transition.indices[0])  # most others show it at once
-    if first <= 0 and not mdp.terminal[0]:
+    if (first <= 0 and not mdp.terminal[0]) or not mdp.terminal[-1]:
         return False
     return bool((_least_successor(mdp) > np.arange(mdp.n_states)).all())
 
@@ -185,6 +185,8 @@ def topological_levels(mdp: MDP) -> Integers | None:
 
     Terminal states have level 0; every other transition leads to a strictly smaller level.
     """
+    if not mdp.terminal.any():
+        return None
     if numbered_in_order(mdp):
         return _levels_in_order(mdp)
     offsets, successors = _successors(mdp)
