@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from exact_mdp.analysis.cli import main
+from exact_mdp.analysis.exit_status import run
 from exact_mdp.paper_repro.agents.cli import main as agents
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,7 +78,7 @@ def test_command_lines_run(
     for line in lines:
         words = shlex.split(line)
         if words[0] == "python":
-            agents(words[3:], standalone_mode=False)
+            assert run(agents, "agents", words[3:]) == 0, line
         else:
             assert main(words[1:]) == (1 if words[1] == "check" else 0), line
         assert capsys.readouterr().out, line
