@@ -56,26 +56,14 @@ class Program(click.Command):
         self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: Any, **__: Any
     ) -> NoReturn:
         """Run, and end the process."""
-        _run_as_program(self, args, prog_name)
+        name = prog_name or str(self.name)
+        if args is None:
+            leave(run(self, name, sys.argv[1:]))
+        sys.exit(run(self, name, args))
 
 
-class Programs(click.Group):
+class Programs(Program, click.Group):
     """The same of a group of commands."""
-
-    def main(
-        self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: Any, **__: Any
-    ) -> NoReturn:
-        """Run, and end the process."""
-        _run_as_program(self, args, prog_name)
-
-
-def _run_as_program(
-    command: click.Command, args: Sequence[str] | None, prog: str | None
-) -> NoReturn:
-    name = prog or str(command.name)
-    if args is None:
-        leave(run(command, name, sys.argv[1:]))
-    sys.exit(run(command, name, args))
 
 
 def run(
