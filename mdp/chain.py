@@ -19,7 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later, worth_compiling
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
 compiling = later("exact_mdp.mdp.forms.compiling")
@@ -209,17 +208,23 @@ def topological_levels(mdp: MDP) -> Integers | None:
     return None if (level < 0).any() else level
 
 
+@once
 def termination(mdp: MDP) -> Termination:
-    """Return a proof that every policy ends, or a policy that never does from some states.
-
-    It is found once for each model.
-    """
-    if mdp not in _ENDINGS:
-        _ENDINGS[mdp] = _termination(mdp)
-    return _ENDINGS[mdp]
-
-
-_ENDINGS: WeakKeyDictionary[MDP, Termination] = WeakKeyDictionary()
+    """Return a proof that every policy ends, or a policy that never does from some states."""
+    if numbered_in_order(mdp):
+        rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
+        return Termination(proven=True, rank=rank, policy=None, trapped=rank[:0])
+    matrix = mdp.transition
+    backward = Backward.of(matrix.indptr, matrix.indices, mdp.pair_state, mdp.n_states)
+    every = np.ones(mdp.n_pairs, dtype=bool)
+    rank, staying = backward.rounds(mdp.terminal, every, np.diff(mdp.pair_offsets))
+    trapped = np.flatnonzero(rank < 0)
+    if not len(trapped):
+        return Termination(proven=True, rank=rank, policy=None, trapped=trapped)
+    chosen = mdp.pair_offsets[:-1].copy()
+    first = np.where(staying, np.arange(mdp.n_pairs), mdp.n_pairs)
+    chosen[trapped] = np.minimum.reduceat(first, mdp.pair_offsets[:-1])[trapped]
+    return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
 
 
 def endless(mdp: MDP) -> bool:
@@ -235,23 +240,6 @@ def endless(mdp: MDP) -> bool:
         return False
     off = mdp.goal is not None and bool((mdp.terminal & ~mdp.goal).any())
     return off or not termination(mdp).proven
-
-
-def _termination(mdp: MDP) -> Termination:
-    if numbered_in_order(mdp):
-        rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
-        return Termination(proven=True, rank=rank, policy=None, trapped=rank[:0])
-    matrix = mdp.transition
-    backward = Backward.of(matrix.indptr, matrix.indices, mdp.pair_state, mdp.n_states)
-    every = np.ones(mdp.n_pairs, dtype=bool)
-    rank, staying = backward.rounds(mdp.terminal, every, np.diff(mdp.pair_offsets))
-    trapped = np.flatnonzero(rank < 0)
-    if not len(trapped):
-        return Termination(proven=True, rank=rank, policy=None, trapped=trapped)
-    chosen = mdp.pair_offsets[:-1].copy()
-    first = np.where(staying, np.arange(mdp.n_pairs), mdp.n_pairs)
-    chosen[trapped] = np.minimum.reduceat(first, mdp.pair_offsets[:-1])[trapped]
-    return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.chain import endless
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import (
     EXACT_IN_FLOAT,
     EXACT_IN_INT64,
@@ -205,12 +205,10 @@ def divided(model: MDP) -> MDP:
     """
     if model.discount_exact != 1 or model.table.sums_to_one or not endless(model):
         return model
-    if model not in _DIVIDED:
-        _DIVIDED[model] = per_step(model)
-    return _DIVIDED[model]
+    return _divided(model)
 
 
-_DIVIDED: WeakKeyDictionary[MDP, MDP] = WeakKeyDictionary()
+_divided = once(per_step)
 
 
 def slack_signs(model: MDP) -> Numbers:
@@ -255,17 +253,9 @@ def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
 # ---- the hash -----------------------------------------------------------------------------------
 
 
+@once
 def fingerprint(model: MDP) -> str:
     """Return the SHA-256 of the model's exact content in hexadecimal."""
-    if model not in _HASHES:
-        _HASHES[model] = _fingerprint(model)
-    return _HASHES[model]
-
-
-_HASHES: WeakKeyDictionary[MDP, str] = WeakKeyDictionary()
-
-
-def _fingerprint(model: MDP) -> str:
     digest = sha256(b"exact-mdp model 1\n")
     start = sorted((state, weight) for state, weight in model.start if weight)
     digest.update(f"{model.n_states} {model.n_pairs} {_text(model.discount_exact)}\n".encode())

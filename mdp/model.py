@@ -14,9 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 gymnasium = lazy.later("exact_mdp.mdp.io.gymnasium")
 pandas = lazy.later("pandas")
 transitions = lazy.later("exact_mdp.mdp.io.transitions")
+Found = TypeVar("Found")
 LOADER = "exact_mdp.mdp.io.load"  # by name: it knows every kind of model, this one among them
 
 
@@ -994,3 +996,16 @@ def _check_components(mdp: MDP) -> None:
             where=mdp.where(pair),
             fix="make the components add up to the expected reward",
         )
+
+
+def once(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
+    """Return a function that finds something once for each model, and keeps it as long as that."""
+    known: WeakKeyDictionary[MDP, Found] = WeakKeyDictionary()
+
+    @wraps(find)
+    def found(mdp: MDP) -> Found:
+        if mdp not in known:
+            known[mdp] = find(mdp)
+        return known[mdp]
+
+    return found

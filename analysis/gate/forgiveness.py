@@ -27,7 +27,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf, isfinite
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +37,7 @@ from exact_mdp.analysis.gate.exact_policy import (
     exact_policy,
     visited_exactly,
 )
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
@@ -59,26 +58,19 @@ class Range:
     high: Floats
 
 
-_ROUNDINGS: WeakKeyDictionary[MDP, tuple[Floats, Floats]] = WeakKeyDictionary()
-
-
 def of_floats(mdp: MDP) -> bool:
     """Return whether any number of the model was given as a float that rounding may have moved."""
     return bool(_roundings(mdp)[1].any() or mdp.table.gain_rounding().any())
 
 
+@once
 def _roundings(mdp: MDP) -> tuple[Floats, Floats]:
-    """Return what is rounded in each pair (L,): its expected reward, and its row in all.
-
-    Computed once for each model.
-    """
-    if mdp not in _ROUNDINGS:
-        table, first = mdp.table, mdp.table.offsets[:-1]
-        rounded = table.gain_rounding()
-        if len(rounded) != table.pairs:
-            rounded = np.add.reduceat(table.probabilities() * rounded, first)
-        _ROUNDINGS[mdp] = rounded, np.add.reduceat(table.weight_rounding(), first)
-    return _ROUNDINGS[mdp]
+    """Return what is rounded in each pair (L,): its expected reward, and its row in all."""
+    table, first = mdp.table, mdp.table.offsets[:-1]
+    rounded = table.gain_rounding()
+    if len(rounded) != table.pairs:
+        rounded = np.add.reduceat(table.probabilities() * rounded, first)
+    return rounded, np.add.reduceat(table.weight_rounding(), first)
 
 
 def per_use(mdp: MDP, known: FixedPoint, pairs: Integers | None = None) -> Range:

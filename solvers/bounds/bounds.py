@@ -26,13 +26,12 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from exact_mdp.mdp.chain import require_termination, topological_levels
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
     SLACK,
@@ -53,10 +52,6 @@ layered = later("exact_mdp.solvers.kernels.layered")
 
 WEIGHT_ITERATIONS = 1000
 LONGEST_WALK = 1000
-_LEVELS: WeakKeyDictionary[MDP, Integers | None] = WeakKeyDictionary()
-
-
-_WEIGHTS: WeakKeyDictionary[MDP, Weights] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,11 +99,10 @@ def bounds(mdp: MDP, value: Floats, pairs: Integers | None = None) -> Bounds:
     return Bounds(value=value, weight=weights.value, pairs=pairs, low=low, high=high)
 
 
+@once
 def levels(mdp: MDP) -> Integers | None:
     """Return `topological_levels`, computed once for each model."""
-    if mdp not in _LEVELS:
-        _LEVELS[mdp] = None if _comes_back(mdp) else topological_levels(mdp)
-    return _LEVELS[mdp]
+    return None if _comes_back(mdp) else topological_levels(mdp)
 
 
 def _comes_back(mdp: MDP) -> bool:
@@ -130,12 +124,11 @@ def _comes_back(mdp: MDP) -> bool:
     return False
 
 
+@once
 def margin_weights(mdp: MDP) -> Weights:
     """Return verified weights; computed once for each model."""
-    if mdp not in _WEIGHTS:
-        require_termination(mdp)
-        _WEIGHTS[mdp] = _verified(mdp, _candidate(mdp))
-    return _WEIGHTS[mdp]
+    require_termination(mdp)
+    return _verified(mdp, _candidate(mdp))
 
 
 def _candidate(mdp: MDP) -> Floats:

@@ -26,14 +26,13 @@ import sys
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -188,23 +187,16 @@ class RoundingFacts:
         return UNIT * max(abs(float(mdp.reward.min())), abs(float(mdp.reward.max()))) + TINY
 
 
-_FACTS: WeakKeyDictionary[MDP, RoundingFacts] = WeakKeyDictionary()
-
-
+@once
 def rounding_facts(mdp: MDP) -> RoundingFacts:
     """Return the facts, computed once for each model."""
-    if mdp not in _FACTS:
-        leak, leak_error = _leak(mdp)
-        merged = np.empty(0, dtype=np.int32)
-        if mdp.table.weight.dtype == np.float64 and mdp.n_transitions < len(mdp.table.next):
-            merged = (2 * np.diff(mdp.table.offsets)).astype(np.int32)
-        _FACTS[mdp] = RoundingFacts(
-            merged=merged,
-            reward_error=_reward_error(mdp),
-            leak=leak,
-            leak_error=leak_error,
-        )
-    return _FACTS[mdp]
+    leak, leak_error = _leak(mdp)
+    merged = np.empty(0, dtype=np.int32)
+    if mdp.table.weight.dtype == np.float64 and mdp.n_transitions < len(mdp.table.next):
+        merged = (2 * np.diff(mdp.table.offsets)).astype(np.int32)
+    return RoundingFacts(
+        merged=merged, reward_error=_reward_error(mdp), leak=leak, leak_error=leak_error
+    )
 
 
 def _leak(mdp: MDP) -> tuple[Floats, float]:
