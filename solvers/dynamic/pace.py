@@ -42,12 +42,14 @@ def middle(
     return max(min((low + high) / 2, most - bottom), least - top), least, most
 
 
-def goal(half: float, idle: int, weight: float, tol: float) -> float:
-    """Return how close to come to a policy's values, in units of w: a tenth of what is left.
+def goal(best: float, idle: int, weight: float, tol: float) -> float:
+    """Return how close to come to a policy's values, in units of w: a tenth of the least error yet.
 
-    One state far behind makes that as large as all values; where bounds have not fallen for some
-    passes, it is less each time. The tolerance, 0 for none, may ask for no less than its own.
+    That of one pass may be far more: a value that news has reached before its neighbours', by what
+    makes no difference, counts 1 / (1 - γ) times there. One state far behind makes errors as large
+    as all values; where bounds have not fallen for some passes, the goal is less each time. The
+    tolerance, 0 for none, may ask for no less than its own.
     """
     part = PARTS[min(idle, 16)]
     enough = tol / (2 * weight) if weight != 0 else 0.0
-    return max(half / max(weight, TINY) / 10 * part, enough)
+    return max(best / max(weight, TINY) / 10 * part, enough)

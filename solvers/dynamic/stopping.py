@@ -196,7 +196,7 @@ class Run:
     @property
     def goal(self) -> float:
         """How close to come to a policy's values, in units of w."""
-        return float(pace.goal(self._half, self._idle, self._weight, self._tol or 0.0))
+        return float(pace.goal(self._best, self._idle, self._weight, self._tol or 0.0))
 
     def _limit(self, value: Floats) -> float:
         """Return the greatest absolute error allowed."""

@@ -183,7 +183,7 @@ def rounds(
         if not slow:
             if settings.whole:
                 hold(model, pairs, policy)
-            goal = 0.0 if ready else goal_of(half, idle, weight, settings.tol)
+            goal = 0.0 if ready else goal_of(best, idle, weight, settings.tol)
             enough, shift = settle(
                 model, policy, weights, value, shift, goal, settings.most, limits, uniform, step,
                 errors,
