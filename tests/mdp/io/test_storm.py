@@ -105,7 +105,7 @@ def test_a_model_that_storm_builds_and_writes(stormpy: Any, tmp_path: Path) -> N
     stormpy.io.export_to_umb(model, str(tmp_path / "walk.umb"))
     for name in ("cost", "steps"):
         wanted = answer(stormpy, model, f'R{{"{name}"}}min=? [F "goal"]')
-        mdp = umb.load(tmp_path / "walk.umb", reward=name)
+        mdp = umb.load(tmp_path / "walk.umb", reward=name, discount=1)
         assert set(mdp.actions) == {"run", "jump", "rest"}
         value = np.zeros(mdp.n_states)
         for _ in range(2000):
