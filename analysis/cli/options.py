@@ -77,14 +77,14 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
     """Return what --subject-to says, as `solve` takes it."""
     found: dict[str, list[str]] = {}
     for text in texts:
-        name, sign, bound = re.match(r"(.*?)(>=|<=|$)(.*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
-        if not sign:
+        name, *limit = re.split("(>=|<=)", text, maxsplit=1)
+        if not limit:
             raise ModelError(
                 f"{text!r} is no limit",
                 where="--subject-to",
                 fix='write "NAME >= -1/2" or "NAME <= 1/20"',
             )
-        found.setdefault(name.strip(), []).append(sign + bound)
+        found.setdefault(name.strip(), []).append("".join(limit))
     return found
 
 

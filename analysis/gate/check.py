@@ -775,14 +775,13 @@ def _evidence(by: object, confidence: object | None) -> Evidence | None:
             )
         return None
     if not isinstance(by, str):
-        if not callable(getattr(by, "interval", None)):
+        if isinstance(by, type) or not isinstance(by, Evidence):
             raise ModelError(
                 f"{by!r} is not a kind of interval",
                 where="by",
                 fix='give "robust", "posterior" or "off-policy", or one of their classes',
             )
-        found: Evidence = by  # type: ignore[assignment]
-        return found
+        return by
     kinds = {
         "robust": lambda: robust.Robust(),
         "posterior": lambda: posterior.Posterior(),

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -86,6 +86,7 @@ class RegretInterval(Result):
         return pandas.DataFrame([ends | dict(self.found)])
 
 
+@runtime_checkable
 class Evidence(Protocol):
     """What an interval is made by; settings are its fields."""
 
@@ -175,12 +176,12 @@ def _some(names: Sequence[str]) -> str:
     return f"({', '.join(names[:SHOWN])}{f' and {more:,} more' if more > 0 else ''})"
 
 
-def range_of(given: object, what: str) -> Ends | None:
+def range_of(given: Any, what: str) -> Ends | None:
     """Return the ends of a range that the user states, None where there is none."""
     if given is None:
         return None
     try:
-        low, high = (float(exact(end)) for end in given)  # type: ignore[attr-defined]
+        low, high = (float(exact(end)) for end in given)
     except (TypeError, ValueError, OverflowError, ModelError) as error:
         raise ModelError(f"{given!r} is no range", where=what, fix="give (low, high)") from error
     if not low <= high:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -230,10 +231,10 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
     ],
 )
 def test_totals_that_nobody_has_are_refused_by_name(
-    rows: list[object], start: object, words: list[str], told: str, tmp_path: Path
+    rows: list[Any], start: object, words: list[str], told: str, tmp_path: Path
 ) -> None:
     model = str(tmp_path / "m.npz")
-    size = 1 + max(row[0] for row in rows)  # type: ignore[index]
+    size = 1 + max(row[0] for row in rows)
     home = [state == size - 1 for state in range(size)]
     MDP.from_outcomes(rows, start=start, labels={"home": home}).save(model)
     for command in (

@@ -212,12 +212,13 @@ def test_states_that_were_only_entered_are_named() -> None:
     frame = pd.DataFrame(rows, columns=NAMES)
     mdp = MDP.from_transitions(frame, discount="1/2")
     chain = PolicyChain.of(mdp, "always:risky")
-    for kind, by in (
-        ("robust", Robust(rewards="known")),
-        ("posterior", Posterior(n=80)),
-        ("off-policy", OffPolicy(records=frame, rewards="known")),
-    ):
-        found = by.interval(mdp, chain, LEVEL)  # type: ignore[attr-defined]
+    kinds: dict[str, Evidence] = {
+        "robust": Robust(rewards="known"),
+        "posterior": Posterior(n=80),
+        "off-policy": OffPolicy(records=frame, rewards="known"),
+    }
+    for kind, by in kinds.items():
+        found = by.interval(mdp, chain, LEVEL)
         named = [each for each in found.assumptions if "state trap" in each]
         assert len(named) == 1, kind
         assert "end" not in named[0].split("(")[1].split(")")[0]
@@ -557,9 +558,9 @@ def test_at_discount_1_ends_are_worth_nothing(kind: str, end: str | None) -> Non
     frame = pd.DataFrame(rows, columns=NAMES)
     mdp = MDP.from_transitions(frame)
     how: dict[str, Any] = {"rewards": "known", "returns": (-60, 0)}
-    by = Robust(**how)
+    by: Evidence = Robust(**how)
     if kind == "off-policy":
-        by = OffPolicy(records=frame, behaviour="random", n=10, **how)  # type: ignore[assignment]
+        by = OffPolicy(records=frame, behaviour="random", n=10, **how)
     found = by.interval(mdp, PolicyChain.of(mdp, "always:wait"), LEVEL)
     assert found.low <= 2.5 <= found.high
     assert found.high < (4 if kind == "robust" else 58)
@@ -1171,3 +1172,10 @@ def test_records_that_do_not_fit_are_refused() -> None:
     refused("returns from", returns=(0, 1))
     with pytest.raises(ModelError, match="no counts"):
         check(MDP.from_arrays([[[1]]], [1], "1/2"), [0], confidence=0.95)
+
+
+@pytest.mark.parametrize("by", [3, Robust, object()], ids=["a number", "a class", "nothing"])
+def test_what_makes_no_interval_is_refused(by: Any) -> None:
+    mdp, _ = estimated(recorded(np.random.default_rng(0), 20))
+    with pytest.raises(ModelError, match="not a kind of interval"):
+        check(mdp, "random", confidence=0.95, by=by)
