@@ -307,7 +307,7 @@ def _from_rows(
     if sound is not None:
         (offsets, following, data), rising = sound, True
         weight = Grouped(data, ones(len(state)))
-    elif sp.issparse(rows) and rows.dtype == np.float64 and rows.has_canonical_format:
+    elif sp.issparse(rows) and rows.dtype == np.float64 and _canonical(rows):
         rows, lowest = _copied(rows)
         if lowest <= 0:
             rows.eliminate_zeros()
@@ -373,6 +373,12 @@ def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
 
     run_blocks(ends, work)
     return (offsets, columns, data) if all(good) else None
+
+
+def _canonical(rows: sp.csr_array) -> bool:
+    """Return whether columns rise strictly in each row; what the caller's matrix says may be old."""
+    parts = (rows.data, rows.indices, rows.indptr)
+    return bool(sp.csr_array(parts, shape=rows.shape, copy=False).has_canonical_format)
 
 
 def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:

@@ -220,6 +220,21 @@ def test_columns_may_stand_in_any_order(
     assert found[0] == found[1]
 
 
+@pytest.mark.parametrize("loaded", [True, False])
+def test_what_a_matrix_remembers_of_its_order_is_not_believed(
+    loaded: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SciPy keeps what it once found, though indices may be written in place since."""
+    monkeypatch.setattr(build, "COMPILING", "sys" if loaded else "not loaded")
+    parts = (np.array([1.0, 0.5, 0.5, 1]), np.array([1, 0, 2, 2]), np.array([0, 1, 3, 4]))
+    matrix = sp.csr_array(parts, shape=(3, 3))
+    assert matrix.has_canonical_format
+    matrix.indices[1:3] = [2, 0]
+    mdp = MDP.from_pairs([0, 1, 2], [0] * 3, matrix, [1.0, 1, 0])
+    assert mdp.table.next.tolist() == [1, 0, 2, 2]
+    assert matrix.indices.tolist() == [1, 2, 0, 2]
+
+
 def test_rewards_of_moves_may_be_sparse() -> None:
     rows, gains = np.array([[0.5, 0.5], [0, 1]]), np.array([[0, 4.0], [9, 1]])
     dense = MDP.from_pairs([0, 1], [0, 0], rows, gains)
