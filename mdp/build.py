@@ -376,7 +376,7 @@ def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
 
 
 def _canonical(rows: sp.csr_array) -> bool:
-    """Return whether columns rise strictly in each row; what the caller's matrix says may be old."""
+    """Return whether columns rise strictly in each row, whatever the matrix remembers of that."""
     parts = (rows.data, rows.indices, rows.indptr)
     return bool(sp.csr_array(parts, shape=rows.shape, copy=False).has_canonical_format)
 

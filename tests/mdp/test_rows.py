@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exact_mdp.mdp import MDP, ModelError, build
-from exact_mdp.mdp.forms.rows import LONGEST
+from exact_mdp.mdp.forms.rows import COMPARED
 
 importlib.import_module(build.COMPILING)  # as any solve of a large model does
 
@@ -39,7 +39,7 @@ def made(parts: dict[str, np.ndarray], states: int) -> MDP | str:
 
 @given(
     seed=st.integers(0, 10**6),
-    states=st.sampled_from([5, 9, LONGEST + 40]),
+    states=st.sampled_from([5, 9, COMPARED + 40, 300]),
     fault=st.sampled_from(sorted(FAULTS)),
     ordered=st.booleans(),
     wide=st.sampled_from([np.int32, np.int64]),
