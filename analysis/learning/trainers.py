@@ -128,10 +128,11 @@ class TrainerAudit(Pictured):
 
     def __repr__(self) -> str:
         low, high = self.interval
+        shown_as = {True: "proven", False: "disproven", None: "open"}[self.proven]
         return (
             f"TrainerAudit({'passed' if self.passed else 'failed'}: {self.within} of "
             f"{len(self.audits)} runs within the limits, a share from {float(low):.3f} to "
-            f"{float(high):.3f})"
+            f"{float(high):.3f}; at least {shown(self.share, 10)} is {shown_as})"
         )
 
     def message(self) -> str:
@@ -209,7 +210,8 @@ def check_trainer(
     >>> def train(seed):
     ...     return QLearning(epochs=200).train(mdp, rng=seed)
     >>> check_trainer(mdp, train, rng=0, max_relative_regret="1/2", share="1/2")
-    TrainerAudit(passed: 10 of 10 runs within the limits, a share from 0.530 to 1.000)
+    TrainerAudit(passed: 10 of 10 runs within the limits, a share from 0.530 to 1.000;
+    at least 0.5 is proven)
     """
     wanted, risk = _between("share", share), _between("alpha", alpha)
     if risk == 1:
