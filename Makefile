@@ -81,7 +81,7 @@ PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
     $(PY) -m pytest -n $(WORKERS) --dist loadgroup
 
 .PHONY: test
-test: lint types $(STAMP) ## every check: lint, types, unit tests, doctests and the wheel
+test: lint types $(STAMP) ## lint, types, doctests, the wheel, every test but those marked slow or bench
 	$(PYTEST) -m "not slow and not bench"
 
 .PHONY: test-slow

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy
+from exact_mdp.analysis.gate.relaxation import Flags
 from exact_mdp.analysis.perception.cost import PriceOfPerception, price_of_perception
 from exact_mdp.analysis.perception.needed import ALL, confusion_at
 from exact_mdp.analysis.perception.policies import NODES, best_perceived_policy, status_names
@@ -25,7 +26,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values
+from exact_mdp.solvers.pomdp.values import acting, at_start, rounding, values, visits
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
@@ -135,6 +136,18 @@ class Hedging(Pictured):
     def actions(self) -> Integers:
         """(M, K) the action number for each perceived status."""
         return np.stack([best.policy.table.argmax(axis=1) for best in self.best])
+
+    @property
+    def seen(self) -> Flags:
+        """(M, K) whether the best policy ever perceives a status where it has a choice."""
+        first = Process.of(self.mdp, confusion_at(self.mdp, 1.0))
+        choice = first.offered.sum(axis=1) > 1
+        found = []
+        for x, best in zip(self.levels.tolist(), self.best, strict=True):
+            process = first.with_confusion(confusion_at(self.mdp, x))
+            met = visits(process, acting(process, process.table(best.policy)))[choice, :, 0]
+            found.append(met.sum(axis=0) @ process.confusion > 0)
+        return np.stack(found)
 
     @property
     def values(self) -> Floats:

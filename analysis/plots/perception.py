@@ -161,12 +161,13 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
 def plot_hedging(found: Hedging, *, ax: Axes | None = None) -> Axes:
     """Draw the best memoryless policy's action for each perceived status, along accuracies.
 
-    Where it is not proven to be the best, its cells are pale and its accuracy has a star.
+    Where it is not proven to be the best, its cells are pale and its accuracy has a star. A status
+    that is never perceived with that accuracy has no cell.
     """
-    ax, styles = axes_or_new(ax), action_styles(found.mdp.actions)
+    ax, styles, seen = axes_or_new(ax), action_styles(found.mdp.actions), found.seen
     pale: Look = {"edgecolor": "0.7", "hatch": "", "ink": "0.35"}
-    for (number, status), action in np.ndenumerate(found.actions):
-        drawn = styles[int(action)]
+    for number, status in np.argwhere(seen):
+        drawn = styles[found.actions[number, status]]
         how: Look = {} if found.best[number].proven else {"fill": _paler(drawn.fill)} | pale
         cell(ax, number, status, drawn, linewidth=0.5, font=7, pad=0.8, **how)
     count, size = found.actions.shape
@@ -178,8 +179,9 @@ def plot_hedging(found: Hedging, *, ax: Axes | None = None) -> Axes:
     ax.set_yticks(np.arange(size) + 0.5, [column.label(status) for status in range(size)])
     ax.tick_params(length=0)
     note = "\n* pale: the best found, not proven to be the best" if any(stars) else ""
+    note += "" if seen.all() else "\nblank: never perceived"
     ax.set_xlabel(f"{ACCURACY}, all statuses{note}")
-    action_legend(ax, styles, np.unique(found.actions).tolist())
+    action_legend(ax, styles, np.unique(found.actions[seen]).tolist())
     return ax
 
 

@@ -124,11 +124,19 @@ def plot_value_curves(found: Curve, *, ax: Axes | None = None) -> Axes:
         values = [getattr(point, output).value for point in found.points]
         label = OUTPUT[output].removeprefix("start value, ")
         ax.plot(at, values, linestyle=line, color=BLACK, label=label)
-    ax.axvline(float(found.parameter.value), color="0.6", linewidth=0.8, label="today")
+    _mark_today(ax, float(found.parameter.value), min(at), max(at))
     ax.set_xlabel(f"{found.parameter.name} ({unit_of(found.parameter)})")
     ax.set_ylabel("start value (reward)")
     ax.legend()
     return ax
+
+
+def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fraction) -> None:
+    """Draw a line at today's value, or say that it lies outside the curve."""
+    if low <= today <= high:
+        ax.axvline(today, color="0.6", linewidth=0.8, label="today")
+    else:
+        ax.plot([], [], " ", label=f"today: {today:g}, outside")
 
 
 @plain_text
@@ -156,7 +164,7 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
     ax.plot([], [], color=BLACK, label=OUTPUT["optimal"].removeprefix("start value, "))
     if found.pieces[0].fixed is not None:
         ax.plot([], [], "--", color="0.4", label=OUTPUT["fixed"].removeprefix("start value, "))
-    ax.axvline(float(found.parameter.value), color="0.6", linewidth=0.8, label="today")
+    _mark_today(ax, float(found.parameter.value), found.pieces[0].low[0], found.pieces[-1].high[1])
     ax.set_xlabel(f"{found.parameter.name} ({unit_of(found.parameter)})")
     ax.set_ylabel(f"start value (reward; {found.claim})")
     ax.legend()

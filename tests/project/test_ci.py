@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 import yaml
 
+from exact_mdp.mdp import Scenario
+
 ROOT = Path(__file__).resolve().parents[2]
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))
 BLOCKS = [
@@ -42,8 +44,7 @@ def project(tmp_path: Path) -> Path:
     """A repository with a model and a Q-table, as the guide names them."""
     folder = tmp_path / "project"
     folder.mkdir()
-    source = ROOT / "mdp" / "scenarios" / "tea.toml"
-    (folder / "model.toml").write_text(source.read_text("utf-8"), "utf-8")
+    Scenario.load("tea").compile().save(folder / "model.npz")
     table = np.zeros((8, 3))
     table[:, 1] = 1
     np.save(folder / "q_table.npy", table)
@@ -119,7 +120,12 @@ def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project
 
 
 def test_a_good_policy_passes(project: Path) -> None:
-    given = {"policy": "optimal", "max-regret": "", "options": "--set\ntasks=[2]\n\n"}
+    given = {
+        "model": "tea",
+        "policy": "optimal",
+        "max-regret": "",
+        "options": "--set\ntasks=[2]\n\n",
+    }
     status, said, told = act(project, **gate() | given | {"extras": "gymnasium,umb"})
     assert status == 0, said
     assert told.splitlines()[-1] == f"{ROOT}[gymnasium,umb]"
@@ -141,7 +147,7 @@ def test_an_input_is_no_command(project: Path, name: str) -> None:
 def test_bad_input_is_reported_too(project: Path) -> None:
     status, said, _ = act(project, **gate() | {"policy": "nowhere.npy"})
     assert status == 2, said
-    assert "::error title=exact-mdp check model.toml::ModelError" in said
+    assert "::error title=exact-mdp check model.npz::ModelError" in said
     root = ElementTree.parse(project / "policy-report.xml").getroot()
     assert (root.get("failures"), root.get("errors")) == ("0", "1")
 
@@ -151,7 +157,7 @@ def test_the_hook_of_the_readme(project: Path) -> None:
     (used,) = HOOKS["repos"][0]["hooks"]
     assert used["id"] == hook["id"]
     assert hook["pass_filenames"] is False
-    assert re.search(hook["files"], "model.toml")
+    assert re.search(hook["files"], "model.npz")
     assert re.search(hook["files"], "q_table.npy")
     program, *words = [*shlex.split(hook["entry"]), *used["args"]]
     assert program == PROGRAM.name

@@ -8,5 +8,5 @@ from exact_mdp.analysis import value_function
 
 wait = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]]
 cut = [[1, 0, 0]] * 3
-forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount="24/25")
+forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount="4/5")
 value_function(forest, "discount", ("0", "9/10")).plot()

@@ -323,7 +323,14 @@ def test_figures_mark_what_is_not_proven() -> None:
     found = hedging(mdp, levels=[1.0, 0.9])
     open_ = replace(found.best[1], proven=False)
     ax = plot_hedging(replace(found, best=(found.best[0], open_)))
-    sure, pale = ax.patches[:16], ax.patches[16:32]
+    drawn = found.seen.sum(axis=1)
+    sure, pale = ax.patches[: drawn[0]], ax.patches[drawn[0] : drawn.sum()]
+    assert len(ax.patches) == drawn.sum()
+    # Read rightly, what is perceived is where the policy comes by.
+    met = (evaluate(mdp, found.best[0].policy).visits > 0) & (np.bincount(mdp.pair_state) > 1)
+    seen = np.unique(mdp.space.values("status", np.flatnonzero(met)))
+    assert np.flatnonzero(found.seen[0]).tolist() == seen.tolist()
+    assert found.seen[1].all()
     assert min(sum(cell.get_facecolor()[:3]) for cell in pale) > 2.2
     assert min(sum(cell.get_facecolor()[:3]) for cell in sure) < 2
     assert [tick.get_text() for tick in ax.get_xticklabels()] == ["1", "0.9*"]

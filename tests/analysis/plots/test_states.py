@@ -319,6 +319,9 @@ def test_a_value_function_is_drawn_by_its_exact_values() -> None:
             assert y == pytest.approx(best)
     assert [line.get_linestyle() for line in ax.lines].count(":") == len(found.pieces) - 1
     assert "certified" in ax.get_ylabel()
+    assert ax.get_legend().get_texts()[-1].get_text() == "today: 0.96, outside"
+    inside = value_function(forest("4/5"), "discount", ("1/2", "9/10")).plot()
+    assert inside.lines[-1].get_xdata()[0] == 0.8
 
 
 LINE = re.compile(r'^  (\w+) -> (\w+) \[label="((?:[^"\\]|\\.)*)"(.*)\]$')
