@@ -53,7 +53,8 @@ class Status(StrEnum):
     )
     ITERATION_LIMIT = (
         "the iteration limit was reached first; "
-        "raise max_iterations, or use PolicyIteration, which does not depend on mixing"
+        "raise max_iterations, or use PolicyIteration, which does not depend on mixing, "
+        "or certify(), which computes in rational arithmetic"
     )
     NO_BOUND = (
         "double precision cannot bound the error of this model; "

@@ -193,11 +193,8 @@ class LinearSystem:
         return np.asarray(total + TINY * (terms + 1) * (largest + (largest > 0)))
 
     @cached_property
-    def without_one(self) -> tuple[int, LinearSystem, Floats]:
-        """A state that is often visited, the system without what leads there, and steps till then.
-
-        Steps (S,) are discounted and known roughly.
-        """
+    def without_one(self) -> tuple[int, LinearSystem]:
+        """A state that is often visited, and the system without what leads there."""
         chain, states = self.transition, self.transition.shape[0]
         share, back = np.full(states, 1 / states), chain.T.tocsr()
         for _ in range(STEPS):
@@ -207,7 +204,7 @@ class LinearSystem:
         others = LinearSystem(
             sp.csr_array((kept, chain.indices, chain.indptr), chain.shape), self.discount
         )
-        return often, others, others.roughly(np.ones(states))
+        return often, others
 
     # ---- solvers -----------------------------------------------------------------------------
 
@@ -354,16 +351,17 @@ class Banded:
         return cls(discount=discount, work=work, roughly=solve)
 
 
-def relatively(system: LinearSystem, constant: Floats) -> tuple[Floats, float]:
-    """Return about h (S,) and g with h + g = c + γ P h, where h is 0 in a state often visited.
+def relatively(system: LinearSystem, constant: Floats, leak: Floats) -> tuple[Floats, float]:
+    """Return about h (S,) and k with h + k = c + γ P (h + k); h is 0 in a state often visited.
 
-    h + g / (1 - γ) satisfies the system's equation. Its values may be as large as 1 / (1 - γ), h is
-    only as large as they differ: what leads to that state is left out, and g stands in its place.
+    Values may be as large as 1 / (1 - γ), h is only as large as they differ: what leads to that
+    state is left out, and k times the `leak` (S,) of each row, 1 - γ Σ P, stands in its place.
+    Leaks are given as they are not to be found from floats of P near 1; rows may leak differently.
     """
-    often, others, steps = system.without_one
-    earned = others.roughly(constant)
-    gain = float(earned[often] / steps[often])
-    return earned - gain * steps, gain
+    often, others = system.without_one
+    earned, leaked = others.roughly(constant), others.roughly(leak)
+    level = float(earned[often] / leaked[often])
+    return earned - level * leaked, level
 
 
 def at_start(mdp: MDP, found: FixedPoint) -> Bounded:

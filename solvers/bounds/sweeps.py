@@ -195,7 +195,8 @@ class Sweeps:
             errors.append(error)
             if len(errors) >= FIRST_SWEEPS:
                 rate = (error / errors[-APART]) ** (1 / (APART - 1))
-                if error * rate ** (most - len(errors)) > max(goal, LEAST * errors[0]):
+                # Not of Python's floats, whose powers raise OverflowError where errors grow.
+                if error * np.float64(rate) ** (most - len(errors)) > max(goal, LEAST * errors[0]):
                     break
         return False, shift
 

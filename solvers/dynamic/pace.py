@@ -7,6 +7,7 @@ stop at the same pass. All errors here are half the gap between two bounds, in u
 from __future__ import annotations
 
 PATIENCE, SHORT = 20, 5
+LONG, PART = 200, 0.9
 TINY = 2.0**-1000
 # Of what is left, by passes without progress.
 PARTS: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0, 1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -14,19 +15,41 @@ PARTS += (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 
 
 def advanced(
-    low: float, high: float, floor: float, weight: float, tol: float, best: float, idle: int
-) -> tuple[float, float, int, bool]:
+    low: float,
+    high: float,
+    floor: float,
+    weight: float,
+    tol: float,
+    best: float,
+    idle: int,
+    mark: float,
+    since: int,
+    patience: float,
+) -> tuple[float, float, int, float, int, bool]:
     """Return the error, the least one so far, passes since it fell, and whether rounding stops it.
 
     `low`, `high` and `floor` are of a pass, `weight` is the greatest weight, `tol` is 0 for none.
     Where policies are evaluated as closely as the tolerance asks for anyway, patience is short.
+    Before the last come the error at which a `mark` was set, each a tenth below the one before, and
+    the passes `since` then: rounding alone may make the error fall by next to nothing again and
+    again.
     """
     half = (high - low) / 2 * weight
     idle = 0 if half < best else idle + 1
     best = min(best, half)
+    mark, since = (half, 0) if half < PART * mark else (mark, since + 1)
     closely = half / 10 * PARTS[SHORT] <= tol / 2
-    quiet = half == 0 or idle >= (SHORT if closely else PATIENCE)
-    return half, best, idle, bool(quiet and half <= 4 * floor * weight)
+    quiet = half == 0 or idle >= (SHORT if closely else PATIENCE) or since >= patience
+    return half, best, idle, mark, since, bool(quiet and half <= 4 * floor * weight)
+
+
+def patience(states: int, price: float, work: float) -> float:
+    """Return how many passes may bring nothing where policies are evaluated.
+
+    News from afar may take as many as there are states, there and back; and an evaluation, of some
+    `price`, comes after passes whose `work` is as much.
+    """
+    return (LONG + 2 * states) * max(1.0, price / work)
 
 
 def middle(

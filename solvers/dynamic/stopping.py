@@ -108,6 +108,7 @@ class Run:
         self.values = Iterate(found, values_of(mdp, getattr(solver, "start", None)))
         self.iteration, self.ready = 0, False
         self._half = self._best = np.inf
+        self._mark, self._since = np.inf, 0
         self._idle, self._stalled, self._doubt = 0, False, 1.0
         self._end: tuple[Status, Bounds] | None = None
 
@@ -116,9 +117,12 @@ class Run:
             self._hasten()
             self.iteration += 1
             found, polished = self.values.improve(), self.ready or not self._polish
-            self.ready = self._close(found)
-            if self.ready and polished:
+            self.ready, patience = self._close(found), self._patience
+            # Where nothing is gained, to polish may be what undoes it.
+            if self.ready and (polished or self._since >= patience):
                 self._end = self._verdict(found)
+            if self._end is None and self._since >= patience + pace.PATIENCE:
+                self._end = Status.NO_BOUND, self._bounds(found)
             if self._end is None and self.iteration == self._solver.max_iterations:
                 self._end = Status.ITERATION_LIMIT, self._bounds(found)
             if self._end is None:
@@ -143,6 +147,8 @@ class Run:
                 "tol": float(self._tol or 0.0),
                 "relative": RELATIVE_TOLERANCE,
                 "polish": self._polish,
+                "patience": self._patience,
+                "spell": pace.PATIENCE,
                 "weight": self._weight,
                 "most": self._most,
                 "last": self._solver.max_iterations,
@@ -158,6 +164,8 @@ class Run:
                 "half": self._half,
                 "best": self._best,
                 "idle": self._idle,
+                "mark": self._mark,
+                "since": self._since,
                 "doubt": self._doubt,
                 "slow": values.slow,
                 "spent": float(values.spent),
@@ -165,6 +173,7 @@ class Run:
             state, arrived, due = values.hasten(count, settings, state)
             self.iteration, self.ready = state.iteration, state.ready
             self._half, self._best, self._idle = state.half, state.best, state.idle
+            self._mark, self._since = state.mark, state.since
             if due:
                 values.correct(0.0 if self.ready else self.goal)
 
@@ -175,6 +184,7 @@ class Run:
         passes go on as before.
         """
         if self.iteration >= MANY:
+            self._since = 0 if self.iteration == MANY else self._since
             with suppress(SolverError):
                 self.values.evaluate(self.goal, 0)
 
@@ -194,6 +204,14 @@ class Run:
         )
 
     @property
+    def _patience(self) -> float:
+        """How many passes may bring nothing; any number where policies are not evaluated."""
+        if not self._most and self.iteration <= MANY:
+            return np.inf
+        values = self.values
+        return pace.patience(len(values.value), float(values.price), values.work)
+
+    @property
     def goal(self) -> float:
         """How close to come to a policy's values, in units of w."""
         return float(pace.goal(self._best, self._idle, self._weight, self._tol or 0.0))
@@ -207,7 +225,7 @@ class Run:
     def _close(self, found: Pass) -> bool:
         """Take note of a pass; return whether it may be the last."""
         value = self.values.value
-        self._half, self._best, self._idle, self._stalled = pace.advanced(
+        reached = pace.advanced(
             found.low,
             found.high,
             found.floor,
@@ -215,7 +233,11 @@ class Run:
             float(self._tol or 0.0),
             self._best,
             self._idle,
+            self._mark,
+            self._since,
+            self._patience,
         )
+        self._half, self._best, self._idle, self._mark, self._since, self._stalled = reached
         if self._stalled:
             return True
         # What the tolerance is relative to is worked out only where it has to be.
@@ -387,6 +409,8 @@ class Iterate:
                 self.value[:], self.shift = kept, shift
                 return
             if error <= goal or error > before / 2:
+                if self._relative and error <= goal:  # a shift matters where rows leak unalike
+                    self.shift += (low + high) / 2
                 return
             if system is None:
                 system = self._equations(pairs)
@@ -398,9 +422,9 @@ class Iterate:
                 self.shift += middle
                 step -= middle * self.sweeps.weights.margin[pairs]
             if isinstance(system, LinearSystem) and self._relative:
-                better, gain = relatively(system, step)
+                better, level = relatively(system, step, self.sweeps.weights.margin[pairs])
                 self.value += better
-                self.shift += gain / (1 - system.discount)
+                self.shift += level
             else:
                 self.value += system.roughly(step)
 
@@ -450,7 +474,7 @@ def conclude(
     if status is Status.PRECISION:
         message = f"the error bound is {solution.error_bound:.2g}: {status}"
         warn_of_precision(message)
-    if status is Status.ITERATION_LIMIT:
+    if status in (Status.ITERATION_LIMIT, Status.NO_BOUND):
         detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
         raise SolverError(status, detail, solution)
     return solution

@@ -39,12 +39,15 @@ class Settings(NamedTuple):
 
     Where a pass looks at the `whole` model it is a judging one, else an improving one. `tol` is 0
     where the tolerance is `relative` to the greatest value; `most` sweeps are too many for one
-    policy; `last` is the number of the last pass; `work` is that of a pass.
+    policy; a run in which nothing is gained ends a `spell` after its `patience`; `last` is the
+    number of the last pass; `work` is that of a pass.
     """
 
     tol: float
     relative: float
     polish: bool
+    patience: float
+    spell: int
     strict: bool
     uniform: bool
     weight: float
@@ -68,6 +71,8 @@ class State(NamedTuple):
     half: float
     best: float
     idle: int
+    mark: float
+    since: int
     doubt: float
     slow: bool
     spent: float
@@ -124,7 +129,8 @@ def rounds(
     swept for and left alone.
     """
     states, swept, left = len(value), 0, 0
-    shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent, rise, known = state
+    shift, under, over, iteration, ready, half, best, idle, mark, since = state[:10]
+    doubt, slow, spent, rise, known = state[10:]
     weight, uniform, stopped, found, due = settings.weight, settings.uniform, False, False, False
     for _ in range(count):
         bottom, top = extent(value)
@@ -158,7 +164,9 @@ def rounds(
         low, high = extremes[0], extremes[1]
         floor = noise / settings.least_margin + max(abs(low), abs(high)) * settings.blur
         extremes[2] = floor
-        now, least, since, stalled = advanced(low, high, floor, weight, settings.tol, best, idle)
+        now, least, quiet, fallen, waited, stalled = advanced(
+            low, high, floor, weight, settings.tol, best, idle, mark, since, settings.patience
+        )
         limit, centre = settings.tol, (low + high) / 2
         if limit == 0:
             largest = 1.0
@@ -166,11 +174,13 @@ def rounds(
                 largest = max(largest, abs(value[s] + centre * weights[s]))
             limit = settings.relative * largest
         close = stalled or doubt * now <= limit
-        done = close and (ready or not settings.polish)
-        if done or iteration + 1 == settings.last or not np.isfinite(high - low):
+        weary = waited >= settings.patience
+        done = close and (ready or weary or not settings.polish)
+        last = iteration + 1 == settings.last or waited >= settings.patience + settings.spell
+        if done or last or not np.isfinite(high - low):
             stopped, found = True, True
             break
-        half, best, idle, ready = now, least, since, close
+        half, best, idle, mark, since, ready = now, least, quiet, fallen, waited, close
         iteration += 1
         spent += settings.work
         for s in range(states):
@@ -198,6 +208,7 @@ def rounds(
         due = True
         break
     reached = State(
-        shift, under, over, iteration, ready, half, best, idle, doubt, slow, spent, rise, known
-    )
+        shift, under, over, iteration, ready, half, best, idle, mark, since,
+        doubt, slow, spent, rise, known,
+    )  # fmt: skip
     return reached, stopped, found, due, swept, left

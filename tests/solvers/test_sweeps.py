@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction as F
+from functools import cache
 from itertools import pairwise, product
 from typing import Any
 
@@ -21,10 +22,12 @@ from workloads import queue
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp.forms import threads as blocks
 from exact_mdp.solvers import (
+    Certificate,
     ModifiedPolicyIteration,
     PolicyIteration,
     SolverError,
     ValueIteration,
+    certify,
     solve,
 )
 from exact_mdp.solvers.bounds import gains as gains_module
@@ -39,8 +42,10 @@ from exact_mdp.solvers.bounds.sweeps import (
     Sweeps,
     sweeps_of,
 )
+from exact_mdp.solvers.dynamic import pace
 from exact_mdp.solvers.dynamic import stopping as stopping_module
 from exact_mdp.solvers.dynamic.stopping import Iterate
+from exact_mdp.solvers.solution import Status
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
 
@@ -342,6 +347,7 @@ def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
     discount=st.sampled_from([0.5, 0.99, 0.9999, 1 - 1e-7, 1 - 2**-52]),
     ring=st.booleans(),
     ends=st.booleans(),
+    off=st.sampled_from([0.0, 1e-10]),
     size=st.sampled_from([1e-3, 1.0, 1e7, 1e307]),
     tol=st.sampled_from([None, 1e-6, 1e-2]),
     sweeps=st.sampled_from([1, 5, 100]),
@@ -352,6 +358,7 @@ def test_rounds_end_alike_whatever_is_loaded(
     discount: float,
     ring: bool,
     ends: bool,
+    off: float,
     size: float,
     tol: Any,
     sweeps: int,
@@ -364,6 +371,7 @@ def test_rounds_end_alike_whatever_is_loaded(
     if ring:
         up, down = np.roll(np.eye(states), 1, axis=1), np.roll(np.eye(states), -1, axis=1)
         chances = np.array([q * up + (1 - q) * down for q in rng.random(actions)])
+    chances[:, ::2] *= 1 - off
     reward = rng.normal(size=(states, actions)) * size
     if ends:
         chances[:, -1], reward[-1] = np.eye(states)[-1], 0.0
@@ -413,6 +421,107 @@ def test_a_run_ends_where_floats_do(
     assert one.iterations < 120
     assert one.error_bound <= part * np.abs(one.value).max()
     assert (np.abs(one.value - other.value) <= one.state_error + other.state_error).all()
+
+
+def in_circles(discount: float) -> MDP:
+    """State 3 may stay for nothing, or go for what staying loses no more of than rounding does."""
+    rows = [
+        [(1, 3), (3, -2), (2, 1)],
+        [(2, 1), (3, -2)],
+        [(1, -1), (2, -1), (2, -3)],
+        [(3, 0), (0, -3), (1, 1), (1, -1)],
+    ]
+    pairs = [(s, a, *pair) for s, row in enumerate(rows) for a, pair in enumerate(row)]
+    state, action, after, reward = zip(*pairs, strict=True)
+    return MDP.from_pairs(state, action, np.eye(4)[list(after)], reward, discount=discount)
+
+
+def either_way(discount: float) -> MDP:
+    """State 0 may stay for 1 a step, or go where more is earned, though a part of it is lost."""
+    rows = [{0: 1.0}, {2: 0.49999999999, 3: 0.5}, {5: 1}, {1: 0.5, 4: 0.5}]
+    rows += [{1: 0.5, 3: 0.5}, {1: 0.5, 3: 0.5}, {1: 0.5, 2: 0.5}]
+    chances = np.zeros((7, 6))
+    for pair, row in enumerate(rows):
+        chances[pair, list(row)] = list(row.values())
+    reward = [1, 3, 3, 3, -2, 3, 0]
+    return MDP.from_pairs(
+        [0, 0, 1, 2, 3, 4, 5], [0, 1, 0, 0, 0, 0, 0], chances, reward, discount=discount
+    )
+
+
+def leaking(seed: int) -> MDP:
+    """A random model near discount 1, half of its rows off by up to what is allowed."""
+    rng = np.random.default_rng(seed)
+    states, actions = int(rng.integers(2, 8)), int(rng.integers(1, 4))
+    chances = rng.dirichlet(np.ones(states), (actions, states))
+    if seed % 2:  # in parts between which nothing leads
+        after = np.eye(states)[rng.integers(states, size=(2, actions, states))]
+        chances = after.sum(axis=0) / 2
+    chances *= 1 - rng.choice([0.0, 1e-11, 1e-10, 9e-10], size=(actions, states, 1))
+    reward = rng.normal(size=(states, actions)) * 10.0 ** rng.integers(-3, 6)
+    return MDP.from_arrays(chances, reward, discount=1 - 2.0 ** -rng.integers(30, 53))
+
+
+OFF, OFTEN = 0.4999999999, [[0.5, 0.5, 0], [0.2, 0.7999999999, 0], [0, 0, 1]]
+FALLING = np.eye(6)[[0, 1, 3, 5, 3, 1]] * (1 - np.array([[0], [9e-10], [0], [1e-10], [0], [0]]))
+NEAR_ONE = [
+    *(MDP.from_arrays([[[0.5, 0.5], [0.5, OFF]]], [1, 2], discount=1 - d) for d in (1e-9, 1e-12)),
+    *(MDP.from_arrays([OFTEN], [1, 2, 3], discount=1 - d) for d in (1e-12, 1e-13, 1e-14)),
+    *map(in_circles, (1 - 2.0**-n for n in range(47, 53))),
+    MDP.from_arrays([FALLING], [-2, -2, 2, 0, 1, 1], discount=1 - 2.0**-52),
+    either_way(1 - 2.0**-48),
+    *map(leaking, range(12)),
+]
+
+
+@cache
+def proof(number: int) -> Certificate:
+    return certify(NEAR_ONE[number])
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+@pytest.mark.parametrize("kind", [ModifiedPolicyIteration, ValueIteration])
+@pytest.mark.parametrize("tol", [None, 1e-3])
+@pytest.mark.parametrize("number", range(len(NEAR_ONE)))
+def test_a_run_in_which_nothing_is_gained_ends(
+    number: int, tol: Any, kind: Any, loaded: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With bounds around the values that rational arithmetic proves."""
+    for module in (gains_module, sweeps_module):
+        monkeypatch.setattr(module, "loops_pay", lambda transitions: loaded)
+    monkeypatch.setattr(stopping_module, "MANY", 50)
+    mdp = NEAR_ONE[number]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        one = solve(mdp, kind(tol=tol))
+    assert one.iterations < 300
+    for found, exact, error in zip(one.value, proof(number).value, one.state_error, strict=True):
+        assert abs(F(float(found)) - exact) <= F(float(error))
+    if number < 2:
+        assert one.error_bound <= 1e-9 * np.abs(one.value).max()
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_patience_is_as_long_as_news_takes(loaded: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a corridor each round brings one state on, and bounds fall by a thousandth."""
+    for module in (gains_module, sweeps_module):
+        monkeypatch.setattr(module, "loops_pay", lambda transitions: loaded)
+    go = np.eye(60)[[*range(1, 60), 59]]
+    mdp = MDP.from_arrays([np.eye(60), go], [0.0] * 59 + [1.0], discount=0.999)
+    whole = solve(mdp)
+    assert whole.status is Status.CONVERGED
+    assert whole.iterations > 50
+    monkeypatch.setattr(pace, "LONG", -120)  # no patience but for the last spell
+    with pytest.raises(SolverError, match=r"21 iterations.*certify\(\)") as ended:
+        solve(mdp)
+    assert ended.value.status is Status.NO_BOUND
+    found = ended.value.solution
+    assert (np.abs(found.value - whole.value) <= found.state_error + whole.state_error).all()
+
+
+def test_too_few_iterations_name_all_that_goes_on() -> None:
+    with pytest.raises(SolverError, match=r"PolicyIteration.*certify\(\)"):
+        solve(NEAR_ONE[0], ModifiedPolicyIteration(tol=1e-9, max_iterations=2))
 
 
 @pytest.mark.parametrize("make", SMALL)
