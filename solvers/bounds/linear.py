@@ -30,6 +30,7 @@ J. Sci. Stat. Comput. 7, 1986).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -351,17 +352,23 @@ class Banded:
         return cls(discount=discount, work=work, roughly=solve)
 
 
-def relatively(system: LinearSystem, constant: Floats, leak: Floats) -> tuple[Floats, float]:
-    """Return about h (S,) and k with h + k = c + γ P (h + k); h is 0 in a state often visited.
+def relatively(system: LinearSystem, leak: Floats) -> Callable[[Floats], tuple[Floats, float]]:
+    """Return what finds about h (S,) and k with h + k = c + γ P (h + k), for any c (S,).
 
-    Values may be as large as 1 / (1 - γ), h is only as large as they differ: what leads to that
-    state is left out, and k times the `leak` (S,) of each row, 1 - γ Σ P, stands in its place.
-    Leaks are given as they are not to be found from floats of P near 1; rows may leak differently.
+    h is 0 in a state often visited. Values may be as large as 1 / (1 - γ), h is only as large as
+    they differ: what leads to that state is left out, and k times the `leak` (S,) of each row,
+    1 - γ Σ P, stands in its place. Leaks are given, as floats of P near 1 do not tell them; where
+    rows leak unalike, what is small beside the others has to be found closely, too.
     """
     often, others = system.without_one
-    earned, leaked = others.roughly(constant), others.roughly(leak)
-    level = float(earned[often] / leaked[often])
-    return earned - level * leaked, level
+    leaked = others.approximate(leak)
+
+    def found(constant: Floats) -> tuple[Floats, float]:
+        earned = others.roughly(constant)
+        level = float(earned[often] / leaked[often])
+        return earned - level * leaked, level
+
+    return found
 
 
 def at_start(mdp: MDP, found: FixedPoint) -> Bounded:

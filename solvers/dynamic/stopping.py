@@ -398,7 +398,7 @@ class Iterate:
         pairs = self.sweeps.policy
         assert pairs is not None
         system: LinearSystem | Banded | None = None
-        error = np.inf
+        error, relative = np.inf, None
         kept, shift = self.value.copy(), self.shift
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
@@ -416,13 +416,15 @@ class Iterate:
                 system = self._equations(pairs)
                 self.price = system.work
                 self._count(f"policies evaluated by {system.method}")
+                if isinstance(system, LinearSystem) and self._relative:
+                    relative = relatively(system, self.sweeps.weights.margin[pairs])
             kept[:], shift = self.value, self.shift
             if self.sweeps.uniform:
                 middle = (low + high) / 2
                 self.shift += middle
                 step -= middle * self.sweeps.weights.margin[pairs]
-            if isinstance(system, LinearSystem) and self._relative:
-                better, level = relatively(system, step, self.sweeps.weights.margin[pairs])
+            if relative is not None:
+                better, level = relative(step)
                 self.value += better
                 self.shift += level
             else:

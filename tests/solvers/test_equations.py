@@ -310,7 +310,7 @@ def test_values_relative_to_a_state_often_visited(rate: float, off: float) -> No
     chain, constant = rng.dirichlet(np.ones(12), 12), rng.normal(size=12)
     chain[::2] *= 1 - off
     leak = 1 - rate + rate * off * (np.arange(12) % 2 == 0)
-    found, level = relatively(LinearSystem(sp.csr_array(chain), rate), constant, leak)
+    found, level = relatively(LinearSystem(sp.csr_array(chain), rate), leak)(constant)
     assert np.abs(found + level * leak - constant - rate * (chain @ found)).max() < 1e-12
     assert np.abs(found).min() < 1e-14
     value = np.linalg.solve(np.eye(12) - rate * chain, constant)
