@@ -7,6 +7,19 @@ A package's own names load when they are first asked for, too:
 
     __getattr__, __dir__ = names_later(__name__, {"exact_mdp.solvers.solve": ["solve"]})
 
+Compiled loops take a third of a second to load, as long as some seventy solves of small models in
+NumPy. When to load them is decided here, on one rule: a command is short, a session goes on.
+
+- A model of `COMPILED` transitions or more is worth them at once.
+- A command, the program `exact-mdp`, solves small models in NumPy until that has taken as long as
+  loading does. So it never takes more than about twice the least time there is, however much there
+  turns out to be to solve (the ski rental problem: Karlin, Manasse, Rudolph and Sleator,
+  Algorithmica 3, 1988).
+- Any other process, a notebook or a script, solves its first model in the same way, and has the
+  loops loaded in its second `solve`. A call counts once, with all that it solves in turn.
+
+Both ways give the same bits, so that no answer depends on which one was taken.
+
 The core, which `pip install exact-mdp` brings, is NumPy, SciPy, pandas, numba, python-flint,
 joblib, tqdm, click, rich and jinja2: all that the commands need, but for what the extras name.
 """
@@ -15,9 +28,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from importlib import import_module
-from types import ModuleType
-from typing import Any
+from time import perf_counter
+from types import ModuleType, SimpleNamespace
+from typing import Any, TypeVar
 
 from exact_mdp.mdp.errors import ModelError
 
@@ -123,6 +138,56 @@ def worth_compiling(steps: int, package: str = "numba") -> bool:
     True
     """
     return package in sys.modules or steps >= LARGE
+
+
+LOOPS = "exact_mdp.solvers.kernels.bellman"
+COMPILED = 20_000  # transitions that take long enough, swept again and again, to load loops for
+LOADING = 0.34  # seconds to load them
+
+# Threads may miscount a call of each other's: that moves the loading, and no answer.
+_process = SimpleNamespace(command=False, calls=0, since=None, seconds=0.0)
+Call = TypeVar("Call", bound=Callable[..., Any])
+
+
+def as_command() -> None:
+    """Take this process for a command, which is short."""
+    _process.command = True
+
+
+def asked(function: Call) -> Call:
+    """Count the calls of a function that solves, and their seconds; those on the way are a part."""
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        if _process.since is not None:
+            return function(*args, **kwargs)
+        _process.calls, _process.since = _process.calls + 1, perf_counter()
+        try:
+            return function(*args, **kwargs)
+        finally:
+            _process.seconds, _process.since = _seconds(), None
+
+    return call  # type: ignore[return-value]
+
+
+def _seconds() -> float:
+    """Return how long calls have taken so far."""
+    since = _process.since
+    return float(_process.seconds + (0.0 if since is None else perf_counter() - since))
+
+
+def loops_pay(transitions: int, least: int) -> bool:
+    """Return whether compiled loops are for a solve: loaded, or worth it, as said above.
+
+    Examples
+    --------
+    >>> loops_pay(10**6, least=COMPILED)
+    True
+    """
+    if LOOPS in sys.modules or transitions >= least:
+        return True
+    goes_on = _process.calls > 1 and not _process.command
+    return goes_on or _seconds() >= LOADING
 
 
 def names_later(

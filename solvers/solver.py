@@ -18,7 +18,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, numbered_in_order
 from exact_mdp.mdp.coach.model import Coach
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
 from exact_mdp.solvers.bounds.bounds import levels
@@ -139,6 +139,7 @@ def solve(
     tol: float | None = ...,
     horizon: int | None = ...,
 ) -> Found: ...
+@asked
 def solve(
     model: object,
     solver: Any = "auto",

@@ -46,7 +46,7 @@ from exact_mdp.analysis.gate.reasons import (
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
@@ -538,6 +538,7 @@ def _below(number: Fraction) -> str:
 # ---- the two verbs -----------------------------------------------------------------------------
 
 
+@asked
 def check(
     model: MDP | Scenario,
     policy: PolicyLike,

@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import COMPILED, later
 from exact_mdp.mdp.table import Floats, Integers, Numbers
-from exact_mdp.solvers.bounds.gains import COMPILED
 from exact_mdp.solvers.solution import SolverError, Status
 
 compiling = later("exact_mdp.solvers.kernels.compiling")

@@ -22,7 +22,6 @@ Numerical Algorithms, SIAM 2002, section 3.1).
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -31,13 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import SolverError, Status
 
-LOOPS = "exact_mdp.solvers.kernels.bellman"
-bellman = later(LOOPS)
+bellman = later("exact_mdp.solvers.kernels.bellman")
 compiling = later("exact_mdp.solvers.kernels.compiling")
 
 UNIT = 2.0**-53
@@ -49,25 +47,6 @@ def gamma(terms: Integers | int) -> Floats:
     """Return γ(n), a little more than n units of roundoff."""
     count = np.asarray(terms, dtype=np.float64) * UNIT
     return np.asarray(count / (1 - count) * (1 + 4 * UNIT))
-
-
-COMPILED = 20_000  # transitions from which on loading compiled loops pays
-LOADING = 20_000_000  # transitions that NumPy sweeps over in the time that loading takes
-CALLS = 5_000  # transitions that it sweeps over in the time of its calls for one sweep
-_in_numpy = 0
-
-
-def loops_pay(transitions: int) -> bool:
-    """Return whether one more sweep over a small model is for compiled loops, and count it if not.
-
-    They are loaded where NumPy's sweeps of this process have taken as long as loading them does.
-    Both give the same bits, so that nothing depends on which one ran.
-    """
-    global _in_numpy
-    if LOOPS in sys.modules or _in_numpy >= LOADING:
-        return True
-    _in_numpy += CALLS + transitions
-    return False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,7 +196,7 @@ def _leak(mdp: MDP) -> tuple[Floats, float]:
     ends = threads.block_ends(offsets, most=threads.IN_CACHE)
     worst = np.zeros(len(ends) - 1)
 
-    loaded = mdp.n_transitions >= COMPILED or loops_pay(mdp.n_transitions)
+    loaded = loops_pay(mdp.n_transitions, COMPILED)
 
     def work(number: int, first: int, last: int) -> None:
         if loaded:
@@ -264,7 +243,7 @@ def _differences(
     if still:
         found[:2, first:last] = 0.0
         return
-    if mdp.n_transitions >= COMPILED or loops_pay(mdp.n_transitions):
+    if loops_pay(mdp.n_transitions, COMPILED):
         rows = compiling.Rows(matrix.indptr, matrix.indices, matrix.data)
         bellman.gains(first, last, mdp.pair_state, rows, value, found[0], found[1])
         return

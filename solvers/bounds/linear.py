@@ -39,12 +39,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import Solve, TooLarge
-from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, TINY, UNIT, gamma, loops_pay
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import Bounded, SolverError, Status
 
 compiling = later("exact_mdp.solvers.kernels.compiling")
@@ -417,7 +417,7 @@ def sweeping(
 
     See `solvers.kernels.linear.swept`, which this is in NumPy for small chains.
     """
-    if chain.nnz >= COMPILED or loops_pay(chain.nnz):
+    if loops_pay(chain.nnz, COMPILED):
         value, room = np.empty((2, len(constant)))
         rows = compiling.Rows(chain.indptr, chain.indices, chain.data)
         limits = (enough, fine, SWEEPS, TRIED, CLOSE)

@@ -40,11 +40,10 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
-    COMPILED,
     TINY,
     UNIT,
     Gain,
@@ -54,7 +53,6 @@ from exact_mdp.solvers.bounds.gains import (
     gains,
     gamma,
     greedy,
-    loops_pay,
     rounding_facts,
 )
 from exact_mdp.solvers.bounds.sizes import Greatest, Sizes, risen, sizes
@@ -253,7 +251,7 @@ def finite(found: Found) -> Found:
 def sweeps_of(mdp: MDP, weights: Weights, *, strict: bool = False) -> Sweeps:
     """Return the sweeps for a model; what they find depends on its size alone."""
     if mdp.n_transitions < COMPILED:
-        kind = LoadedSweeps if loops_pay(mdp.n_transitions) else Sweeps
+        kind = LoadedSweeps if loops_pay(mdp.n_transitions, COMPILED) else Sweeps
         return kind(mdp, weights, strict)
     return CompiledSweeps(mdp, weights, strict)
 

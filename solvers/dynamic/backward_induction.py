@@ -23,7 +23,6 @@ and a compiled one (`solvers.kernels.layered`), once the model is large or the c
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from time import perf_counter
@@ -34,7 +33,7 @@ import numpy as np
 from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.chain import numbered_in_order, runs_in_order
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import later, loops_pay
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels
@@ -45,14 +44,12 @@ from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 layered = later("exact_mdp.solvers.kernels.layered")
 
-# Loading the compiler takes 0.33 s once in a process, as long as NumPy does for four million
-# transitions of the care model; the compiled loop needs 6 ms a million. A process that has had so
-# many to work through, in all its solves, is likely to go on, and loads it. The bits are the same.
+# NumPy takes as long as loading the compiled loop for four million transitions of the care model;
+# the loop needs 6 ms a million.
 COMPILED_FROM = 500_000
-LOADED_FROM = 2**14
+LOADED_FROM = 2**14  # below, NumPy takes a millisecond or two
 ROW_EXCESS = 2.0**-29  # rows of floats may sum to a little more than 1; see mdp.validate
 UNITS = UNIT * (1 + 2.0**-10)
-_in_numpy = 0  # transitions worked through so far
 SMALLEST = float(np.finfo(np.float64).tiny)  # of those floats that have all their digits
 
 
@@ -154,12 +151,8 @@ def _underflows(mdp: MDP) -> bool:
 
 def one_pass(mdp: MDP, level: Integers | None = None) -> Pass:
     """Return values of an acyclic model, with their rounding errors by level."""
-    global _in_numpy
-    loaded, size = "numba" in sys.modules, mdp.n_transitions
-    if size >= LOADED_FROM if loaded else _in_numpy + size >= COMPILED_FROM:
-        return _compiled_pass(mdp, level)
-    _in_numpy += size
-    return _array_pass(mdp, level)
+    pays = mdp.n_transitions >= LOADED_FROM and loops_pay(mdp.n_transitions, COMPILED_FROM)
+    return _compiled_pass(mdp, level) if pays else _array_pass(mdp, level)
 
 
 def _extra(mdp: MDP) -> int:

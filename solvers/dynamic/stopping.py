@@ -29,10 +29,11 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import COMPILED, asked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
-from exact_mdp.solvers.bounds.gains import COMPILED, SLACK, UNIT
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import Banded, LinearSystem, policy_chain, relatively
 from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Judged, Pass, Sweeps, sweeps_of
 from exact_mdp.solvers.dynamic import pace
@@ -62,6 +63,7 @@ class Solver(Protocol):
 def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution]:
     """Return a solver's method that takes models of costs too, whose negation it maximises."""
 
+    @asked
     @wraps(solve)
     def door(self: S, model: MDP) -> Solution:
         if isinstance(model, MDP) and model.sense == "min":

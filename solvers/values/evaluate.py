@@ -23,7 +23,7 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import per_step
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
@@ -397,6 +397,7 @@ def evaluate(
 def evaluate(
     model: MDP | Scenario, policy: PolicyLike, *, kind: str = ..., criterion: Literal["average"]
 ) -> AverageEvaluation: ...
+@asked
 def evaluate(
     model: MDP | Scenario,
     policy: PolicyLike,

@@ -123,14 +123,13 @@ def test_large_models_are_solved_by_the_compiled_form() -> None:
 
 def test_the_compiler_is_loaded_once_it_pays() -> None:
     code = (
-        "import sys; from mdp import Scenario; import solvers.dynamic.backward_induction as b\n"
-        "mdp = Scenario.load('yuan2025').with_(tasks=[20]).compile()\n"
-        "b.COMPILED_FROM = 3 * mdp.n_transitions\n"
-        "found = [(b.one_pass(mdp), 'numba' in sys.modules) for _ in range(4)]\n"
+        "import sys; from mdp import Scenario; from solvers import solve\n"
+        "mdps = [Scenario.load('yuan2025').with_(tasks=[n]).compile() for n in (5, 5, 40, 40)]\n"
+        "found = [(solve(mdp), 'numba' in sys.modules) for mdp in mdps]\n"
         "print([one[1] for one in found], len({one[0].value.tobytes() for one in found}))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["[False,", "False,", "True,", "True]", "1"]
+    assert done.stdout.split() == ["[False,", "False,", "True,", "True]", "2"]
 
 
 @pytest.mark.parametrize(

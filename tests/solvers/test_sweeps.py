@@ -1,7 +1,5 @@
 """Compiled sweeps: against plain Python, NumPy and rational arithmetic; threads change nothing."""
 
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,6 +19,7 @@ from workloads import queue
 
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp.forms import threads as blocks
+from exact_mdp.mdp.lazy import COMPILED
 from exact_mdp.solvers import (
     Certificate,
     ModifiedPolicyIteration,
@@ -33,7 +32,7 @@ from exact_mdp.solvers import (
 from exact_mdp.solvers.bounds import gains as gains_module
 from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.bounds.gains import COMPILED, gains, rounding_facts
+from exact_mdp.solvers.bounds.gains import gains, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.bounds.sweeps import (
     CompiledSweeps,
@@ -331,7 +330,7 @@ def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
     for loaded in (True, False):
         with pytest.MonkeyPatch.context() as patch:
             for module in (gains_module, sweeps_module):
-                patch.setattr(module, "loops_pay", lambda transitions, loaded=loaded: loaded)
+                patch.setattr(module, "loops_pay", lambda *_, loaded=loaded: loaded)
             mdp = make()
             assert mdp.n_transitions < COMPILED
             assert isinstance(sweeps_of(mdp, margin_weights(mdp)), LoadedSweeps) == loaded
@@ -381,7 +380,7 @@ def test_rounds_end_alike_whatever_is_loaded(
         with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             for module in (gains_module, sweeps_module):
-                patch.setattr(module, "loops_pay", lambda transitions, loaded=loaded: loaded)
+                patch.setattr(module, "loops_pay", lambda *_, loaded=loaded: loaded)
             mdp = MDP.from_arrays(chances, reward, discount=discount)
             status: Any = None
             try:
@@ -488,7 +487,7 @@ def test_a_run_in_which_nothing_is_gained_ends(
 ) -> None:
     """With bounds around the values that rational arithmetic proves."""
     for module in (gains_module, sweeps_module):
-        monkeypatch.setattr(module, "loops_pay", lambda transitions: loaded)
+        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
     monkeypatch.setattr(stopping_module, "MANY", 50)
     mdp = NEAR_ONE[number]
     with warnings.catch_warnings():
@@ -505,7 +504,7 @@ def test_a_run_in_which_nothing_is_gained_ends(
 def test_patience_is_as_long_as_news_takes(loaded: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a corridor each round brings one state on, and bounds fall by a thousandth."""
     for module in (gains_module, sweeps_module):
-        monkeypatch.setattr(module, "loops_pay", lambda transitions: loaded)
+        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
     go = np.eye(60)[[*range(1, 60), 59]]
     mdp = MDP.from_arrays([np.eye(60), go], [0.0] * 59 + [1.0], discount=0.999)
     whole = solve(mdp)
@@ -529,7 +528,7 @@ def test_too_few_iterations_name_all_that_goes_on() -> None:
 def test_compiled_rounds_may_be_cut_anywhere(
     make: Callable[[], MDP], count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sweeps_module, "loops_pay", lambda transitions: True)
+    monkeypatch.setattr(sweeps_module, "loops_pay", lambda *_: True)
     mdp = make()
     whole = solve(mdp, ModifiedPolicyIteration())
     with pytest.raises(SolverError) as stopped:
@@ -565,15 +564,6 @@ def test_rounds_of_larger_models_are_those_of_python(
     assert found[0] == found[1]
 
 
-def test_loops_are_loaded_once_numpy_has_taken_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gains_module, "LOOPS", "not loaded")
-    monkeypatch.setattr(gains_module, "_in_numpy", 0)
-    calls = 0
-    while not gains_module.loops_pay(1_000):
-        calls += 1
-    assert calls == pytest.approx(gains_module.LOADING / (1_000 + gains_module.CALLS), abs=1)
-
-
 def test_values_beyond_floats_are_noticed(mdp: MDP) -> None:
     for sweeps in both(mdp):
         for wrong in (np.inf, np.nan, 1.7e308):
@@ -581,15 +571,6 @@ def test_values_beyond_floats_are_noticed(mdp: MDP) -> None:
             value[[3, 5]] = wrong, -wrong
             with pytest.raises(SolverError, match="beyond the range of floats"):
                 sweeps.judge(value)
-
-
-def test_small_models_are_solved_without_numba() -> None:
-    code = (
-        "import sys; from mdp import MDP; from solvers import solve\n"
-        "print(solve(MDP.from_arrays([[[1]]], [1], '9/10')).start_value, 'numba' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["10.0", "False"]
 
 
 @pytest.mark.parametrize("states", [1_000, 2_000])

@@ -1,0 +1,130 @@
+"""When a process loads compiled loops: `mdp.lazy`."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mdp import MDP, lazy
+from solvers import solve
+
+SESSION = """
+import sys
+from exact_mdp import MDP, check, evaluate, solve
+from exact_mdp.solvers import ValueIteration
+chances = [[["1/2", "1/2"], ["1/3", "2/3"]], [[0, 1], [1, 0]]]
+mdp = MDP.from_arrays(chances, [[1, 2], [0, "1/2"]], "9/10")
+found = []
+for call in ({calls}):
+    call()
+    found.append("numba" in sys.modules)
+print(found)
+"""
+
+
+def printed(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("calls", "loaded"),
+    [
+        (["solve(mdp)", "solve(mdp)"], [False, True]),
+        (["evaluate(mdp, [0, 0])", "ValueIteration().solve(mdp)"], [False, True]),
+        (["check(mdp, [0, 0])", "solve(mdp)"], [False, True]),
+    ],
+)
+def test_a_session_loads_the_loops_in_its_second_call(calls: list[str], loaded: list[bool]) -> None:
+    code = SESSION.format(calls="".join(f"lambda: {call}, " for call in calls))
+    assert printed(code).strip() == str(loaded)
+
+
+def test_commands_on_the_published_scenario_load_no_loops() -> None:
+    commands = [
+        "solve yuan2025",
+        "solve yuan2025 --certify",
+        "evaluate yuan2025 optimal",
+        "check yuan2025 optimal",
+        "returns yuan2025 optimal",
+        "info yuan2025",
+    ]
+    code = (
+        "import sys; from exact_mdp.analysis.cli import main\n"
+        f"for words in {commands}:\n"
+        "    sys.argv = ['exact-mdp', *words.split()]\n"
+        "    try: main()\n"
+        "    except SystemExit as end: assert end.code == 0, words\n"
+        "print('numba' in sys.modules)"
+    )
+    assert printed(code).splitlines()[-1] == "False"
+
+
+class Clock:
+    """Seconds that pass as they are told to."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """A process that has just begun, and loads nothing."""
+    fresh = type(lazy._process)(command=False, calls=0, since=None, seconds=0.0)
+    clock = Clock()
+    monkeypatch.setattr(lazy, "_process", fresh)
+    monkeypatch.setattr(lazy, "LOOPS", "not loaded")
+    monkeypatch.setattr(lazy, "perf_counter", clock)
+    return clock
+
+
+def small() -> bool:
+    return lazy.loops_pay(100, least=lazy.COMPILED)
+
+
+@pytest.mark.parametrize("seconds", [0.3 * lazy.LOADING, 5 * lazy.LOADING])
+def test_a_command_loads_the_loops_once_solving_has_taken_as_long(
+    clock: Clock, seconds: float
+) -> None:
+    lazy.as_command()
+    spent = []
+
+    @lazy.asked
+    def outer() -> None:
+        inner()
+        clock.now += seconds / 2
+
+    @lazy.asked
+    def inner() -> None:
+        clock.now += seconds / 2
+        spent.append((clock.now, small()))
+
+    for _ in range(5):
+        outer()
+        clock.now += 100.0  # of other work
+    assert lazy._process.calls == 5
+    assert lazy._process.seconds == pytest.approx(5 * seconds)
+    for number, (_, loaded) in enumerate(spent):
+        assert loaded == ((number + 0.5) * seconds >= lazy.LOADING)
+    assert lazy.loops_pay(lazy.COMPILED, least=lazy.COMPILED)
+
+
+def test_calls_that_fail_count_and_end(clock: Clock) -> None:
+    @lazy.asked
+    def fails() -> None:
+        raise ValueError
+
+    for loaded in (False, True):
+        with pytest.raises(ValueError):
+            fails()
+        assert small() == loaded
+    assert lazy._process.since is None
+
+
+def test_calls_on_the_way_are_not_counted(clock: Clock) -> None:
+    costs = MDP.from_arrays([np.full((2, 2), 0.5)] * 2, [[1, 2], [0, 3]], 0.9, sense="min")
+    solve(costs)  # by the model of which it is the negation
+    assert lazy._process.calls == 1
