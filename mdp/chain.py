@@ -82,11 +82,22 @@ def components(mdp: MDP) -> tuple[int, Integers]:
 
 
 def strong_components(graph: sp.csr_array) -> Integers:
+    """Return the component (K,) of each node of a graph (K, K), numbered by their first nodes.
+
+    So numbers are the same whatever is loaded, and whatever release of SciPy.
+    """
+    found = components_in_order(graph)
+    node, first = np.arange(len(found)), np.empty(int(found.max(initial=-1)) + 1, dtype=np.int64)
+    first[found[::-1]] = node[::-1]
+    return (np.cumsum(first[found] == node) - 1)[first[found]]
+
+
+def components_in_order(graph: sp.csr_array) -> Integers:
     """Return the component (K,) of each node of a graph (K, K); no edge leads to a higher one.
 
-    By Tarjan's depth-first search (SIAM J. Comput. 1, 1972). SciPy's numbers are the same, but its
-    graphs take 0.2 s to load: those are for large ones. Where the first node reaches all others,
-    and all others it, there is nothing to search.
+    By Tarjan's depth-first search (SIAM J. Comput. 1, 1972). SciPy's graphs take 0.2 s to load:
+    those are for large ones. Where the first node reaches all others, and all others it, there is
+    nothing to search.
     """
     if _large(graph):
         # From 1.18 on SciPy reads memory as it lies, and a model's columns may be a strided view.

@@ -11,7 +11,8 @@ from typing import Any, Literal
 from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims import Judged, Verdict
-from exact_mdp.paper_repro.claims.claim import Kind
+from exact_mdp.paper_repro.claims.claim import READ_OFF_A_PLOT, Kind
+from exact_mdp.paper_repro.readings.completions import STANDARD_ERRORS
 from exact_mdp.solvers.solution import Bounded, Certified, Estimated
 
 console = later("rich.console")
@@ -138,10 +139,11 @@ NUMBERS: Columns = (
     ("paper", "paper", "right"),
     ("exact or estimate", "exact", "right"),
     ("difference", "difference", "right"),
-    ("in s.e.", "errors", "right"),
+    ("s.e.", "errors", "right"),
     ("kind", "kind", "left"),
     ("verdict", "verdict", "left"),
 )
+WIDTH = 100  # of a table of numbers, and of the text below it
 WIDE = {"statement": 20, "verdict": len(Verdict.DEPENDS)}  # at least, in a table of statements
 LINES = {
     "paper": "paper",
@@ -163,7 +165,10 @@ def _console(width: int) -> Any:
 
 
 def print_table(judged: Sequence[Judged]) -> None:
-    """Print statements with their verdicts, and paper, exact and difference: inputs, findings."""
+    """Print statements with their verdicts, and paper, exact and difference: inputs, findings.
+
+    Where something else than the difference decides, a line below the table says what.
+    """
     screen = _console(132)
     for kind in ("input", "finding"):
         listed = [each for each in judged if each.claim.kind == kind]
@@ -177,23 +182,32 @@ def print_table(judged: Sequence[Judged]) -> None:
             table = rich.Table(
                 title=f"{kind}s: {title}", title_justify="left", box=None, pad_edge=False
             )
+            told = [cells(each) for each in rows]
+            columns = [each for each in columns if any(found[each[1]] for found in told)]
             for heading, _, side in columns:
                 wide = None if numbered else WIDE.get(heading)
                 table.add_column(
                     heading, justify=side, no_wrap=True, overflow="ellipsis", min_width=wide
                 )
-            for each in rows:
-                found = cells(each)
+            notes = []
+            for each, found in zip(rows, told, strict=True):
                 if numbered and len(found["exact"]) > 16:
                     found["exact"] = f"{each.finding.exact:.4g}"
+                if each.claim.rule == "statement" and each.finding.difference:
+                    found["verdict"] += " *"
+                    notes.append(f"* {each.claim.id} is judged by a sentence: {found['says']}")
                 table.add_row(*(found[name] for _, name, _ in columns))
             screen.print(table)
+            for note in notes:
+                screen.print(note, width=WIDTH)
             screen.print()
     screen.print(counted(judged), soft_wrap=True)
     screen.print(
-        f"in s.e.: exact standard errors of an average over {reported.EXPERIMENTS:,} "
-        "experiments; ≈: read off a plot by the authors.\nThe averages are those of the best joint "
-        "fit that training ends with, by which they are judged."
+        f"s.e.: exact standard errors of an average over {reported.EXPERIMENTS:,} experiments, of "
+        f"which an average may be {STANDARD_ERRORS:g} off. "
+        f"≈: read off a plot by the authors; it may be {READ_OFF_A_PLOT:g} off. The averages are "
+        "those of the best joint fit that training ends with, by which they are judged.",
+        width=WIDTH,
     )
 
 

@@ -16,12 +16,12 @@ FIRST = 16  # layers that may be narrow
 
 
 def strong_components(source: Numbers, target: Numbers, count: int) -> Integers:
-    """Return the component (count,) of each node: edges (M,) lead to the same one, or a lower one.
+    """Return the component (count,) of each node, from edges (M,), numbered by their first nodes.
 
     Examples
     --------
     >>> strong_components(np.array([0, 1, 2]), np.array([1, 2, 1]), 3).tolist()
-    [1, 0, 0]
+    [0, 1, 1]
     """
     graph = sp.csr_array((np.ones(len(source)), (source, target)), (count, count))
     return chain.strong_components(graph)

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import strong_components
+from exact_mdp.mdp.chain import components_in_order
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.layers import layers
@@ -63,7 +63,7 @@ def stages(rows: BellmanRows) -> Iterator[Stage]:
             yield Stage(states=live[::-1], kind=Kind.CHAIN)
         return
     ones, begins = np.ones(len(rows.next), dtype=np.int8), rows.offsets[rows.pair_offsets]
-    label = strong_components(sp.csr_array((ones, rows.next, begins), (states, states)))
+    label = components_in_order(sp.csr_array((ones, rows.next, begins), (states, states)))
     level = layers(source, rows.next, label, least=RUN) if long else None
     cyclic = np.bincount(label)[label] > 1
     group = np.where(cyclic, label + 1, 0)

@@ -22,7 +22,7 @@ from exact_mdp.paper_repro.claims.judge import disagreements, expected
 from exact_mdp.paper_repro.reading import QUICK, Reading, Store, alternatives, changed, default
 from exact_mdp.paper_repro.readings.search import averages
 from exact_mdp.paper_repro.report.figures import choice_losses, status_law, trial_flow
-from exact_mdp.paper_repro.report.output import cells
+from exact_mdp.paper_repro.report.output import cells, print_table
 from exact_mdp.paper_repro.reported import COMPLETIONS, PLACES, SECTIONS, STARTS, section_of
 from exact_mdp.solvers import evaluate
 
@@ -97,6 +97,21 @@ def test_a_changed_number_or_verdict_is_found(judged: dict[str, Judged]) -> None
     assert line == "return.random: not reproduced, pinned reproduced"
     less = {name: entry for name, entry in pinned.items() if name != "policy.anger"}
     assert disagreements(list(judged.values()), less) == ["policy.anger is not pinned"]
+
+
+def test_the_table_says_where_something_else_than_the_difference_decides(
+    judged: dict[str, Judged], capsys: pytest.CaptureFixture[str]
+) -> None:
+    print_table([each for each in judged.values() if each.claim.kind == "finding"])
+    numbers = capsys.readouterr().out.split("paper / exact / difference")[1]
+    rows = {line.split()[0]: line.rstrip() for line in numbers.splitlines() if line.strip()}
+    marked = [name for name, line in rows.items() if line.endswith("*")]
+    assert marked == ["return.optimal"]
+    assert "+6.236" in rows["return.optimal"]
+    assert f"* return.optimal is judged by a sentence: {chosen('return.optimal').says}" in " ".join(
+        numbers.split()
+    )
+    assert all(len(line) <= 100 for line in rows.values() if not line[0].isdigit())
 
 
 def test_an_unknown_claim_is_refused_with_the_nearest_one() -> None:

@@ -5,10 +5,14 @@ from __future__ import annotations
 import io
 import tarfile
 import zipfile
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 import umbi
+import umbi.datatypes
+from umbi.binary import SizedType
 from umbi.umb.umb_to_tar import UmbDecoder
 
 
@@ -55,3 +59,66 @@ def read_by_umbi(path: Path) -> Any:
     decoder.read_transition_files(content)
     decoder.read_annotation_files(content)
     return content
+
+
+def foreign_umb(
+    states: Sequence[Sequence[Sequence[tuple[int, Any]]]],
+    rewards: Mapping[str, Mapping[str, Sequence[Any]]] | None = None,
+    *,
+    initial: Sequence[int] = (0,),
+) -> Any:
+    """Return a UMB model as another program writes it, from each state's choices.
+
+    A choice is its outcomes (target, chance). The values of a reward go by what has them: states,
+    choices or branches. Releases of umbi differ in what they build models from, and not in this.
+    """
+    choices = [choice for each in states for choice in each]
+    branches = [branch for choice in choices for branch in choice]
+    kind, chances = umbi.datatypes.promote_scalars([chance for _, chance in branches])
+    system = umbi.umb.index.TransitionSystem(
+        time="discrete",
+        num_players=1,
+        num_states=len(states),
+        num_initial_states=len(initial),
+        num_choices=len(choices),
+        num_branches=len(branches),
+        branch_probability_type=SizedType.for_type(kind),
+    )
+    content = umbi.umb.ExplicitUmb(
+        index=umbi.umb.index.UmbIndex(
+            format_version=umbi.version.__format_version__,
+            format_revision=umbi.version.__format_revision__,
+            file_data=umbi.umb.index.umbi_file_data(),
+            transition_system=system,
+            annotations={"rewards": {}, "aps": {}},
+        ),
+        state_is_initial=[state in initial for state in range(len(states))],
+        state_to_choices=[0, *accumulate(map(len, states))],
+        choice_to_branches=[0, *accumulate(map(len, choices))],
+        branch_to_target=[target for target, _ in branches],
+        branch_to_probability=chances,
+        annotations={"rewards": {}, "aps": {}},
+    )
+    for name, given in (rewards or {}).items():
+        annotate(content, "rewards", name, given)
+    return content
+
+
+def annotate(content: Any, group: str, name: str, given: Mapping[str, Sequence[Any]]) -> None:
+    """Give states, choices or branches their values."""
+    kind, _ = umbi.datatypes.promote_scalars(
+        [value for values in given.values() for value in values]
+    )
+    content.index.annotations[group][name] = umbi.umb.index.AnnotationDescription(
+        applies_to=[*given], type=SizedType.for_type(kind)
+    )
+    content.annotations[group][name] = {
+        over: umbi.datatypes.promote_scalars_to(values, kind) for over, values in given.items()
+    }
+
+
+def written(content: Any, folder: Path) -> Path:
+    """Write a UMB model by umbi itself, as theirs.umb in a folder."""
+    path = folder / "theirs.umb"
+    umbi.umb.write(content, path)
+    return path

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import umbi.ats
-from archives import read_by_umbi
+import umbi
+from archives import foreign_umb, read_by_umbi, written
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -145,20 +145,10 @@ def test_columns_of_one_name(tmp_path: Path) -> None:
     assert_whole(mdp, umb.load(tmp_path / "m.umb"))
 
 
-def foreign(folder: Path) -> Path:
-    ats = umbi.ats.ExplicitAts()
-    ats.num_players = 1
-    ats.add_state()
-    ats.set_initial_states([0])
-    ats.add_state_choice(0).add_branch(0, 1.0)
-    ats.add_reward_annotation("reward").set_choice_values([1.0])
-    umbi.ats.write(ats, folder / "theirs.umb")
-    return folder / "theirs.umb"
-
-
 def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
     """A file of another program has no discount: 1 is taken, and said; a given one is silent."""
-    path = foreign(tmp_path)
+    content = foreign_umb([[[(0, 1.0)]]], {"reward": {"choices": [1.0]}})
+    path = written(content, tmp_path)
     with pytest.warns(UserWarning, match="no discount, and 1 is used"):
         assert load(path).mdp.discount_exact == 1
     with warnings.catch_warnings():

@@ -10,7 +10,7 @@ import json
 import lzma
 import sys
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import umbi
-import umbi.ats
-from archives import read_by_umbi, tarred, untarred
+from archives import annotate, foreign_umb, read_by_umbi, tarred, untarred, written
 from laws import laws
 from saved_models import MODELS
 
@@ -87,56 +86,35 @@ def test_components_whose_names_differ_by_signs_alone(tmp_path: Path) -> None:
 # ---- files of others -----------------------------------------------------------------------------
 
 
-def system(states: int, players: int = 1) -> Any:
-    ats = umbi.ats.ExplicitAts()
-    ats.num_players = players
-    for _ in range(states):
-        ats.add_state()
-    ats.set_initial_states([0])
-    return ats
-
-
-def written(ats: Any, folder: Path) -> Path:
-    path = folder / "theirs.umb"
-    umbi.ats.write(ats, path)
-    return path
-
-
 def test_rewards_of_states_choices_and_branches_add_up(tmp_path: Path) -> None:
-    ats = system(2)
-    ats.num_choice_actions, ats.choice_action_to_name = 2, ["go", "wait"]
-    for state, action, branches in (
-        (0, 1, [(0, Fraction(1, 3)), (1, Fraction(2, 3))]),
-        (0, 0, [(1, Fraction(1))]),
-        (1, 0, [(1, Fraction(1))]),
-    ):
-        choice = ats.add_state_choice(state)
-        choice.action = action
-        for target, chance in branches:
-            choice.add_branch(target, chance)
-    reward = ats.add_reward_annotation("cost")
-    reward.set_state_values([Fraction(1, 2), 0])
-    reward.set_choice_values([10, 20, 0])
-    reward.set_branch_values([100, 200, 300, 0])
-    mdp = umb.load(written(ats, tmp_path), discount=1)
+    third, half = Fraction(1, 3), Fraction(1, 2)
+    values = {"states": [half, 0], "choices": [10, 20, 0], "branches": [100, 200, 300, 0]}
+    content = foreign_umb(
+        [[[(0, third), (1, 1 - third)], [(1, Fraction(1))]], [[(1, Fraction(1))]]],
+        {"cost": values},
+    )
+    act(content, [1, 0, 0], ["go", "wait"])
+    mdp = umb.load(written(content, tmp_path), discount=1)
     assert (mdp.actions, mdp.name) == (("go", "wait"), "theirs")
-    half = Fraction(1, 2)
     assert laws(mdp) == {
         (0, "go"): {(1, 320 + half): 1},
-        (0, "wait"): {(0, 110 + half): Fraction(1, 3), (1, 210 + half): Fraction(2, 3)},
+        (0, "wait"): {(0, 110 + half): third, (1, 210 + half): 1 - third},
         (1, "go"): {(1, Fraction(0)): 1},
     }
 
 
-def chain(**rewards: list[Any]) -> Any:
+def chain(*, initial: Sequence[int] = (0,), **rewards: list[Any]) -> Any:
     """A chain of two states, the second of them without a choice."""
-    ats = system(2, players=0)
-    choice = ats.add_state_choice(0)
-    choice.add_branch(0, 0.25)
-    choice.add_branch(1, 0.75)
-    for name, values in rewards.items():
-        ats.add_reward_annotation(name).set_state_values(values)
-    return ats
+    given = {name: {"states": values} for name, values in rewards.items()}
+    content = foreign_umb([[[(0, 0.25), (1, 0.75)]], []], given, initial=initial)
+    content.index.transition_system.num_players = 0
+    return content
+
+
+def act(content: Any, chosen: list[int], names: list[str]) -> None:
+    """Name the actions of choices."""
+    content.index.transition_system.num_choice_actions = len(names)
+    content.choice_to_choice_action, content.choice_action_to_string = chosen, names
 
 
 def test_a_chain_and_a_state_without_choices(tmp_path: Path) -> None:
@@ -176,61 +154,51 @@ def test_several_reward_models_and_none(tmp_path: Path) -> None:
 
 
 def written_with_two_rewards(folder: Path) -> Path:
-    content = umbi.ats.ats_to_umb.explicit_ats_to_explicit_umb(chain(time=[1, 0], cost=[7, 0]))
+    content = chain(time=[1, 0], cost=[7, 0])
     content.index.annotations["rewards"]["cost"].alias = "a long name"
-    umbi.umb.write(content, folder / "theirs.umb")
-    return folder / "theirs.umb"
+    return written(content, folder)
 
 
 def test_initial_states(tmp_path: Path) -> None:
-    ats = chain(steps=[1, 0])
-    ats.set_initial_states([0, 1])
-    path = written(ats, tmp_path)
+    path = written(chain(steps=[1, 0], initial=[0, 1]), tmp_path)
     with pytest.warns(UserWarning, match="first of 2 initial states, state 0; --start"):
         assert umb.load(path, discount=1).labels["init"].tolist() == [True, True]
     assert umb.load(path, discount=1, start=1).start == ((1, Fraction(1)),)
     assert len(umb.load(path, discount=1, start={0: "1/3", 1: "2/3"}).start) == 2
-    ats.set_initial_states([])
     with pytest.raises(ModelError, match="no initial state"):
-        umb.load(written(ats, tmp_path), discount=1)
+        umb.load(written(chain(steps=[1, 0], initial=[]), tmp_path), discount=1)
 
 
 def test_actions_that_repeat_in_a_state_are_numbered(tmp_path: Path) -> None:
-    ats = system(1)
-    ats.num_choice_actions, ats.choice_action_to_name = 2, ["", "b"]
-    for action in (1, 1, 0):
-        choice = ats.add_state_choice(0)
-        choice.action = action
-        choice.add_branch(0, 1.0)
-    ats.add_reward_annotation("r").set_choice_values([5, 6, 7])
-    mdp = umb.load(written(ats, tmp_path), discount=1)
+    content = foreign_umb([[[(0, 1.0)]] * 3], {"r": {"choices": [5, 6, 7]}})
+    act(content, [1, 1, 0], ["", "b"])
+    mdp = umb.load(written(content, tmp_path), discount=1)
     assert (mdp.actions, mdp.reward.tolist()) == (("0", "1", "2"), [5, 6, 7])
 
 
 def test_models_of_other_kinds(tmp_path: Path) -> None:
     timed = chain(steps=[1, 0])
-    timed.time, timed.state_to_exit_rate = umbi.ats.TimeType.STOCHASTIC, [1.0, 2.0]
-    with pytest.raises(ModelError, match="time is stochastic"):
-        umb.load(written(timed, tmp_path), discount=1)
+    system, timed.state_to_exit_rate = timed.index.transition_system, [1.0, 2.0]
+    system.time, system.exit_rate_type = "stochastic", system.branch_probability_type
     game = chain(steps=[1, 0])
-    game.num_players, game.state_to_player, game.player_to_name = 2, [0, 1], ["x", "y"]
-    with pytest.raises(ModelError, match="2 players"):
-        umb.load(written(game, tmp_path), discount=1)
+    system, game.state_to_player = game.index.transition_system, [0, 1]
+    system.num_players, system.player_to_name = 2, ["x", "y"]
     hidden = chain(steps=[1, 0])
-    hidden.num_players = 1
-    hidden.add_observation_annotation(2).set_state_values([0, 1])
-    with pytest.raises(ModelError, match="2 observations"):
-        umb.load(written(hidden, tmp_path), discount=1)
-    vague = system(1)
-    vague.add_state_choice(0).add_branch(0, umbi.datatypes.Interval(0.5, 1.0))
-    vague.add_reward_annotation("r").set_state_values([1])
-    with pytest.raises(ModelError, match="not a single number"):
-        umb.load(written(vague, tmp_path), discount=1)
-    half = system(1)
-    half.add_state_choice(0).add_branch(0, 0.5)
-    half.add_reward_annotation("r").set_state_values([1])
-    with pytest.raises(ModelError, match=r"sum to 0\.5, not 1"):
-        umb.load(written(half, tmp_path), discount=1)
+    system, hidden.entity_to_observation = hidden.index.transition_system, [0, 1]
+    system.num_players, system.num_observations = 1, 2
+    system.observations_apply_to = "states"
+    rewards = {"r": {"states": [1]}}
+    vague = foreign_umb([[[(0, umbi.datatypes.Interval(0.5, 1.0))]]], rewards)
+    half = foreign_umb([[[(0, 0.5)]]], rewards)
+    for content, message in (
+        (timed, "time is stochastic"),
+        (game, "2 players"),
+        (hidden, "2 observations"),
+        (vague, "not a single number"),
+        (half, r"sum to 0\.5, not 1"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            umb.load(written(content, tmp_path), discount=1)
 
 
 def test_rewards_that_were_changed_for_choices_alone(tmp_path: Path) -> None:
@@ -380,11 +348,8 @@ def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
 
 def test_labels_names_and_variables_of_others(tmp_path: Path) -> None:
     """Labels go by their names; variables of whole numbers and truth values name the states."""
-    ats = system(3)
-    for state in range(3):
-        ats.add_state_choice(state).add_branch(min(state + 1, 2), Fraction(1))
-    ats.add_ap_annotation("goal").set_state_values([False, False, True])
-    content = umbi.ats.ats_to_umb.explicit_ats_to_explicit_umb(ats)
+    content = foreign_umb([[[(1, Fraction(1))]], [[(2, Fraction(1))]], [[(2, Fraction(1))]]])
+    annotate(content, "aps", "goal", {"states": [False, False, True]})
     content.index.annotations["aps"]["goal"].alias = "The goal"
     struct = umbi.binary.StructType()
     struct.add_attribute("x", umbi.binary.SizedType(umbi.datatypes.NumericPrimitiveType.INT, 3))
