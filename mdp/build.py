@@ -53,6 +53,7 @@ from exact_mdp.mdp.validate import as_discount, as_start
 COMPILING = "exact_mdp.mdp.forms.compiling"
 loops = later("exact_mdp.mdp.forms.rows")
 
+LOADING = 3_000_000  # entries that SciPy puts in order in the time that loading loops takes
 MOST_UNNAMED_ACTIONS = 100_000
 LAYOUTS = {"ass": 1, "sas": 0}
 """Orders of the indices of P, and which of them is that of the states; where both fit, the first
@@ -357,10 +358,10 @@ def _table(
 def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
     """Return offsets (L+1,), columns and numbers (N,) of a sparse matrix, copied in one pass.
 
-    None where compiled loops are not loaded, and where rows are not sound as they are.
+    None where compiled loops are not loaded nor worth it, and where rows are not sound as they are.
     """
-    wide = rows.shape[1] >= 2**31
-    if COMPILING not in sys.modules or rows.dtype != np.float64 or wide or not rows.shape[0]:
+    wide, loaded = rows.shape[1] >= 2**31, COMPILING in sys.modules or rows.nnz >= LOADING
+    if not loaded or rows.dtype != np.float64 or wide or not rows.shape[0]:
         return None
     offsets = rows.indptr.astype(np.int64)
     columns, data = np.empty(offsets[-1], dtype=rows.indices.dtype), np.empty(offsets[-1])

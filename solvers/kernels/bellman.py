@@ -63,11 +63,13 @@ class Facts(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What earlier passes left: a policy (S,), its rows side by side, and ceilings (L,).
+    """What earlier passes left: a policy (S,), its rows, and ceilings (L,).
 
-    The row of state s is slots[s] … ends[s]-1, no further than slots[s+1]; `numbers` (3, S) are the
-    reward, leak and margin of its pair. r(l) + γ P_l h is at most the ceiling and `rise`, how much
-    γ P_l h has risen in all. Where not `known`, there is no policy yet.
+    The row of state s is slots[s] … ends[s]-1 of `indices` and `data`, which are the model's own
+    or, where rows are copied to stand side by side, those that can be written to as `columns` and
+    `weights`; these have room for the longest row of each state, or are empty. `numbers` (3, S) are
+    the reward, leak and margin of its pair. r(l) + γ P_l h is at most the ceiling and `rise`, how
+    much γ P_l h has risen in all. Where not `known`, there is no policy yet.
     """
 
     slots: Numbers
@@ -79,6 +81,8 @@ class Known(NamedTuple):
     ceilings: Floats
     rise: float
     known: bool
+    columns: Numbers
+    weights: Floats
 
 
 @inlined
@@ -168,13 +172,16 @@ def climb(value: Floats, before: Floats) -> float:
 
 
 @inlined
-def copy_row(state: int, pair: int, model: Model, policy: Known) -> None:
-    """Put the row of a pair where the policy's row of its state belongs."""
-    place = policy.slots[state]
-    for i in range(model.indptr[pair], model.indptr[pair + 1]):
-        policy.indices[place], policy.data[place] = model.indices[i], model.data[i]
-        place += 1
-    policy.ends[state] = place
+def take_row(state: int, pair: int, model: Model, policy: Known) -> None:
+    """Make the row of a pair the policy's row of its state."""
+    if len(policy.weights) > 0:
+        place = policy.slots[state]
+        for i in range(model.indptr[pair], model.indptr[pair + 1]):
+            policy.columns[place], policy.weights[place] = model.indices[i], model.data[i]
+            place += 1
+        policy.ends[state] = place
+    else:
+        policy.slots[state], policy.ends[state] = model.indptr[pair], model.indptr[pair + 1]
     policy.numbers[0, state], policy.numbers[1, state] = model.reward[pair], model.leak[pair]
     policy.numbers[2, state] = model.margin[pair]
 
@@ -233,7 +240,7 @@ def improve(
                 best, chosen = gain, pair
         if chosen != before or not known:
             ceilings[before] = first_gain + error + (own - rise)
-            copy_row(state, chosen, model, policy)
+            take_row(state, chosen, model, policy)
         step[state], pairs[state] = best - shift * policy.numbers[2, state], chosen
         low = min(low, best / policy.numbers[2, state])
     extremes[0], extremes[1] = low, high
@@ -405,9 +412,9 @@ def settle(
 
 @compiled
 def hold(model: Model, pairs: Numbers, policy: Known) -> None:
-    """Put the rows of the `pairs` (S,) of a policy side by side."""
+    """Make the rows of the `pairs` (S,) of a policy those held."""
     for state in range(len(pairs)):
-        copy_row(state, pairs[state], model, policy)
+        take_row(state, pairs[state], model, policy)
 
 
 @compiled

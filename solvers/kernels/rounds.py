@@ -99,8 +99,10 @@ def sharp(facts: Facts, tiny: float) -> Facts:
 @inlined
 def remembered(policy: Known, rise: float, known: bool) -> Known:
     """Return what earlier passes left, as far as values have risen since."""
-    slots, ends, indices, data, numbers, pairs, ceilings, _, _ = policy
-    return Known(slots, ends, indices, data, numbers, pairs, ceilings, rise, known)
+    slots, ends, indices, data, numbers, pairs, ceilings, _, _, columns, weights = policy
+    return Known(
+        slots, ends, indices, data, numbers, pairs, ceilings, rise, known, columns, weights
+    )
 
 
 @compiled

@@ -209,15 +209,16 @@ def test_columns_may_stand_in_any_order(
         chances[7, 3] = 0.0
         chances[7] /= chances[7].sum()
     offsets, found = np.arange(0, pairs * entries + 1, entries), []
-    for loaded in (True, False):
+    for loaded, worth in ((True, False), (False, True), (False, False)):
         given = (chances.ravel(), columns.ravel(), offsets)
         monkeypatch.setattr(build, "COMPILING", "sys" if loaded else "not loaded")
+        monkeypatch.setattr(build, "LOADING", pairs * entries + (not worth))
         matrix = sp.csr_array(given, shape=(pairs, states))
         taken = build._taken(matrix)
-        assert (taken is not None) == (loaded and wrong is None)
+        assert (taken is not None) == ((loaded or worth) and wrong is None)
         table = build.from_pairs(range(pairs), [0] * pairs, matrix, np.ones(pairs), "1/2")["table"]
         found.append([part.tobytes() for part in (table.offsets, table.next, table.weight)])
-    assert found[0] == found[1]
+    assert found[0] == found[1] == found[2]
 
 
 @pytest.mark.parametrize("loaded", [True, False])

@@ -54,7 +54,8 @@ def test_an_answer_is_held_against_the_reference_and_its_own_bound(
             return None
         np.save(values, value + (off if name == PEER else 0.0))
         times = {"first": 0.5, "seconds": 0.2 if name == PEER else 0.1, "solving": 0.1}
-        return times | {"memory": 1e6, "note": "", "bound": bound if name == PEER else 1e-9}
+        times |= {"memory": 1e6, "first memory": 2e6}
+        return times | {"note": "", "bound": bound if name == PEER else 1e-9}
 
     monkeypatch.setattr(compare, "_in_a_process", answer)
     rows = {row["contender"]: row for row in compare.measure(FAMILY, workload, 2, tmp_path)}
@@ -86,6 +87,6 @@ def test_we_are_timed_in_a_process_of_our_own(tmp_path: Path) -> None:
     found = compare._in_a_process(tmp_path / "work.npz", FAMILY, OURS, values)
     assert found is not None
     assert 0 < found["solving"] <= found["seconds"]
-    assert found["memory"] < 500e6  # not that of this process
+    assert max(found["memory"], found["first memory"]) < 500e6  # not that of this process
     value, proven = compare.reference(workload)
     assert np.abs(np.load(values) - value).max() <= found["bound"] + proven

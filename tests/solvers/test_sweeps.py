@@ -1,5 +1,6 @@
 """Compiled sweeps: against plain Python, NumPy and rational arithmetic; threads change nothing."""
 
+import tracemalloc
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
 from large_models import garnet, gridworld
 from strategies import exact_gains, exact_values
+from workloads import garnet as garnet_rows
 from workloads import queue
 
 from exact_mdp.mdp import MDP
@@ -259,6 +261,44 @@ def test_the_number_of_threads_changes_no_bit(large: MDP, monkeypatch: pytest.Mo
         solution = solve(large, ModifiedPolicyIteration(tol=1e-6))
         seen[-1] += (solution.value.tobytes(), solution.pairs.tobytes())
     assert seen[0] == seen[1]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: garnet(1_500, seed=41, discount="99/100"),
+        lambda: uneven(garnet(1_500, seed=42, ends=True), 42),
+        lambda: queue(2_500).model(),
+    ],
+)
+def test_rows_of_policies_are_the_same_where_they_stand(
+    make: Callable[[], MDP], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for most in (sweeps_module.ASIDE, 0):
+        monkeypatch.setattr(sweeps_module, "ASIDE", most)
+        one = solve(mdp := make(), tol=1e-7)
+        held = sweeps_of(mdp, margin_weights(mdp)).held
+        assert (held.data is mdp.transition.data) == (len(held.weights) == 0) == (most == 0)
+        told = [part.tobytes() for part in (one.value, one.pairs, one.state_error)]
+        found.append((one.iterations, one.stats, told))
+    assert found[0] == found[1]
+
+
+def test_a_large_model_is_solved_in_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A million states take 1.28 times their own; here parts of a fixed size weigh more."""
+    monkeypatch.setattr(sweeps_module, "ASIDE", 0)
+    model, work = garnet_rows(20_000, 0.95), garnet_rows(2_000, 0.95)
+    solve(work.model(), tol=1e-6)  # loads the loops
+    tracemalloc.start()
+    try:
+        mdp = model.model()
+        own, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        solve(mdp, tol=1e-6)
+        assert own < tracemalloc.get_traced_memory()[1] < 1.35 * own
+    finally:
+        tracemalloc.stop()
 
 
 def test_what_fails_on_a_thread_is_raised() -> None:
