@@ -63,3 +63,9 @@ def risen(rise: float, climb: float, most: Greatest) -> float:
     climb += 2 * UNIT * abs(climb) + TINY
     grown = max(most.least_flow * climb, most.most_flow * climb)
     return rise + (grown + 4 * UNIT * (abs(grown) + abs(rise)))
+
+
+def dropped(shift: float, least: float, most: float) -> float:
+    """Return an upper bound of -c m for the `shift` c and any margin m from `least` to `most`."""
+    above = max(-shift * least, -shift * most)
+    return above + 4 * UNIT * abs(above)

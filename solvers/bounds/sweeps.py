@@ -55,7 +55,7 @@ from exact_mdp.solvers.bounds.gains import (
     greedy,
     rounding_facts,
 )
-from exact_mdp.solvers.bounds.sizes import Greatest, Sizes, risen, sizes
+from exact_mdp.solvers.bounds.sizes import Greatest, Sizes, dropped, risen, sizes
 from exact_mdp.solvers.solution import SolverError, Status
 
 bellman = later("exact_mdp.solvers.kernels.bellman")
@@ -64,6 +64,7 @@ loops = later("exact_mdp.solvers.kernels.rounds")
 
 ASIDE = 8_000_000  # transitions of a model at most whose policies have their rows copied
 FIRST_SWEEPS, APART, LEAST = 12, 6, 1e-12  # after which to ask how fast errors fall, and to where
+ALIKE = 1e-6  # the part by which margins may differ that count as alike
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,6 +107,12 @@ class Sweeps:
         weight = self.weights.value
         alike = bool((weight == 1.0).all())
         return alike and self.mdp.discount < 1 and not self.mdp.terminal.any()
+
+    @cached_property
+    def alike(self) -> bool:
+        """Whether a shift by c takes about as much from all pairs, and so favours none."""
+        most = float(self.weights.margin.max()) + self.weights.error
+        return self.uniform and most <= (1 + ALIKE) * self.least_margin
 
     @cached_property
     def facts(self) -> RoundingFacts:
@@ -309,8 +316,7 @@ class Remembered:
 
     def drop(self, shift: float) -> float:
         """Return an upper bound of -c m(l) for any pair, c being the `shift`."""
-        most = max(-shift * self.margin[0], -shift * self.margin[1])
-        return most + 4 * UNIT * abs(most)
+        return dropped(shift, *self.margin)
 
     def move(self, value: Floats, greatest: Greatest) -> None:
         """Go on to h = `value` (S,)."""
@@ -338,7 +344,8 @@ class CompiledSweeps(Sweeps):
         memory.move(value, self._greatest)
         policy = memory.policy
         error = of.error + 8 * UNIT * (abs(policy.rise) + of.value + of.gain + of.error)
-        found = self._blocks(2, bellman.improve, self.model, policy, value, shift, error, step)
+        what = policy, value, shift, error, memory.drop(shift), step
+        found = self._blocks(2, bellman.improve, self.model, *what)
         self._pairs, memory.policy = policy.pairs, policy._replace(known=True)
         low, high = float(found[:, 0].min()), float(found[:, 1].max())
         floor = self._floor(of.noise, low, high)
@@ -350,11 +357,7 @@ class CompiledSweeps(Sweeps):
         gain = self.mdp.reward if value == 0 else self.mdp.reward - self.facts.leak * value
         margin = self.weights.margin
         step = np.maximum.reduceat(gain - shift * margin if shift else gain, first)
-        if self.uniform:
-            ratio = step / margin[first] + shift
-        else:
-            ratio = np.maximum.reduceat(gain / margin, first)
-        ratio = ratio[live]
+        ratio = np.maximum.reduceat(gain / margin, first)[live]
         low, high = float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
         if not live.any():
             low = high = 0.0
@@ -400,7 +403,9 @@ class CompiledSweeps(Sweeps):
         settings |= {
             "strict": self.strict,
             "uniform": self.uniform,
+            "alike": self.alike,
             "least_margin": self.least_margin,
+            "most_margin": memory.margin[1],
             "blur": self.blur,
             "whole": self.whole,
         }

@@ -345,9 +345,10 @@ class Iterate:
 
         Errors that are alike in all states stay alike under T, and the middle removes them. Once
         states were improved one by one, errors differ, and the shift to the middle could bring
-        back more than a sweep removes: from then on T V is taken as it is.
+        back more than a sweep removes: from then on T V is taken as it is. So it is where margins
+        are unlike: there the shift decides which pairs seem better.
         """
-        if self.sweeps.uniform and not self.relaxed:
+        if self.sweeps.alike and not self.relaxed:
             ends = float(self.value.min()), float(self.value.max())
             middle, self.least, self.most = pace.middle(
                 found.low, found.high, *ends, self.least, self.most

@@ -195,6 +195,7 @@ def improve(
     value: Floats,
     shift: float,
     error: float,
+    spare: float,
     step: Floats,
     extremes: Floats,
 ) -> None:
@@ -202,7 +203,8 @@ def improve(
 
     The pair that the policy had before, or else the one that promises most, is looked at first, and
     stays where no other is better. Others are passed over where their ceiling says that they are
-    not; those of the pairs looked at are renewed. `error` bounds that of any d and ceiling.
+    not; those of the pairs looked at are renewed. `error` bounds that of any d and ceiling, `spare`
+    bounds -c m(l).
     `extremes` (2,) are the least d / m of the policy found, and the greatest of pairs looked at.
     """
     indptr, indices, data = model.indptr, model.indices, model.data
@@ -226,23 +228,23 @@ def improve(
                     before = pair
             ahead = ahead_of(indptr[before], indptr[before + 1], indices, data, value, own)
         first_gain = reward[before] + (discount * ahead - leak[before] * own)
-        best, chosen = first_gain, before
+        best, chosen, most = first_gain - shift * margin[at(before)], before, first_gain
         high = max(high, first_gain / margin[at(before)])
         for pair in range(begin, end):
             place = at(pair)
-            if pair == before or ceilings[place] + (rise - own) < best:
+            if pair == before or ceilings[place] + (rise - own) + spare < best:
                 continue
             ahead = ahead_of(indptr[place], indptr[at(pair + 1)], indices, data, value, own)
             gain = reward[place] + (discount * ahead - leak[place] * own)
             ceilings[place] = gain + error + (own - rise)
             high = max(high, gain / margin[place])
-            if gain > best:
-                best, chosen = gain, pair
+            if gain - shift * margin[place] > best:
+                best, chosen, most = gain - shift * margin[place], pair, gain
         if chosen != before or not known:
             ceilings[before] = first_gain + error + (own - rise)
             take_row(state, chosen, model, policy)
-        step[state], pairs[state] = best - shift * policy.numbers[2, state], chosen
-        low = min(low, best / policy.numbers[2, state])
+        step[state], pairs[state] = best, chosen
+        low = min(low, most / policy.numbers[2, state])
     extremes[0], extremes[1] = low, high
 
 

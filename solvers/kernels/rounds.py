@@ -31,7 +31,7 @@ from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
 TINY = 2.0**-1000
 advanced, goal_of, middle_of = inlined(pace.advanced), inlined(pace.goal), inlined(pace.middle)
-sizes_of, risen = inlined(sizes.sizes), inlined(sizes.risen)
+sizes_of, risen, dropped = inlined(sizes.sizes), inlined(sizes.risen), inlined(sizes.dropped)
 
 
 class Settings(NamedTuple):
@@ -50,8 +50,10 @@ class Settings(NamedTuple):
     spell: int
     strict: bool
     uniform: bool
+    alike: bool
     weight: float
     least_margin: float
+    most_margin: float
     blur: float
     whole: bool
     most: int
@@ -158,9 +160,10 @@ def rounds(
             rise = risen(rise, climb(value, before), greatest)
             size, gain, error, noise = sizes_of(bottom, top, model.discount, greatest)
             error += 8 * UNIT * (abs(rise) + size + gain + error)
+            spare = dropped(shift, settings.least_margin, settings.most_margin)
             improve(
-                0, states, model, remembered(policy, rise, known), value, shift, error, step,
-                extremes,
+                0, states, model, remembered(policy, rise, known), value, shift, error, spare,
+                step, extremes,
             )  # fmt: skip
             known = True
         low, high = extremes[0], extremes[1]
@@ -187,7 +190,7 @@ def rounds(
         spent += settings.work
         for s in range(states):
             value[s] += step[s]
-        if uniform:
+        if settings.alike:
             centre, under, over = middle_of(low, high, bottom, top, under, over)
             shift += model.discount * (centre - shift)
         if iteration == 1:

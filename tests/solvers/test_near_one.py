@@ -1,0 +1,127 @@
+"""Discounts next to 1: no run that gains nothing, and no bound or word that is untrue."""
+
+import warnings
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from exact_mdp.mdp import MDP
+from exact_mdp.solvers import ModifiedPolicyIteration, PolicyIteration, certify, solve
+from exact_mdp.solvers.bounds import sweeps as sweeps_module
+from exact_mdp.solvers.bounds.bounds import margin_weights
+from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Sweeps
+from exact_mdp.solvers.solution import Status
+
+
+def sparse(rows: np.ndarray, weight: np.ndarray, reward: np.ndarray, discount: float) -> MDP:
+    """The model of `rows` (L, k) of next states and their weights, as many pairs in each state."""
+    pairs, states = len(rows), int(rows.max()) + 1
+    given = weight.ravel(), rows.ravel(), np.arange(0, rows.size + 1, rows.shape[1])
+    transition = sp.csr_array(given, shape=(pairs, states))
+    transition.sum_duplicates()
+    state, action = np.divmod(np.arange(pairs), pairs // states)
+    return MDP.from_pairs(state, action, transition, reward, discount=discount)
+
+
+def ring(states: int, near: int, discount: float) -> MDP:
+    """States on a ring, half of their rows off by up to what is allowed."""
+    rng, pairs = np.random.default_rng(1), 3 * states
+    rows = (
+        np.repeat(np.arange(states), 3)[:, None] + rng.integers(-near, near + 1, (pairs, 3))
+    ) % states
+    weight = rng.dirichlet(np.ones(3), pairs) * (1 - rng.choice([0, 1e-10, 9e-10], size=(pairs, 1)))
+    return sparse(rows, weight, rng.normal(size=pairs), discount)
+
+
+def classes(reward: str, discount: float) -> MDP:
+    """Ways round a ring, in which some states may be stayed in for ever."""
+    rng, states, actions = np.random.default_rng(0), 3000, 3
+    pairs = states * actions
+    state = np.repeat(np.arange(states), actions)[:, None]
+    rows = (state + rng.integers(0, 4, (pairs, 3)) * (rng.random((pairs, 1)) > 0.03)) % states
+    weight = rng.dirichlet(np.ones(3), pairs)
+    rare = (rng.random(pairs) < 5 / pairs) * 1.0
+    return sparse(
+        rows, weight, rare if reward == "rare" else rng.integers(-3, 4, pairs) * 1.0, discount
+    )
+
+
+def alike(states: int, discount: float) -> MDP:
+    """Dense rows and a reward of 1 everywhere: what rows sum to is all that tells pairs apart."""
+    chances = np.random.default_rng(0).random((2, states, states))
+    chances /= chances.sum(axis=2, keepdims=True)
+    return MDP.from_arrays(chances, np.ones((states, 2)), discount=discount)
+
+
+CLOSE = {
+    "ring, 1e-9": (ring(3000, 3, 1 - 1e-9), None),
+    "classes, rare": (classes("rare", 1 - 1e-8), None),
+    "classes, integers": (classes("int", 1 - 1e-9), None),
+    **{f"alike, {n}": (alike(100, 1 - 10.0**-n), None) for n in (7, 8, 9)},
+    "alike, tol": (alike(100, 1 - 1e-6), 1e-4),
+}
+
+
+@pytest.mark.parametrize("name", CLOSE)
+def test_pairs_told_apart_by_their_leak_alone_are(name: str) -> None:
+    model, tol = CLOSE[name]
+    found, other = solve(model, tol=tol), PolicyIteration().solve(model)
+    assert found.status is Status.CONVERGED
+    assert found.iterations < 500
+    assert (np.abs(found.value - other.value) <= found.state_error + other.state_error).all()
+
+
+def test_where_rows_leak_unalike_the_shift_stays_as_it_was_solved_for() -> None:
+    """Moving to the middle of bounds went astray, to 1e23 where values are 1e12."""
+    model = ring(3000, 1, 1 - 1e-12)
+    with pytest.warns(UserWarning, match="double precision reaches its limit"):
+        found = solve(model)
+    other = PolicyIteration().solve(model)
+    assert found.iterations < 150
+    assert found.error_bound <= other.error_bound
+    assert (np.abs(found.value - other.value) <= found.state_error + other.state_error).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_improving_passes_choose_as_judging_ones_do(seed: int) -> None:
+    """By what a pair adds to h + c w, all of it: the margins of a state's pairs differ."""
+    rng = np.random.default_rng(seed)
+    chances = rng.dirichlet(np.ones(6), (4, 6)) * (1 - rng.uniform(0, 9e-10, (4, 6, 1)))
+    model = MDP.from_arrays(chances, rng.normal(size=(6, 4)), discount=1 - 1e-9)
+    fast, slow = (kind(model, margin_weights(model)) for kind in (CompiledSweeps, Sweeps))
+    for shift in (0.0, 1e9, 1.1e9, -3e10, 1e8):
+        value = rng.normal(size=6)
+        one, other = fast.improve(value, shift), slow.improve(value, shift)
+        np.testing.assert_array_equal(fast.policy, slow.policy)
+        np.testing.assert_allclose(one.step, other.step, rtol=1e-12, atol=1e-14 * (1 + abs(shift)))
+
+
+def leaking(seed: int) -> MDP:
+    """A random model next to discount 1, half of its rows off by up to what is allowed."""
+    rng = np.random.default_rng(seed)
+    states, actions = int(rng.integers(2, 8)), int(rng.integers(1, 4))
+    chances = rng.dirichlet(np.ones(states), (actions, states))
+    if seed % 2:
+        chances = np.eye(states)[rng.integers(states, size=(2, actions, states))].mean(axis=0)
+    chances *= 1 - rng.choice([0.0, 1e-11, 1e-10, 9e-10], size=(actions, states, 1))
+    reward = rng.integers(-3, 4, (states, actions)) * 1.0
+    return MDP.from_arrays(chances, reward, discount=1 - 2.0 ** -rng.integers(26, 50))
+
+
+@pytest.mark.parametrize("tol", [None, 1e-3])
+@pytest.mark.parametrize("seed", range(100, 112))
+def test_loops_of_large_models_bound_what_rational_arithmetic_proves(
+    seed: int, tol: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweeps_module, "COMPILED", 0)
+    model = leaking(seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = ModifiedPolicyIteration(tol=tol, max_iterations=300).solve(model)
+    for value, exact, error in zip(
+        found.value, certify(model).value, found.state_error, strict=True
+    ):
+        assert abs(F(float(value)) - exact) <= F(float(error))
