@@ -19,7 +19,7 @@ from exact_mdp.analysis.plots.style import LINES, MARKS, save, style
 from exact_mdp.mdp.io.files import write_atomically
 
 PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy", "highspy")
-INK = ("#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7")
+INK = ("#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7", "#E69F00", "#56B4E9")
 LARGE = 5e6  # bytes of arrays from which on memory says more of the model than of the process
 Rows = Sequence[dict[str, Any]]
 
@@ -195,31 +195,33 @@ def _ratio(row: dict[str, Any], rows: Rows, what: str) -> str:
 
 def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
     families = list(dict.fromkeys(row["family"] for row in rows))
-    columns = min(4, len(families))
+    known = list(dict.fromkeys(row["contender"].removesuffix(" LP") for row in rows))
+    columns = min(3, len(families))
     height = -(-len(families) // columns)
     figure, axes = plt.subplots(
         height, columns, figsize=(3.4 * columns, 3.0 * height), squeeze=False
     )
     for ax, family in zip(axes.flat, families, strict=False):
         mine = [row for row in rows if row["family"] == family and row["verdict"] == "right"]
-        for number, name in enumerate(dict.fromkeys(row["contender"] for row in mine)):
+        for name in dict.fromkeys(row["contender"] for row in mine):
+            number = known.index(name.removesuffix(" LP"))  # one colour in every panel
             own = [row for row in mine if row["contender"] == name]
             x = np.array([row["states"] for row in own], dtype=float)
             y = np.array([max(_number(row, what), 1e-9) for row in own])
             label = name
             if len(x) > 1:
-                label += f", slope {np.polyfit(np.log(x), np.log(y), 1)[0]:.2f}"
+                label += f", as n^{np.polyfit(np.log(x), np.log(y), 1)[0]:.2f}"
             ax.loglog(
                 x, y, linestyle=LINES[number % len(LINES)], marker=MARKS[number % len(MARKS)],
                 color=INK[number % len(INK)], markersize=4, label=label,
             )  # fmt: skip
         sizes = {row["states"]: row["bytes"] for row in rows if row["family"] == family}
         amount = np.array(list(sizes.values())) / (bandwidth if what == "seconds" else 1)
-        once = "read once at full speed" if what == "seconds" else "the arrays themselves"
+        once = "reading the arrays once" if what == "seconds" else "the arrays themselves"
         ax.loglog(list(sizes), amount, color="0.6", linewidth=1, label=once)
         ax.set(title=family, xlabel="states", ylabel="seconds" if what == "seconds" else "bytes")
         _plain(ax)
-        ax.legend(frameon=False, fontsize=6, loc="upper center", bbox_to_anchor=(0.5, -0.27))
+        ax.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.25))
     for ax in list(axes.flat)[len(families) :]:
         ax.set_axis_off()
     return figure

@@ -96,6 +96,7 @@ def test_hooks_come_from_the_environment() -> None:
 def test_the_version_is_the_same_everywhere() -> None:
     version = TOML["project"]["version"]
     assert yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))["version"] == version
+    assert f"version = {{{version}}}" in (ROOT / "README.md").read_text("utf-8")
     released = re.findall(r"^## (\d[\d.]*) ", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.M)
     assert not released or released[0] == version
     assert "\n## Unreleased\n" in (ROOT / "CHANGELOG.md").read_text("utf-8")
@@ -110,9 +111,13 @@ def test_rules_of_the_review_are_refused_by_name_with_a_reason() -> None:
 
 
 def test_the_paper_is_short_and_its_citations_are_in_the_bibliography() -> None:
-    """JOSS: at most 1,000 words, with a statement of need."""
+    """At most 1,000 words, with the sections that JOSS asks for."""
     text = (ROOT / "paper.md").read_text("utf-8").split("---\n", 2)[2]
     entries = re.findall(r"^@\w+\{(\w+),", (ROOT / "paper.bib").read_text("utf-8"), re.M)
     assert len(text.split()) <= 1000
-    assert "\n# Statement of need\n" in text
+    sections = re.findall(r"^# (.+)$", text, re.M)
+    assert sections == [
+        "Summary", "Statement of need", "State of the field", "Software design",
+        "Research impact statement", "AI usage disclosure", "Acknowledgements", "References",
+    ]  # fmt: skip
     assert sorted(set(re.findall(r"@(\w+)", text))) == sorted(entries)
