@@ -232,7 +232,7 @@ class ProofFile:
         return ModelError(
             f"{key} is missing or damaged",
             where=self.path,
-            fix="save the certificate again; solvers/proof/file.py describes the form",
+            fix="save the certificate again; help(exact_mdp.solvers.proof.file) describes the form",
         )
 
 
