@@ -36,6 +36,7 @@ Numbers = NDArray[Any]
 
 EXACT_IN_FLOAT = 2**53
 EXACT_IN_INT64 = 2**62
+EXPONENT = 0x7FF << 52  # the bits of a double that hold its exponent
 FLOAT_ROW_TOLERANCE = 1e-9
 FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float
@@ -556,7 +557,8 @@ def _half_ulp(values: Numbers) -> Floats:
     """Return half a unit in the last place of floats, 0 of exact numbers and of 0.0."""
     if values.dtype != np.float64:
         return np.zeros(len(values))
-    return np.where(values == 0, 0.0, np.spacing(np.abs(values)) / 2)
+    # A number without the digits after its first is the power of two that its unit goes by.
+    return (values.view(np.int64) & EXPONENT).view(np.float64) * 2.0**-53
 
 
 def dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:

@@ -109,7 +109,7 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=np.where(optimal, 0.0, gap.astype(np.float64)),
         optimum=None,
-        forgiveness=Forgiveness(low=forgiven, high=forgiven),
+        forgiveness=Forgiveness(least=forgiven, most=forgiven),
     )
 
 

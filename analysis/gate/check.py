@@ -20,12 +20,12 @@ as the best is optimal.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property, partial
 from math import inf, isfinite, isinf
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.average import average_regret
 from exact_mdp.analysis.gate.data.interval import Evidence, RegretInterval, confidence_of
-from exact_mdp.analysis.gate.disagreements import Disagreement, disagreements, either, own_visits
+from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either, findings
 from exact_mdp.analysis.gate.limits import UnderLimits
 from exact_mdp.analysis.gate.reasons import (
     QError,
@@ -100,6 +100,10 @@ class Verdict:
         return f"{self.name.replace(' is', f' {words}', 1)}: {self.text}"
 
 
+Decision = tuple[bool | None, Callable[[], tuple[str, str]]]
+"""Whether something holds (None: it stays open); its name, and what was found."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Audit(Pictured):
     """What a policy loses against the optimum, where and why.
@@ -113,10 +117,9 @@ class Audit(Pictured):
         The model under it.
     regret : Regret
         Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
-    visits : (S,)
-        Its expected discounted visits from the start; undiscounted at discount 1.
-    disagreements : tuple of Disagreement
-        States with a choice where it does not act optimally, the costliest first.
+    found : callable
+        Makes `visits` and `disagreements`, once, when they are first asked for: a verdict does not
+        need them.
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
     criterion : "total" or "average"
@@ -142,8 +145,7 @@ class Audit(Pictured):
     policy: Policy
     chain: PolicyChain
     regret: Regret
-    visits: Floats
-    disagreements: tuple[Disagreement, ...]
+    found: Callable[[], Findings] = field(repr=False)
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
     criterion: str = "total"
@@ -164,6 +166,20 @@ class Audit(Pictured):
 
     def __str__(self) -> str:
         return "\n".join([repr(self), *self._costliest(AT_A_GLANCE)])
+
+    @property
+    def visits(self) -> Floats:
+        """(S,) expected discounted visits of the policy from the start; undiscounted at discount 1.
+
+        Raises SolverError where floats cannot bound them, in a model too large for rational
+        arithmetic.
+        """
+        return self.found()[0]
+
+    @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """States with a choice where it does not act optimally, the costliest first."""
+        return self.found()[1]
 
     @property
     def begins(self) -> str:
@@ -298,24 +314,22 @@ class Audit(Pictured):
     @property
     def passed(self) -> bool:
         """Whether every limit holds; what bounds cannot decide does not pass."""
-        return all(verdict.passed for verdict in self.verdicts)
+        return all(decision is True for decision, _ in self._decisions)
 
     @property
     def undecided(self) -> bool:
         """Whether the bounds leave a verdict open, which then does not pass."""
-        return any(decision is None for _, decision, _ in self._decisions)
+        return any(decision is None for decision, _ in self._decisions)
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
         """What was checked: each limit given, or that the regret is zero."""
-        return tuple(
-            Verdict(
-                name=name,
-                passed=decision is True,
-                text=text if decision is not None else f"{text}, {self._open}",
-            )
-            for name, decision, text in self._decisions
-        )
+        found = []
+        for decision, words in self._decisions:
+            name, text = words()
+            text = text if decision is not None else f"{text}, {self._open}"
+            found.append(Verdict(name=name, passed=decision is True, text=text))
+        return tuple(found)
 
     @property
     def _open(self) -> str:
@@ -329,8 +343,8 @@ class Audit(Pictured):
         return f"{OPEN}: more records decide it{how}, or give a limit above the interval"
 
     @cached_property
-    def _decisions(self) -> tuple[tuple[str, bool | None, str], ...]:
-        """What is checked, whether it holds (None: it stays open), and what was found."""
+    def _decisions(self) -> tuple[Decision, ...]:
+        """What is checked, by limit: whether it holds, and the words for that."""
         if self.interval is not None:
             return (self._of_process(self.interval),)
         found, text = _kept(self.limits), f"it is {_number(self.value)}"
@@ -339,20 +353,24 @@ class Audit(Pictured):
             text += ", against the best policy that keeps the limits"
         limit, relative = self.max_regret, self.max_relative_regret
         if limit is None and relative is None:
-            name, zero = f"the regret is {'at most 0' if held else 'zero'}", self.regret.zero
-            if self.regret.forgiveness.high:
-                name += " up to the rounding of the given floats"
-                text += f"; rounding can move it by {_below(self.forgiven)}"
-            found.append((name, zero, text))
+            name = f"the regret is {'at most 0' if held else 'zero'}"
+
+            def words() -> tuple[str, str]:
+                if not self.regret.forgiveness.high:
+                    return name, text
+                moved = f"; rounding can move it by {_below(self.forgiven)}"
+                return f"{name} up to the rounding of the given floats", text + moved
+
+            found.append((self.regret.zero, words))
         if limit is not None:
             name = f"the regret is at most {shown(limit, 10)}"
-            found.append((name, self.regret.decided(limit), text))
+            found.append(_decision(name, self.regret.decided(limit), text))
         if relative is not None:
             name = f"the relative regret is at most {shown(relative, 10)}"
-            found.append((name, *self._relative(relative)))
+            found.append(_decision(name, *self._relative(relative)))
         return tuple(found)
 
-    def _of_process(self, interval: RegretInterval) -> tuple[str, bool | None, str]:
+    def _of_process(self, interval: RegretInterval) -> Decision:
         """Return what the interval decides, never the estimate."""
         limit = self.max_regret
         if limit is None:
@@ -360,7 +378,7 @@ class Audit(Pictured):
         else:
             name, decision = f"the regret is at most {shown(limit, 10)}", interval.decided(limit)
         text = f"it is in {interval}; {_number(self.value)} in the estimated model"
-        return name, decision, text
+        return _decision(name, decision, text)
 
     def _relative(self, limit: Fraction) -> tuple[bool | None, str]:
         """Return whether the relative regret keeps a limit, and what it is."""
@@ -506,19 +524,23 @@ def share_of(cost: float, lost: float) -> float | None:
     return cost / lost if 0 < lost < inf else None
 
 
-def _kept(limits: UnderLimits | None) -> list[tuple[str, bool | None, str]]:
+def _decision(name: str, decision: bool | None, text: str) -> Decision:
+    return decision, lambda: (name, text)
+
+
+def _kept(limits: UnderLimits | None) -> list[Decision]:
     """Return what is checked of limits."""
     if limits is None:
         return []
-    found = list[tuple[str, bool | None, str]]()
+    found = list[Decision]()
     for limit in limits.best.limits:
         total = Certified(value=limits.totals[limit.name])
         name = f"the policy is within the limit {limit}"
-        found.append((name, limits.keeps(limit), f"its total is {_number(total)}"))
+        found.append(_decision(name, limits.keeps(limit), f"its total is {_number(total)}"))
     if not limits.best.feasible:
         near = ", ".join(limit.text(10) for limit in limits.best.moved)
         text = f"none does (proven); the closest that can be kept: {near}"
-        found.append(("there is a policy that keeps all limits", False, text))
+        found.append(_decision("there is a policy that keeps all limits", False, text))
     return found
 
 
@@ -653,8 +675,7 @@ def check(
             policy=held,
             chain=PolicyChain.of(mdp, held) if costs else chain,
             regret=lost.negated() if costs else lost,
-            visits=visits,
-            disagreements=wrong,
+            found=lambda: (visits, wrong),
             criterion=criterion,
             **limits,
         )
@@ -667,15 +688,13 @@ def check(
 
     def audit(exactly: bool | None) -> Audit:
         lost = regret(rewards, chain, exact=exactly, optimum=known)
-        visits, floats = own_visits(chain, exact=isinstance(lost.at_start, Certified))
         signed = lost.negated() if costs else lost
         return Audit(
             mdp=mdp,
             policy=held,
             chain=PolicyChain.of(mdp, held) if costs else chain,
             regret=signed if under is None else under.regret(signed),
-            visits=visits,
-            disagreements=disagreements(rewards, chain, lost, visits, priced=floats),
+            found=cache(partial(findings, rewards, chain, lost)),
             limits=under,
             **limits,
         )

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.forgiveness import policy_taking
-from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap
 from exact_mdp.analysis.gate.waiting import arrivals, attaining, kept, shares
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
@@ -126,6 +126,20 @@ class Prices:
                 self.states.tolist(), corrected.tolist(), losses.tolist(), strict=True
             )
         }
+
+
+Findings = tuple[Floats, tuple[Disagreement, ...]]
+"""A policy's visits (S,), and where it does not act optimally."""
+
+
+def findings(mdp: MDP, chain: PolicyChain, found: Regret) -> Findings:
+    """Return the visits of the policy of `chain`, and the states that make up a regret `found`.
+
+    Raises SolverError where floats cannot bound the visits, and rational arithmetic would be slow.
+    """
+    exact = isinstance(found.at_start, Certified) or cheap(mdp, LAST_CYCLE)
+    visited, floats = own_visits(chain, exact=exact)
+    return visited, disagreements(mdp, chain, found, visited, priced=floats)
 
 
 def own_visits(chain: PolicyChain, *, exact: bool) -> tuple[Floats, bool]:

@@ -141,19 +141,47 @@ def in_all(chain: PolicyChain, known: FixedPoint) -> Range:
 class Forgiveness:
     """What the rounding of the given floats can move at the start: proven bounds.
 
-    `make` works it out exactly, where that is possible.
+    `least` and `most` are known from the first; `narrow` finds closer ones, by equations, when they
+    are first needed, and `make` works it out exactly, where that is possible.
     """
 
-    low: Fraction
-    high: Fraction | float
+    least: Fraction = Fraction(0)
+    most: Fraction | float = Fraction(0)
+    narrow: Callable[[], tuple[Fraction, Fraction | float]] | None = None
     make: Callable[[], Fraction] | None = None
 
-    def covers(self, regret: Fraction | float) -> bool:
-        """Return whether an exact regret is at most this, exactly."""
-        if self.low < regret <= self.high and self.make is not None:
-            self.low = self.high = self.make()
+    @property
+    def low(self) -> Fraction:
+        """A lower bound, as close as floats allow."""
+        return self._closely()[0]
+
+    @property
+    def high(self) -> Fraction | float:
+        """An upper bound, as close as floats allow."""
+        return self._closely()[1]
+
+    def covers(self, low: Fraction | float, high: Fraction | float) -> bool | None:
+        """Return whether a regret from `low` to `high` is at most this; None where that is open.
+
+        An exact regret, of which both are the same, leaves nothing open.
+        """
+        if high <= self.least:
+            return True
+        if low > self.most:
+            return False
+        least, most = self._closely()
+        if least < low <= most and low == high and self.make is not None:
+            least = most = self.least = self.most = self.make()
             self.make = None
-        return regret <= self.low
+        if high <= least:
+            return True
+        return False if low > most or low == high else None
+
+    def _closely(self) -> tuple[Fraction, Fraction | float]:
+        if self.narrow is not None:
+            self.least, self.most = self.narrow()
+            self.narrow = None
+        return self.least, self.most
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -265,13 +293,34 @@ def widest_tie(mdp: MDP, known: FixedPoint) -> float:
 
     With E the most that e(l) can be, F* ≤ E w / m, as w - γ P w ≥ m > 0 (`solvers.bounds.bounds`).
     """
-    rounded, moved = _roundings(mdp)
-    weights, value = margin_weights(mdp), known.value
+    return _most_per_use(mdp, known) * (1 + 2 * _most_uses(mdp)) * SLACK
+
+
+def widest(mdp: MDP, *known: FixedPoint) -> Fraction | float:
+    """Return an upper bound of `moved_at_start` for the known values of both that needs no visits.
+
+    Σ_l f(l) ≤ Σ_l u(l) e(l) + Σ_l u*(l) e*(l), e and e* of each one's own values.
+    """
+    often = _most_uses(mdp)
+    found = sum(_most_per_use(mdp, one) for one in known) * often * SLACK + TINY
+    return Fraction(found) if isfinite(found) else inf
+
+
+def _most_per_use(mdp: MDP, known: FixedPoint) -> float:
+    """Return the most that e(l) of any pair can be, for values (S,) where they are not NaN."""
+    (rounded, moved), there = _roundings(mdp), ~np.isnan(known.value)
+    value, error = known.value, float(known.error.max(where=there, initial=0.0))
     with np.errstate(over="ignore", invalid="ignore"):
-        span = float(value.max() - value.min()) + 2 * float(known.error.max())
-        each = (float(rounded.max()) + mdp.discount * float(moved.max()) * span) * SLACK + TINY
-        often = float(weights.value.max() / weights.least.min())
-    return each * (1 + 2 * often) * SLACK
+        high, low = value.max(where=there, initial=-inf), value.min(where=there, initial=inf)
+        span = float(high - low) + 2 * error
+        return (float(rounded.max()) + mdp.discount * float(moved.max()) * span) * SLACK + TINY
+
+
+def _most_uses(mdp: MDP) -> float:
+    """Return an upper bound of the uses of all pairs from any state by any policy."""
+    weights = margin_weights(mdp)
+    with np.errstate(over="ignore"):
+        return float(weights.value.max() / weights.least.min()) * SLACK
 
 
 def exact_ties(mdp: MDP, best: Certificate, tie: Range, pairs: Integers) -> Flags:
@@ -312,7 +361,7 @@ def exact_forgiveness(
 ) -> Forgiveness:
     """Return what rounding can move at the start, for exact values of a policy and the optimum."""
     if not of_floats(mdp):
-        return Forgiveness(low=Fraction(0), high=Fraction(0))
+        return Forgiveness()
     ideal = policy_taking(mdp, best.optimal_pairs)
     sides = []
     for of, values in ((chain, own), (ideal, best)):
@@ -320,11 +369,10 @@ def exact_forgiveness(
         sides.append(
             Side(chain=of, found=FixedPoint(value=worth, error=UNIT * np.abs(worth) + TINY))
         )
-    low, high = moved_at_start(mdp, *sides)
 
     def make() -> Fraction:
         return _exactly_at_start(
             mdp, (chain, np.array(own.value, object)), (ideal, np.array(best.value, object))
         )
 
-    return Forgiveness(low=low, high=high, make=make)
+    return Forgiveness(most=inf, narrow=lambda: moved_at_start(mdp, *sides), make=make)

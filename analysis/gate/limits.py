@@ -103,7 +103,7 @@ class UnderLimits:
             optimal=self.best.start,
             learned=Certified(value=self.earned),
             at_start=Certified(value=lost),
-            forgiveness=Forgiveness(low=Fraction(0), high=Fraction(0)),
+            forgiveness=Forgiveness(),
         )
 
 

@@ -42,6 +42,7 @@ from exact_mdp.analysis.gate.forgiveness import (
     of_floats,
     policy_taking,
     tie_range,
+    widest,
     widest_tie,
 )
 from exact_mdp.analysis.gate.waiting import kept, ways_out
@@ -52,14 +53,14 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers import solve
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.proof.margins import Values
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import model_of
@@ -77,6 +78,7 @@ EXACT_TRANSITIONS = 100_000
 EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
 EXACT_CYCLE = 200  # states of the largest cycle
 LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open: about a second
+CLOSE = 2.0**-36  # errors of values, as parts of the largest, that are little but rounding
 ACCURATE = 2.0**-30  # relative errors of gaps from which on they are worked out exactly
 IMPROVEMENTS = 100  # policies tried after a solver has stopped at its tolerance
 
@@ -116,9 +118,7 @@ class Regret(Brief):
     unclear: Flags
     gap: Floats
     optimum: Certificate | Bounds | None
-    forgiveness: Forgiveness = field(
-        default_factory=lambda: Forgiveness(low=Fraction(0), high=Fraction(0))
-    )
+    forgiveness: Forgiveness = field(default_factory=Forgiveness)
 
     def __repr__(self) -> str:
         optimal, learned = float(self.optimal.value), float(self.learned.value)
@@ -160,12 +160,9 @@ class Regret(Brief):
     @property
     def zero(self) -> bool | None:
         """Whether the regret is zero up to rounding; None where the bounds do not decide."""
-        if isinstance(self.at_start, Certified):
-            return self.forgiveness.covers(self.at_start.value)
-        low, high = self.at_start.interval
-        if isfinite(high) and Fraction(high) <= self.forgiveness.low:
-            return True
-        return False if Fraction(low) > self.forgiveness.high else None
+        exact = isinstance(self.at_start, Certified)
+        ends = (self.at_start.value,) * 2 if exact else self.at_start.interval
+        return self.forgiveness.covers(*ends)
 
 
 def regret(
@@ -209,7 +206,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     own = best if best.optimal_pairs[chain.pairs].all() else exact_policy(chain)
     lost, forgiven = best.start_value - own.start_value, exact_forgiveness(mdp, chain, own, best)
     optimal, gap = _gaps(mdp, best)
-    if optimal[chain.pairs].all() and not forgiven.covers(lost):
+    if optimal[chain.pairs].all() and not forgiven.covers(lost, lost):
         optimal, gap = _gaps(mdp, best, ties=False)  # each loses little, and all of them too much
     return Regret(
         optimal=best.start,
@@ -270,7 +267,7 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0)),
         optimum=best,
-        forgiveness=Forgiveness(low=Fraction(0), high=Fraction(0)),
+        forgiveness=Forgiveness(),
     )
 
 
@@ -331,7 +328,7 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         low = max(0.0, best.interval[0] - mine.interval[1])
         high = best.interval[1] - mine.interval[0]
         if single:
-            high = min(high, _narrow(mdp, value, chain))
+            high = min(high, near.narrow(optimum, chain))
         difference = min(max(best.value - mine.value, low), max(high, low))
         error = max(difference - low, high - difference) * SLACK
         lost = Bounded(value=difference, error=error)
@@ -355,7 +352,7 @@ def _bounded_forgiveness(
 ) -> tuple[Forgiveness, Flags]:
     """Return what rounding can move at the start, and the pairs (L,) that lose more than that."""
     if not of_floats(mdp):
-        return Forgiveness(low=Fraction(0), high=Fraction(0)), least_gap > 0
+        return Forgiveness(), least_gap > 0
     taken = np.zeros(mdp.n_pairs, dtype=bool)
     taken[optimum.pairs] = True
     ideal = policy_taking(mdp, taken)
@@ -366,24 +363,20 @@ def _bounded_forgiveness(
     loses = least_gap > 0
     open_ = np.flatnonzero(loses & ~(least_gap > widest_tie(mdp, best)))
     loses[open_] = least_gap[open_] > tie_range(mdp, best, ideal, open_).high
-    low, high = moved_at_start(mdp, Side(chain=chain, found=own), Side(chain=ideal, found=best))
-    return Forgiveness(low=low, high=high), loses
+    sides = Side(chain=chain, found=own), Side(chain=ideal, found=best)
+    moved = Forgiveness(most=widest(mdp, own, best), narrow=lambda: moved_at_start(mdp, *sides))
+    return moved, loses
 
 
 def _optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
+    solved = solve(mdp)
+    found = bounds(mdp, solved.value)
+    if found.error <= CLOSE * float(np.abs(found.value).max()):
+        return found
     # A solver may stop at its tolerance; the values of a policy have no error but rounding.
-    found, _, _ = improved(mdp, solve(mdp).pairs, IMPROVEMENTS)
-    return found
-
-
-def _narrow(mdp: MDP, value: Floats, chain: PolicyChain) -> float:
-    """Return an upper bound on the regret that is narrow where the policy is nearly optimal."""
-    try:
-        found = bounds(mdp, value, chain.pairs)
-    except SolverError:
-        return inf
-    return float((found.high - found.low) * (mdp.start_distribution @ found.weight) * SLACK)
+    better, _, _ = improved(mdp, solved.pairs, IMPROVEMENTS)
+    return better if better.error <= found.error else found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -392,6 +385,8 @@ class ActionBounds:
 
     Attributes
     ----------
+    added : Gain
+        What each pair adds to the values V that the bounds are around.
     low, high : (L,)
         Bounds of Q*(l) - V(s).
     gap, least_gap, most_gap : (L,)
@@ -400,6 +395,7 @@ class ActionBounds:
     """
 
     mdp: MDP
+    added: Gain
     low: Floats
     high: Floats
     gap: Floats
@@ -421,11 +417,20 @@ class ActionBounds:
         most = np.where(mdp.forced[state], low, _largest_other(mdp, high))
         return cls(
             mdp=mdp,
+            added=near,
             low=low,
             high=high,
             gap=best - near.value,
             least_gap=_outward(np.maximum.reduceat(low, first)[state] - high, -1, 4 * UNIT),
             most_gap=np.maximum(_outward(most - low, 1, 4 * UNIT), 0.0),
+        )
+
+    def narrow(self, optimum: Bounds, chain: PolicyChain) -> float:
+        """Return an upper bound on the regret that is narrow where the policy is nearly optimal."""
+        return float(
+            (optimum.high - lower(self.mdp, self.added, chain.pairs))
+            * (self.mdp.start_distribution @ optimum.weight)
+            * SLACK
         )
 
     def all_best(self, chain: PolicyChain) -> bool:

@@ -37,6 +37,7 @@ from exact_mdp.solvers.bounds.gains import (
     SLACK,
     TINY,
     UNIT,
+    Gain,
     Weights,
     gains,
     gamma,
@@ -81,22 +82,30 @@ class Bounds:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def bounds(mdp: MDP, value: Floats, pairs: Integers | None = None) -> Bounds:
-    """Return bounds on V* and on the values of a policy, around `value`."""
+def bounds(mdp: MDP, value: Floats) -> Bounds:
+    """Return bounds on V* and on the values of a greedy policy, around `value`."""
     weights = margin_weights(mdp)
     live = ~mdp.terminal
     if np.any(value[~live]):
         raise ValueError("terminal states are worth 0")
     found = sweeps_of(mdp, weights).judge(value)
     low, high = found.low, found.high
-    if pairs is None or np.array_equal(pairs, found.pairs):
-        pairs = found.pairs
-    elif live.any():
-        gain = gains(mdp, value)
-        low = float((-weights.ratio(gain.error - gain.value)[pairs[live]]).min())
-    # Outward by more than the few roundings of the lines above.
-    low, high = low - 4 * UNIT * abs(low), high + 4 * UNIT * abs(high)
-    return Bounds(value=value, weight=weights.value, pairs=pairs, low=low, high=high)
+    return Bounds(
+        value=value,
+        weight=weights.value,
+        pairs=found.pairs,
+        low=low - 4 * UNIT * abs(low),  # outward by more than a few roundings
+        high=high + 4 * UNIT * abs(high),
+    )
+
+
+def lower(mdp: MDP, gain: Gain, pairs: Integers) -> float:
+    """Return c' with V + c' w ≤ V^π for the policy of `pairs` (S,), from what pairs add to V."""
+    live = pairs[~mdp.terminal]
+    if not len(live):
+        return 0.0
+    low = -float(margin_weights(mdp).ratio(gain.error - gain.value)[live].max())
+    return low - 4 * UNIT * abs(low)
 
 
 @once

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction as F
+from math import ulp
 from typing import Any
 
 import numpy as np
@@ -210,6 +211,15 @@ def test_outcomes_that_come_twice_are_added_exactly() -> None:
     assert certify(MDP.from_arrays([EYE], rewards, 0)).value[0] == total
     third = MDP.from_outcomes([(0, 0, [(F(1, 3), 0, 1), (0.25, 0, 1), (F(5, 12), 0, 1)])], 0)
     assert third.table.row(0) == [(F(1), 0, F(1))]
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1))
+def test_a_float_is_rounded_by_half_a_unit_of_its_last_place(values: list[float]) -> None:
+    values += [0.0, -0.0, 5e-324, -1e-310, 2.0**-1022, 1.0, 1.7e308]
+    pair, rows = np.arange(len(values)), np.eye(len(values))
+    table = MDP.from_pairs(pair, 0 * pair, rows, np.array(values), "1/2").table
+    half = [ulp(value) / 2 if value else 0.0 for value in values]
+    assert table.gain_rounding().tolist() == half
 
 
 def test_it_stays_known_what_each_number_was_rounded_from(tmp_path: Any) -> None:

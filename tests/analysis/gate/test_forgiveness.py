@@ -9,8 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp import MDP, check
+from exact_mdp.analysis.gate import disagreements as gate_visits
+from exact_mdp.analysis.gate import forgiveness as gate_forgiveness
 from exact_mdp.analysis.gate import regret
-from exact_mdp.analysis.gate.forgiveness import Side, moved_at_start, tie_range, widest_tie
+from exact_mdp.analysis.gate.forgiveness import (
+    Forgiveness,
+    Side,
+    moved_at_start,
+    tie_range,
+    widest,
+    widest_tie,
+)
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.values.evaluate import evaluate
@@ -46,6 +55,54 @@ def test_a_gap_beyond_the_widest_tie_is_beyond_each(seed: int, rate: str) -> Non
 
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.sampled_from(["1/2", "99/100", "1"]))
+def test_no_two_policies_are_moved_apart_by_more_than_the_widest(seed: int, rate: str) -> None:
+    mdp = model(seed, rate)
+    rng, sides = np.random.default_rng(seed), list[Side]()
+    for _ in range(2):
+        chain = PolicyChain.of(mdp, rng.integers(0, 3, mdp.n_states))
+        own = evaluate(mdp, chain)
+        sides.append(Side(chain=chain, found=FixedPoint(value=own.value, error=own.error)))
+    _, high = moved_at_start(mdp, *sides)
+    assert 0 < high <= widest(mdp, *(side.found for side in sides))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "covered", "looked"),
+    [(0, 0, True, 0), (0, 1, True, 0), (9, 9, False, 0), (2, 3, True, 1), (2, 5, None, 1),
+     (7, 8, False, 1), (4, 4, True, 2), (5, 5, False, 2)],
+)  # fmt: skip
+def test_what_is_forgiven_is_looked_at_no_closer_than_need_be(
+    low: int, high: int, covered: bool | None, looked: int
+) -> None:
+    asked = list[int]()
+    found = Forgiveness(
+        least=F(1),
+        most=F(8),
+        narrow=lambda: (asked.append(1), (F(3), F(6)))[1],
+        make=lambda: (asked.append(2), F(4))[1],
+    )
+    assert found.covers(low, high) is covered
+    assert max(asked, default=0) == looked
+    assert found.low <= 4 <= found.high
+
+
+def test_a_verdict_needs_no_visits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which may take longer than the solution; what is shown of an audit does."""
+    mdp, asked = model(3, "99/100"), list[Any]()
+    inner = gate_visits.visits
+    for module in (gate_visits, gate_forgiveness):
+        monkeypatch.setattr(module, "visits", lambda *given: asked.append(1) or inner(*given))
+    for policy, passed in ((solve(mdp), True), ([2] * 6, False)):
+        audit = check(mdp, policy, exact_values=False)
+        assert (audit.passed, asked) == (passed, [])
+    assert "rounding can move it by" in audit.verdicts[0].text
+    before = len(asked)
+    assert len(audit.disagreements) > 0
+    assert 0 < before < len(asked)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10**6), st.sampled_from(["1/2", "99/100", "1"]))
 def test_what_both_do_alike_moves_both_alike(seed: int, rate: str) -> None:
     """The bounds of a policy against itself hold those of the same policy written twice."""
     mdp = model(seed, rate)
@@ -58,6 +115,7 @@ def test_what_both_do_alike_moves_both_alike(seed: int, rate: str) -> None:
         sides.append(Side(chain=chain, found=known))
     low, high = moved_at_start(mdp, *sides)
     alike = moved_at_start(mdp, sides[0], Side(chain=chains[0], found=sides[1].found))
+    assert high <= widest(mdp, *(side.found for side in sides))
     assert alike[0] == 0
     assert alike[0] <= low <= high
     assert alike[1] >= low
@@ -87,6 +145,7 @@ def test_prices_are_worked_out_when_asked_for(monkeypatch: pytest.MonkeyPatch) -
     asked = list[int]()
     inner = vars(PolicyChain)["discounted"].func
     audit = check(mdp, [2] * 6, exact_values=False)
+    audit.visits.sum()
     with monkeypatch.context() as patch:
         patch.setattr(PolicyChain, "discounted", property(lambda c: asked.append(1) or inner(c)))
         frame = audit.frame()
