@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from fractions import Fraction as F
+from importlib import import_module
 from itertools import count
 from math import log
 from pathlib import Path
@@ -136,12 +137,9 @@ def often(share: int) -> Iterator[list[int]]:
 
 def test_a_trainer_is_judged_by_its_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
     seeds, solved = list[int](), list[MDP]()
-    proven = check.__globals__["regret"].__globals__["proven"]
-    monkeypatch.setitem(
-        check.__globals__["regret"].__globals__,
-        "proven",
-        lambda mdp: solved.append(mdp) or proven(mdp),
-    )
+    module = import_module("exact_mdp.analysis.gate.regret")
+    proven = module.proven
+    monkeypatch.setattr(module, "proven", lambda mdp: solved.append(mdp) or proven(mdp))
 
     def train(seed: int) -> list[int]:
         seeds.append(seed)
