@@ -150,19 +150,23 @@ class Sweeps:
         """(S,) the pairs found by the last improving pass that looked at any transition."""
         return self._pairs
 
-    def improve(self, value: Floats, shift: float = 0.0) -> Pass:
+    def improve(self, value: Floats, shift: float = 0.0, *, keep: bool = False) -> Pass:
         """Return T V - V and a greedy policy, for V = `value` (S,) + `shift` w.
 
-        Both arrays are used again by the next call, and the first by `follow`.
+        Both arrays are used again by the next call, and the first by `follow`. To `keep` a pair of
+        the policy is to leave it only for one that is better by more than rounding.
         """
-        found = self.judge(value, shift)
+        found = self.judge(value, shift, self._pairs if keep else None)
         self._pairs = found.pairs
         return found
 
     @np.errstate(over="ignore", invalid="ignore")
-    def judge(self, value: Floats, shift: float = 0.0) -> Judged:
-        """Return T V - V, a greedy policy and proven bounds; raises as `improve` does."""
-        return finite(self._judge(value, shift))
+    def judge(self, value: Floats, shift: float = 0.0, kept: Integers | None = None) -> Judged:
+        """Return T V - V, a greedy policy and proven bounds; raises as `improve` does.
+
+        Pairs that are `kept` (S,) stay where no other is better by more than rounding.
+        """
+        return finite(self._judge(value, shift, kept))
 
     @np.errstate(over="ignore", invalid="ignore")
     def follow(self, value: Floats, shift: float) -> tuple[Floats, float, float]:
@@ -213,13 +217,13 @@ class Sweeps:
         """
         return float(bellman.relax(backward, self.model, value, shift))
 
-    def _judge(self, value: Floats, shift: float) -> Judged:
+    def _judge(self, value: Floats, shift: float, kept: Integers | None) -> Judged:
         mdp, weights = self.mdp, self.weights
         first, live = mdp.pair_offsets[:-1], ~mdp.terminal
         gain = gains(mdp, value)
         shifted = gain.value - shift * weights.margin
         tied = gain.error if self.strict else gain.noise
-        pairs = greedy(mdp, Gain(value=shifted, error=gain.error, noise=tied))
+        pairs = greedy(mdp, Gain(value=shifted, error=gain.error, noise=tied), keep=kept)
         step = np.where(live, np.maximum.reduceat(shifted, first), 0.0)
         if not live.any():
             return Judged(step=step, pairs=pairs, low=0.0, high=0.0, floor=0.0)
@@ -336,8 +340,11 @@ class CompiledSweeps(Sweeps):
         return len(self._ends) == 2
 
     @np.errstate(over="ignore", invalid="ignore")
-    def improve(self, value: Floats, shift: float = 0.0) -> Pass:
-        """See `Sweeps.improve`; where all values are the same, there is no policy to follow."""
+    def improve(self, value: Floats, shift: float = 0.0, *, keep: bool = False) -> Pass:
+        """See `Sweeps.improve`; where all values are the same, there is no policy to follow.
+
+        A pair is left only for one that is better as computed, asked to `keep` it or not.
+        """
         (of, still), memory, step = self._sizes(value), self._memory, self._step
         if still:
             return finite(self._alone(float(value[0]), shift, of))
@@ -364,26 +371,33 @@ class CompiledSweeps(Sweeps):
         floor = self._floor(of.noise, low, high)
         return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 
-    def _judge(self, value: Floats, shift: float) -> Judged:
+    def _judge(self, value: Floats, shift: float, kept: Integers | None) -> Judged:
         self._memory.move(value, self._greatest)
         of, still = self._sizes(value)
         tied = of.error if self.strict else of.noise
         spare = self._memory.drop(shift) + tied
-        return self._judged(value, shift, of.value, spare, still=still)
+        return self._judged(value, shift, of.value, spare, kept, still=still)
 
     def _judged(
-        self, value: Floats, shift: float, size: float, spare: float, *, still: bool
+        self,
+        value: Floats,
+        shift: float,
+        size: float,
+        spare: float,
+        kept: Integers | None,
+        *,
+        still: bool,
     ) -> Judged:
         """Return the judging pass, for h = `value` (S,) of at most this `size`."""
         mdp, memory = self.mdp, self._memory
         step, pairs = np.empty(mdp.n_states), np.empty(mdp.n_states, dtype=np.int64)
         facts = self._known._replace(tiny=TINY * (1 + size) * bool(size))
         what = (self.model, facts, memory.policy, value, shift, self.strict, still)
-        most = self._widest
+        most, held = self._widest, pairs[:0] if kept is None else kept
 
         def judge(first: int, last: int, extremes: Floats) -> None:
             room = np.empty((2, most))
-            bellman.judge(first, last, *what, spare, memory.alike, step, pairs, room, extremes)
+            bellman.judge(first, last, *what, spare, memory.alike, held, step, pairs, room, extremes)
 
         found = self._blocks(3, judge)
         if mdp.terminal.all():
@@ -411,7 +425,7 @@ class CompiledSweeps(Sweeps):
         }
         step, extremes, pairs = np.empty(states), np.empty(3), memory.policy.pairs
         if self.whole:
-            pairs = np.empty(states, dtype=np.int64)
+            pairs = np.empty(states, dtype=np.int64) if self._pairs is None else self._pairs.copy()
         reached, stopped, found, due, swept, left = loops.rounds(
             count,
             self.model,
@@ -548,9 +562,10 @@ class LoadedSweeps(CompiledSweeps):
         found.policy.ceilings[:] = np.inf
         return found
 
-    def _judge(self, value: Floats, shift: float) -> Judged:
+    def _judge(self, value: Floats, shift: float, kept: Integers | None) -> Judged:
         low, high = float(value.min()), float(value.max())
-        return self._judged(value, shift, max(abs(low), abs(high)), 0.0, still=low == high)
+        size = max(abs(low), abs(high))
+        return self._judged(value, shift, size, 0.0, kept, still=low == high)
 
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
         self._hold(pairs)

@@ -118,7 +118,8 @@ class Run:
         while self._end is None:
             self._hasten()
             self.iteration += 1
-            found, polished = self.values.improve(), self.ready or not self._polish
+            found = self.values.improve(keep=self._since >= pace.SHORT)
+            polished = self.ready or not self._polish
             self.ready, patience = self._close(found), self._patience
             # Where nothing is gained, to polish may be what undoes it.
             if self.ready and (polished or self._since >= patience):
@@ -293,14 +294,18 @@ class Iterate:
     stats: dict[str, int] = field(default_factory=dict)  # How often what was done
     ahead: Pass | None = None  # The next pass, where compiled rounds have found it
 
-    def improve(self) -> Pass:
-        """Return a pass over all pairs, whose policy is the one to `evaluate`."""
+    def improve(self, *, keep: bool = False) -> Pass:
+        """Return a pass over all pairs, whose policy is the one to `evaluate`.
+
+        To `keep` the last one's pairs is to leave them only for what is better by more than
+        rounding: where nothing was gained for some passes, ties alone may make policies alternate.
+        """
         self.spent += self.work
         if self.ahead is not None:
             found, self.ahead = self.ahead, None
             return found
         self._centre()
-        return self.sweeps.improve(self.value, self.shift)
+        return self.sweeps.improve(self.value, self.shift, keep=keep)
 
     @property
     def work(self) -> float:

@@ -261,6 +261,7 @@ def judge(
     still: bool,
     spare: float,
     alike: float,
+    kept: Numbers,
     step: Floats,
     pairs: Numbers,
     room: Floats,
@@ -271,7 +272,8 @@ def judge(
     A pair is passed over where its ceiling proves that it is beaten, and that it does not set the
     upper bound: `spare` bounds -c m(l) and how far from the best a pair may be for a tie, `alike`
     bounds m(l) / m(l') from below; none is where ceilings are infinite. The first pair that no
-    other beats by more than rounding is taken; `strict` counts the rounding of d alone. Where
+    other beats by more than rounding is taken, or that of `kept` (S,) where it is one of these;
+    (0,) keeps none. `strict` counts the rounding of d alone. Where
     values are `still`, all of them the same, transitions add nothing and are not read. `room`
     (2, K) is for the K pairs of a state at most.
     `extremes` (3,) are the least (d - error) / m of the pairs taken, the greatest (d + error) / m
@@ -328,6 +330,8 @@ def judge(
             room[0, place], room[1, place] = error - gain, shifted + tied
             best, sure = max(best, shifted), max(sure, shifted - tied)
         chosen = begin
+        if len(kept) and room[1, kept[state] - begin] >= sure:
+            chosen = kept[state]
         while chosen < end - 1 and not room[1, chosen - begin] >= sure:
             chosen += 1
         step[state], pairs[state] = best, chosen

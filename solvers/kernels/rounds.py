@@ -144,13 +144,13 @@ def rounds(
                 value[s] -= middle
             shift += middle
             bottom, top = extent(value)
-        still = bottom == top
+        still, keep = bottom == top, since >= pace.SHORT
         if settings.whole:
             size = max(abs(bottom), abs(top))
             tiny = TINY * (1 + size) if size != 0 else 0.0
             judge(
                 0, states, model, sharp(facts, tiny), policy, value, shift, settings.strict, still,
-                0.0, 0.0, step, pairs, room, extremes,
+                0.0, 0.0, pairs if keep else pairs[:0], step, pairs, room, extremes,
             )  # fmt: skip
             noise = extremes[2]
         else:
