@@ -397,7 +397,9 @@ class CompiledSweeps(Sweeps):
 
         def judge(first: int, last: int, extremes: Floats) -> None:
             room = np.empty((2, most))
-            bellman.judge(first, last, *what, spare, memory.alike, held, step, pairs, room, extremes)
+            bellman.judge(
+                first, last, *what, spare, memory.alike, held, step, pairs, room, extremes
+            )
 
         found = self._blocks(3, judge)
         if mdp.terminal.all():

@@ -135,7 +135,8 @@ class Run:
         """Move on to T V, and from the second pass on to its policy's values."""
         self.values.take(found)
         if self.iteration > 1:
-            self.values.evaluate(0.0 if self.ready else self.goal, self._most)
+            goal = 0.0 if self.ready else self.goal
+            self.values.evaluate(goal, self._most, error=self._half)
 
     def _hasten(self) -> None:
         """Go through the rounds before the next pass that may be the last, if they are compiled."""
@@ -178,7 +179,7 @@ class Run:
             self._half, self._best, self._idle = state.half, state.best, state.idle
             self._mark, self._since = state.mark, state.since
             if due:
-                values.correct(0.0 if self.ready else self.goal)
+                values.correct(0.0 if self.ready else self.goal, error=self._half)
 
     def hurry(self) -> None:
         """Where `MANY` passes were too few, move close to the values of the last pass's policy.
@@ -189,7 +190,7 @@ class Run:
         if self.iteration >= MANY:
             self._since = 0 if self.iteration == MANY else self._since
             with suppress(SolverError):
-                self.values.evaluate(self.goal, 0)
+                self.values.evaluate(self.goal, 0, error=self._half)
 
     @property
     def solution(self) -> Solution:
@@ -366,11 +367,11 @@ class Iterate:
         self.sweeps.relax(self.value, self.shift, backward=backward)
         self.relaxed = True
 
-    def evaluate(self, goal: float, most: int) -> None:
+    def evaluate(self, goal: float, most: int, *, error: float = np.inf) -> None:
         """Move close to the values of the policy of the last pass, where it has one.
 
         `goal` is the error within the policy, in units of w, at which to stop; 0 for as little as
-        possible. `most` sweeps are too many.
+        possible. `most` sweeps are too many. See `correct` for `error`.
         """
         if self.sweeps.policy is None:
             return
@@ -382,14 +383,19 @@ class Iterate:
             # More passes bring the policy on for less than it takes to evaluate it.
             self._count("policies left unevaluated")
             return
-        self.correct(goal)
+        self.correct(goal, error=error)
 
-    def correct(self, goal: float) -> None:
-        """Solve the equations of the policy of the last pass, as nearly as `evaluate` is asked."""
+    def correct(self, goal: float, *, error: float = np.inf) -> None:
+        """Solve the equations of the policy of the last pass, as nearly as `evaluate` is asked.
+
+        In large models good news is then carried along all states, up and down, before the next
+        policy, unless the `error` of the last pass is what doing so may leave: the rounding of the
+        shift, of one state after another.
+        """
         self._correct(goal)
         self.spent = 0.0
-        if self.sweeps.mdp.n_transitions >= COMPILED and goal > 0:
-            # Good news is carried along the whole model, up and down, before the next policy.
+        left = len(self.value) * UNIT * abs(self.shift)
+        if self.sweeps.mdp.n_transitions >= COMPILED and goal > 0 and error > left:
             self.sweeps.relax(self.value, self.shift, backward=False)
             self.sweeps.relax(self.value, self.shift, backward=True)
 

@@ -10,9 +10,11 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp import MDP
 from exact_mdp.solvers import ModifiedPolicyIteration, PolicyIteration, certify, solve
+from exact_mdp.solvers.bounds import gains as gains_module
 from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Sweeps
+from exact_mdp.solvers.dynamic.stopping import Iterate
 from exact_mdp.solvers.solution import Status
 
 
@@ -125,3 +127,56 @@ def test_loops_of_large_models_bound_what_rational_arithmetic_proves(
         found.value, certify(model).value, found.state_error, strict=True
     ):
         assert abs(F(float(value)) - exact) <= F(float(error))
+
+
+def one_way(states: int, discount: float, seed: int) -> MDP:
+    """Ways round a ring that all earn 1, some of their rows off."""
+    rng, pairs = np.random.default_rng(seed), 4 * states
+    rows = (np.repeat(np.arange(states), 4)[:, None] + rng.integers(0, 3, (pairs, 3))) % states
+    weight = rng.dirichlet(np.ones(3), pairs)
+    weight *= 1 - 1e-10 * rng.random((pairs, 1)) * (rng.random((pairs, 1)) < 0.4)
+    return sparse(rows, weight, np.ones(pairs), discount)
+
+
+def in_circles(discount: float) -> MDP:
+    """Whole rewards along ways on which nothing is drawn: policies tie, or lose 1.5 in all."""
+    after = [1, 3, 2, 2, 3, 1, 1, 2, 3, 0, 1, 1]
+    reward = [3, -2, 1, 1, -2, -1, -1, -3, 0, -3, 1, -1]
+    state, action = [0, 0, 0, 1, 1, 2, 2, 2, 3, 3, 3, 3], [0, 1, 2, 0, 1, 0, 1, 2, 0, 1, 2, 3]
+    return MDP.from_pairs(state, action, np.eye(4)[after], reward, discount=discount)
+
+
+TIED = [
+    *((one_way(states, 1 - 1e-9, seed), None) for states, seed in ((40, 2), (60, 4))),
+    *((one_way(40, 1 - 1e-9, seed), 1e-6) for seed in (2, 8)),
+    *((in_circles(1 - 2.0**-n), None) for n in range(47, 53)),
+]
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+@pytest.mark.parametrize(("model", "tol"), TIED)
+def test_ties_do_not_make_policies_alternate(
+    model: MDP, tol: Any, loaded: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By rounding, the first pair that ties loses more in all than another state gains."""
+    for module in (gains_module, sweeps_module):
+        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found, other = solve(model, tol=tol), PolicyIteration().solve(model)
+    assert found.iterations < (150 if model.n_states > 4 else 40)
+    assert (np.abs(found.value - other.value) <= found.state_error + other.state_error).all()
+
+
+@pytest.mark.parametrize(("error", "relaxed"), [(1.0, 2), (1e-9, 0)])
+def test_news_is_not_carried_on_where_it_is_rounding(
+    error: float, relaxed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, calls = CLOSE["alike, 7"][0], list[bool]()
+    values = Iterate(CompiledSweeps(model, margin_weights(model)), np.zeros(model.n_states))
+    for _ in range(4):
+        values.take(values.improve())
+    monkeypatch.setattr(values.sweeps, "relax", lambda *_, backward: calls.append(backward))
+    values.correct(1e-6, error=error)
+    assert len(calls) == relaxed
+    assert abs(values.shift) > 0.9e7
