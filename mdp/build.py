@@ -34,9 +34,10 @@ from exact_mdp.mdp.forms.numbers import (
     whole_numbers,
 )
 from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.lazy import COMPILER, later
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
+    LONG,
     Floats,
     Given,
     Integers,
@@ -44,13 +45,13 @@ from exact_mdp.mdp.table import (
     OutcomeTable,
     by_outcome,
     exact,
+    fine_unit,
     integers,
     ones,
     rounding_of,
 )
-from exact_mdp.mdp.validate import as_discount, as_start
+from exact_mdp.mdp.validate import as_discount, as_start, last_action
 
-COMPILING = "exact_mdp.mdp.forms.compiling"
 loops = later("exact_mdp.mdp.forms.rows")
 
 LOADING = 3_000_000  # entries that SciPy puts in order in the time that loading loops takes
@@ -179,8 +180,7 @@ def from_pairs(
     rewards = _rewards_of_rows(reward, "reward", rows)
     each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
     order = _offered(rewards, names)
-    ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
-    if not (ahead | (level & (action[1:] >= action[:-1]))).all():
+    if last_action(state, action) < 0 and not _in_order(state, action):
         sorted_ = np.lexsort((action, state))
         order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
     if order is not None:
@@ -188,6 +188,12 @@ def from_pairs(
         each_component(names, lambda values, _: values[order])
         below = None if below is None else below[order]
     return _from_rows(state, action, rows, rewards, discount, start, names, below)
+
+
+def _in_order(state: Integers, action: Integers) -> bool:
+    """Return whether pairs are sorted by state, then action."""
+    ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
+    return bool((ahead | (level & (action[1:] >= action[:-1]))).all())
 
 
 def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
@@ -306,7 +312,7 @@ def _from_rows(
     if sound is None and sp.issparse(rows):
         check_places(rows, "transition")
     if sound is not None:
-        (offsets, following, data), rising = sound, True
+        (offsets, following, data, excess), rising = sound, True
         weight = Grouped(data, ones(len(state)))
     elif sp.issparse(rows) and rows.dtype == np.float64 and _canonical(rows):
         rows, lowest = _copied(rows)
@@ -335,7 +341,8 @@ def _from_rows(
     table = _table(offsets, following, weight, gain, of_pairs=reward.ndim == 1)
     if rising and len(table.next) == len(following):
         vars(table)["rising"] = True  # it was made so, and need not be asked again
-        vars(table)["sound"] = sound is not None
+        if sound is not None:
+            vars(table).update(sound=True, excess=excess)
     return _assemble(state, action, table, size, discount, start, names)
 
 
@@ -355,25 +362,30 @@ def _table(
     return table if of_pairs else by_outcome(table)
 
 
-def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
+def _taken(rows: Any) -> tuple[Integers, Numbers, Floats, Floats] | None:
     """Return offsets (L+1,), columns and numbers (N,) of a sparse matrix, copied in one pass.
 
-    None where compiled loops are not loaded nor worth it, and where rows are not sound as they are.
+    Last comes by how much each row's sum exceeds 1. None where compiled loops are not loaded nor
+    worth it, and where rows are not sound as they are.
     """
-    wide, loaded = rows.shape[1] >= 2**31, COMPILING in sys.modules or rows.nnz >= LOADING
+    wide, loaded = rows.shape[1] >= 2**31, COMPILER in sys.modules or rows.nnz >= LOADING
     if not loaded or rows.dtype != np.float64 or wide or not rows.shape[0]:
         return None
     offsets = rows.indptr.astype(np.int64)
     columns, data = np.empty(offsets[-1], dtype=rows.indices.dtype), np.empty(offsets[-1])
     ends, given = block_ends(offsets), (rows.shape[1], offsets, rows.indices, rows.data)
-    good, size = [False] * (len(ends) - 1), max(int(np.diff(offsets).max()), loops.DIGITS)
+    longest, excess = int((offsets[1:] - offsets[:-1]).max()), np.empty(len(offsets) - 1)
+    good, size = [False] * (len(ends) - 1), max(longest, loops.DIGITS)
+    if longest >= LONG:
+        return None
+    copies = fine_unit(longest), columns, data, excess
 
     def work(number: int, first: int, last: int) -> None:
         room = np.empty((3, size), dtype=np.int64)
-        good[number] = loops.taken(first, last, *given, columns, data, room)
+        good[number] = loops.taken(first, last, *given, *copies, room)
 
     run_blocks(ends, work)
-    return (offsets, columns, data) if all(good) else None
+    return (offsets, columns, data, excess) if all(good) else None
 
 
 def _canonical(rows: sp.csr_array) -> bool:
@@ -410,13 +422,14 @@ def _assemble(
     words = names.pop("states", ())
     actions = tuple(str(name) for name in names.pop("actions", ()))
     if not actions:
-        if int(action.max(initial=-1)) >= MOST_UNNAMED_ACTIONS:
+        last = int(action.max(initial=-1))
+        if last >= MOST_UNNAMED_ACTIONS:
             raise ModelError(
-                f"action {int(action.max())} is outside 0 … {MOST_UNNAMED_ACTIONS - 1}",
+                f"action {last} is outside 0 … {MOST_UNNAMED_ACTIONS - 1}",
                 where="pairs",
                 fix="number actions from 0 on, or name them all",
             )
-        actions = tuple(str(number) for number in range(int(action.max(initial=-1)) + 1))
+        actions = tuple(map(str, range(last + 1)))
     if words and len(words) > size:
         size = len(words)
     space = names.pop("space", None)

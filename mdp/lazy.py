@@ -140,6 +140,7 @@ def worth_compiling(steps: int, package: str = "numba") -> bool:
     return package in sys.modules or steps >= LARGE
 
 
+COMPILER = "exact_mdp.mdp.forms.compiling"  # of loops of any kind
 LOOPS = "exact_mdp.solvers.kernels.bellman"
 COMPILED = 20_000  # transitions that take long enough, swept again and again, to load loops for
 LOADING = 0.34  # seconds to load them

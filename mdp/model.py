@@ -131,8 +131,9 @@ class MDP(Parts):
         fill(self, "labels", as_labels(self.labels, self.n_states))
         if self.goal is not None:
             fill(self, "goal", as_flags(self.goal, self.n_states, "goal"))
-        counts = np.bincount(self.pair_state, minlength=self.n_states)
-        fill(self, "pair_offsets", np.concatenate([[0], np.cumsum(counts)]))
+        offsets = np.zeros(self.n_states + 1, dtype=np.int64)
+        np.cumsum(np.bincount(self.pair_state, minlength=self.n_states), out=offsets[1:])
+        fill(self, "pair_offsets", offsets)
         fill(self, "transition", _transition(self.table, self.n_states))
         fill(self, "reward", self.table.expected_gain())
         if not np.all(np.isfinite(self.reward)):

@@ -40,6 +40,7 @@ EXPONENT = 0x7FF << 52  # the bits of a double that hold its exponent
 FLOAT_ROW_TOLERANCE = 1e-9
 FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float
+COARSE, FINEST, LONG = 2.0**-40, -93, 2**22  # of sums: their units, and the most terms of a row
 MOST_BYTES = 10 * 10**9  # of the outcomes of one table
 MOST_DIGITS = 4000  # of a number that is given as text: Python itself stops at 4,300
 NARROW, WIDE = 45, 230  # bytes for each outcome, 64-bit integers or Python's
@@ -512,6 +513,21 @@ def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
     if narrow and magnitude(left) * magnitude(right) * terms < EXACT_IN_INT64:
         return np.asarray(left * right)
     return np.asarray(left.astype(object) * right.astype(object))
+
+
+def fine_unit(longest: int) -> float:
+    """Return the unit in which to add up what multiples of `COARSE` leave of a row's floats.
+
+    Sums of floats up to 1 are exact in integers: of multiples of 2^-40, and of what these leave, at
+    most 2^-41 each, in a unit so small that the sum of so many stays below 2^62. Each of the terms
+    is off by half that unit, and turning their sum into a float costs no more.
+
+    Examples
+    --------
+    >>> fine_unit(1000) == 2.0**-93, 2**20 * 2.0**-41 / fine_unit(2**20) < 2**62
+    (True, True)
+    """
+    return float(2.0 ** max(FINEST, longest.bit_length() - 103))
 
 
 def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Floats:

@@ -24,6 +24,7 @@ from exact_mdp.mdp.errors import (
 from exact_mdp.mdp.forms.names import ByNumber, labels_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
+from exact_mdp.mdp.lazy import COMPILER, later
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -35,6 +36,8 @@ from exact_mdp.mdp.table import (
     exact,
     shown,
 )
+
+loops = later("exact_mdp.mdp.forms.rows")
 
 Flags = NDArray[np.bool_]
 SENSES = ("max", "min")
@@ -200,6 +203,8 @@ def as_discount(discount: object) -> Fraction:
             where="discount",
             fix='give discount=0.95, or discount="19/20"; it is 1 where it is left out',
         )
+    if type(discount) is float and 0 <= discount <= 1:
+        return Fraction(discount)
     with located("discount", instead=True):
         value = exact(discount)
     _check_discount(value)
@@ -207,7 +212,7 @@ def as_discount(discount: object) -> Fraction:
 
 
 def _check_discount(value: Fraction) -> None:
-    if not 0 <= value <= 1:
+    if not 0 <= value.numerator <= value.denominator:
         raise ModelError(
             f"discount is {beside(value, Fraction(0), Fraction(1))}, outside [0, 1]",
             where="discount",
@@ -260,6 +265,13 @@ def _is_state(given: object, space: StateSpace) -> bool:
     return many or any(column.objects for column in space.columns) or space.named(given)
 
 
+def last_action(state: Integers, action: Integers) -> int:
+    """Return what `mdp.forms.rows` says of pairs; -1, too, where no compiled loops are loaded."""
+    given = (state, action)
+    plain = all(part.dtype == np.int64 and part.flags.c_contiguous for part in given)
+    return int(loops.last_action(*given)) if plain and COMPILER in sys.modules else -1
+
+
 def _check_pairs(model: Parts) -> None:
     state, action = model.pair_state, model.pair_action
     if state.shape != action.shape or state.ndim != 1:
@@ -270,12 +282,17 @@ def _check_pairs(model: Parts) -> None:
         )
     if not len(state):
         raise ModelError("a model without state-action pairs", where="pairs", fix="add a state")
-    _in_range(state, model.n_states, "state", "pairs")
-    _in_range(action, model.n_actions, "action", "pairs")
+    last = last_action(state, action)
+    whole = 0 <= last < model.n_actions and state[-1] == model.n_states - 1
+    if not whole:
+        _in_range(state, model.n_states, "state", "pairs")
+        _in_range(action, model.n_actions, "action", "pairs")
     if len(set(model.actions)) != len(model.actions):
         raise ModelError(
             "two actions have the same name", where="actions", fix="give each its own name"
         )
+    if whole:
+        return
     ahead, step = np.diff(state), np.diff(action)
     level = ahead == 0
     if not ((ahead > 0) | (level & (step > 0))).all():
@@ -325,8 +342,8 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
                 where="outcome table",
                 fix="give one entry for each row or outcome",
             )
-    rising = np.diff(table.offsets).min(initial=0) >= 0
-    if table.offsets[0] != 0 or table.offsets[-1] != outcomes or not rising:
+    offsets = table.offsets
+    if offsets[0] != 0 or offsets[-1] != outcomes or not (offsets[1:] >= offsets[:-1]).all():
         raise ModelError(
             "offsets do not run from 0 to the number of outcomes",
             where="outcome table",

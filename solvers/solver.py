@@ -260,7 +260,7 @@ def solve(
     if solver == "auto":
         if numbered_in_order(mdp) or levels(mdp) is not None:
             return _within(BackwardInduction().solve(mdp), tol)
-        solver = ModifiedPolicyIteration()
+        return ModifiedPolicyIteration(tol=tol, start=start).solve(mdp)
     return _with_settings(_named(solver), tol=tol, start=start).solve(mdp)
 
 

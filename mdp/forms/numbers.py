@@ -130,7 +130,7 @@ def _check_places(matrix: Any, *, columns: bool) -> None:
     else:
         ends = matrix.indptr
         named = {"column" if matrix.format == "csr" else "row": matrix.indices[: max(ends[-1], 0)]}
-        if ends[0] != 0 or ends[-1] > len(matrix.indices) or (np.diff(ends) < 0).any():
+        if ends[0] != 0 or ends[-1] > len(matrix.indices) or (ends[1:] < ends[:-1]).any():
             raise ModelError(
                 "a sparse matrix whose indptr does not rise from 0 to its number of entries",
                 fix="build it anew, from coordinates for example",

@@ -1,4 +1,4 @@
-"""Rows of a sparse matrix taken over in one pass: copied, put in order, and checked.
+"""A model's pairs checked, and rows of a sparse matrix taken over, in one pass over each.
 
 A row of a model is a distribution over states, each named once. While a row is in the cache its
 numbers are looked at and added up, and it is copied; where its columns are in no order, each entry
@@ -11,15 +11,17 @@ are left to `mdp.build`.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
-from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.table import COARSE, Floats, Numbers
 
 COMPARED = 32  # entries of a row at most that are compared each with each
 DIGIT, DIGITS = 8, 256  # bits, and numbers, of a digit
 PLACE = 32  # bits of an entry's place in its row
-NEAR = 5e-10  # how far from 1 a sum may be, in whatever order it is added up
+NEAR = 5e-10  # how far from 1 a sum may be
 
 
 @inlined
@@ -47,6 +49,47 @@ def by_digits(begin: int, end: int, states: int, indices: Numbers, room: Numbers
     return side
 
 
+@inlined
+def parted(share: float, scale: float) -> tuple[Any, Any]:
+    """Return a number from 0 to 2 in multiples of `COARSE`, and the rest in those of 1 / `scale`.
+
+    So that sums of many are exact: see `mdp.table.fine_unit`.
+    """
+    coarse = np.rint(share / COARSE)
+    return np.int64(coarse), np.int64(np.rint((share - coarse * COARSE) * scale))
+
+
+@compiled
+def exceed(
+    first: int, last: int, offsets: Numbers, data: Floats, fine: float, excess: Floats
+) -> None:
+    """Write by how much the sums of rows first … last-1 exceed 1 into `excess` (L,)."""
+    scale = 1 / fine
+    for row in range(first, last):
+        whole, rest = np.int64(0), np.int64(0)
+        for i in span(offsets[row], offsets[row + 1]):
+            coarse, left = parted(data[i], scale)
+            whole, rest = whole + coarse, rest + left
+        excess[row] = (whole - 2**40) * COARSE + rest * fine
+
+
+@compiled
+def last_action(state: Numbers, action: Numbers) -> int:
+    """Return the greatest action of pairs (L,) of the states 0, 1, …, none of them left out.
+
+    It is -1 where pairs are not sorted by state, then action, or one of them comes twice.
+    """
+    own, done, most = -1, -1, -1
+    for pair in range(len(state)):
+        here, taken = state[pair], action[pair]
+        if here == own + 1:
+            own, done = here, -1
+        if here != own or here < 0 or taken <= done:
+            return -1
+        done, most = taken, max(most, taken)
+    return most
+
+
 @compiled
 def taken(
     first: int,
@@ -55,35 +98,39 @@ def taken(
     indptr: Numbers,
     indices: Numbers,
     data: Floats,
+    fine: float,
     columns: Numbers,
     weights: Floats,
+    excess: Floats,
     room: Numbers,
 ) -> bool:
     """Copy rows first … last-1 into `columns` and `weights` (N,), columns rising in each.
 
-    `room` (3, ·) is for the longest of them, and `DIGITS` at least; columns fit in 31 bits.
+    By how much their sums exceed 1 goes into `excess` (L,); `fine` is for that. `room` (3, ·) is
+    for the longest of them, and `DIGITS` at least; columns fit in 31 bits.
 
     Return whether each row is one of positive numbers, of different states, with sum 1.
     """
+    scale = 1 / fine
     for row in range(first, last):
         begin, end = indptr[row], indptr[row + 1]
-        sound, rising, total, other = begin < end, True, 0.0, 0.0
+        sound, falls, whole, rest = begin < end, np.int64(0), np.int64(0), np.int64(0)
         for i in span(begin, end):
-            sound &= (data[i] > 0) & (indices[i] >= 0) & (indices[i] < states)
-        for i in range(begin + 1, end):
-            rising &= bool(indices[at(i)] > indices[at(i - 1)])
-        half = begin + (end - begin) // 2
-        for i in range(half - begin):  # two sums, as each addition waits for the one before
-            total += data[at(begin + i)]
-            other += data[at(half + i)]
-        if (end - begin) % 2:
-            total += data[at(end - 1)]
-        total += other
-        if not (sound and abs(total - 1) <= NEAR):
+            weights[i] = data[i]
+            sound &= (data[i] > 0) & (data[i] < 2)
+            coarse, left = parted(data[i], scale)
+            whole, rest = whole + coarse, rest + left
+        for i in span(begin, end):
+            columns[i] = indices[i]
+            sound &= (indices[i] >= 0) & (indices[i] < states)
+        if not sound:
             return False
-        if rising:
-            for i in span(begin, end):
-                columns[i], weights[i] = indices[i], data[i]
+        excess[row] = (whole - 2**40) * COARSE + rest * fine
+        if not abs(excess[row]) <= NEAR:
+            return False
+        for i in range(begin + 1, end):
+            falls += np.int64(indices[at(i)] <= indices[at(i - 1)])
+        if falls == 0:
             continue
         if end - begin == states and states > COMPARED:
             room[0, :states] = -1
@@ -108,13 +155,13 @@ def taken(
             if not sound:
                 return False
             continue
-        same = 0
+        places = np.int64(0)
         for i in span(begin, end):
-            column, place = indices[i], begin
+            column, smaller = indices[i], np.int64(0)
             for k in span(begin, end):
-                place += indices[k] < column
-                same += indices[k] == column
-            columns[at(place)], weights[at(place)] = column, data[i]
-        if same > end - begin:
+                smaller += indices[k] < column
+            columns[at(begin + smaller)], weights[at(begin + smaller)] = column, data[i]
+            places += smaller
+        if 2 * places < (end - begin) * (end - begin - 1):  # two entries have one place
             return False
     return True

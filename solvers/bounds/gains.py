@@ -32,10 +32,11 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import COARSE, Floats, Integers, fine_unit
 from exact_mdp.solvers.solution import SolverError, Status
 
 bellman = later("exact_mdp.solvers.kernels.bellman")
+rows_loops = later("exact_mdp.mdp.forms.rows")
 compiling = later("exact_mdp.solvers.kernels.compiling")
 
 UNIT = 2.0**-53
@@ -191,28 +192,35 @@ def _leak(mdp: MDP) -> tuple[Floats, float]:
             [float(1 - rate * Fraction(a, b)) for a, b in zip(totals, below, strict=True)]
         )
         return found, float(np.abs(found).max()) * UNIT
-    # Multiples of 2^-40 add up exactly as integers, and what is left of each float is tiny.
-    found = np.empty(mdp.n_pairs)
-    ends = threads.block_ends(offsets, most=threads.IN_CACHE)
-    worst = np.zeros(len(ends) - 1)
+    longest = int((offsets[1:] - offsets[:-1]).max())
+    excess = vars(mdp.table).pop("excess", None)  # where rows were looked at as they were taken
+    if excess is None:
+        excess = _excess(offsets, weight, fine_unit(longest))
+    excess = mdp.discount * excess
+    most = max(float(excess.max()), -float(excess.min()))
+    error = 2 * UNIT * leak + 8 * UNIT * most + longest * fine_unit(longest)
+    return leak - excess, error
 
-    loaded = loops_pay(mdp.n_transitions, COMPILED)
 
-    def work(number: int, first: int, last: int) -> None:
+def _excess(offsets: Integers, weight: Floats, fine: float) -> Floats:
+    """Return Σ p - 1 of each row (L,), as `mdp.forms.rows` has it."""
+    found, loaded = np.empty(len(offsets) - 1), loops_pay(len(weight), COMPILED)
+    ends = threads.block_ends(offsets, most=None if loaded else threads.IN_CACHE)
+
+    def work(_: int, first: int, last: int) -> None:
         if loaded:
-            worst[number] = bellman.leaks(first, last, offsets, weight, mdp.discount, leak, found)
+            rows_loops.exceed(first, last, offsets, weight, fine, found)
             return
-        begins = offsets[first : last + 1]
-        share = weight[begins[0] : begins[-1]]
-        scaled = np.rint(share * 2.0**40)
-        whole = np.add.reduceat(scaled.astype(np.int64), begins[:-1] - begins[0]) - 2**40
-        rest = added(share - scaled * 2.0**-40, np.diff(begins))
-        excess, terms = mdp.discount * (whole * 2.0**-40 + rest), np.diff(begins)
-        error = 2 * UNIT * leak + 8 * UNIT * np.abs(excess) + gamma(terms) * terms * 2.0**-40
-        found[first:last], worst[number] = leak - excess, error.max()
+        begins = offsets[first:last]
+        share, row = weight[begins[0] : offsets[last]], begins - begins[0]
+        scaled = np.rint(share / COARSE)
+        left = np.rint((share - scaled * COARSE) / fine)
+        whole = np.add.reduceat(scaled.astype(np.int64), row) - 2**40
+        rest = np.add.reduceat(left.astype(np.int64), row)
+        found[first:last] = whole * COARSE + rest * fine
 
     threads.run_blocks(ends, work)
-    return found, float(worst.max())
+    return found
 
 
 def _reward_error(mdp: MDP) -> Floats:

@@ -134,34 +134,6 @@ def gains(
 
 
 @compiled
-def leaks(
-    first: int,
-    last: int,
-    offsets: Numbers,
-    weight: Floats,
-    discount: float,
-    whole_leak: float,
-    found: Floats,
-) -> float:
-    """Write 1 - γ Σ p of pairs first … last-1 into `found` (L,); return their greatest error.
-
-    `whole_leak` is 1 - γ; see `solvers.bounds.gains`.
-    """
-    worst = 0.0
-    for pair in range(first, last):
-        whole, rest = -(2.0**40), 0.0
-        for i in span(offsets[pair], offsets[pair + 1]):
-            scaled = np.rint(weight[i] * 2.0**40)
-            whole += scaled  # whole numbers below 2^53
-            rest += weight[i] - scaled * 2.0**-40
-        excess, terms = discount * (whole * 2.0**-40 + rest), offsets[pair + 1] - offsets[pair]
-        found[pair] = whole_leak - excess
-        error = 2 * UNIT * whole_leak + 8 * UNIT * abs(excess) + gamma(terms) * terms * 2.0**-40
-        worst = max(worst, error)
-    return worst
-
-
-@compiled
 def climb(value: Floats, before: Floats) -> float:
     """Return the greatest rise of any value (S,) since `before` (S,), which is brought up to it."""
     most = -np.inf

@@ -211,7 +211,7 @@ def test_columns_may_stand_in_any_order(
     offsets, found = np.arange(0, pairs * entries + 1, entries), []
     for loaded, worth in ((True, False), (False, True), (False, False)):
         given = (chances.ravel(), columns.ravel(), offsets)
-        monkeypatch.setattr(build, "COMPILING", "sys" if loaded else "not loaded")
+        monkeypatch.setattr(build, "COMPILER", "sys" if loaded else "not loaded")
         monkeypatch.setattr(build, "LOADING", pairs * entries + (not worth))
         matrix = sp.csr_array(given, shape=(pairs, states))
         taken = build._taken(matrix)
@@ -226,7 +226,7 @@ def test_what_a_matrix_remembers_of_its_order_is_not_believed(
     loaded: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """SciPy keeps what it once found, though indices may be written in place since."""
-    monkeypatch.setattr(build, "COMPILING", "sys" if loaded else "not loaded")
+    monkeypatch.setattr(build, "COMPILER", "sys" if loaded else "not loaded")
     parts = (np.array([1.0, 0.5, 0.5, 1]), np.array([1, 0, 2, 2]), np.array([0, 1, 3, 4]))
     matrix = sp.csr_array(parts, shape=(3, 3))
     assert matrix.has_canonical_format

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exact_mdp.mdp import MDP, ModelError, build
-from exact_mdp.mdp.forms.rows import COMPARED
+from exact_mdp.mdp.forms.rows import COMPARED, last_action
 
-importlib.import_module(build.COMPILING)  # as any solve of a large model does
+importlib.import_module(build.COMPILER)  # as any solve of a large model does
 
 FAULTS = {
     "none": lambda parts: None,
@@ -60,7 +60,7 @@ def test_rows_are_taken_as_without_compiled_loops(
     given_ = {name: array.copy() for name, array in parts.items()}
     one = made(parts, states)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "COMPILING", "")
+        patch.setattr(build, "COMPILER", "")
         two = made(given_, states)
     for name, array in parts.items():
         assert np.array_equal(array, given_[name], equal_nan=True)  # the caller's own
@@ -73,3 +73,16 @@ def test_rows_are_taken_as_without_compiled_loops(
     assert not np.shares_memory(one.table.weight, parts["data"])
     assert np.abs(one.transition.toarray() - two.transition.toarray()).max() == 0
     assert one.table.rising == two.table.rising
+
+
+@given(st.lists(st.tuples(st.integers(-1, 3), st.integers(-1, 3)), max_size=6), st.booleans())
+def test_pairs_are_seen_to_be_in_order(pairs: list[tuple[int, int]], ordered: bool) -> None:
+    if ordered:
+        pairs = sorted(set(pairs))
+    state, action = (np.array([pair[part] for pair in pairs], dtype=np.int64) for part in (0, 1))
+    whole = (
+        pairs == sorted(set(pairs))
+        and [*dict.fromkeys(state.tolist())] == [*range(len(set(state.tolist())))]
+        and all(number >= 0 for number in action.tolist())
+    )
+    assert last_action(state, action) == (max(action.tolist(), default=-1) if whole else -1)
