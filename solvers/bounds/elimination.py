@@ -53,6 +53,10 @@ class TooLarge(SolverError):
 
 def reach(chain: sp.csr_array) -> tuple[int, int]:
     """Return how far transitions (S, S) lead down and up in number at most."""
+    if chain.nnz >= COMPILED:
+        ends, ended = (chain.indptr[:-1], chain.indptr[1:]), np.zeros(chain.shape[0], dtype=bool)
+        down, up, _ = kernel.reach(*ends, chain.indices, ended)
+        return int(down), int(up)
     row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
     ahead = chain.indices - row
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))

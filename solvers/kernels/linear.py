@@ -233,25 +233,34 @@ def swept(
     kept = discount < 1 and not whole
     for state in range(states):
         kept &= abs(value[state] - 1) < close
+    begin = mass / (1 - discount) / states if kept else 0.0
     for state in range(states):
-        value[state] = mass / (1 - discount) / states if kept else 0.0
+        value[state] = begin
+    largest = max(earned, abs(begin))  # no value is larger: none is looked at without need
     for sweep in range(most):
-        if sweep > 0 or kept:
-            for state in range(states):
+        low, high = np.inf, -np.inf
+        for state in range(states):
+            left = room[state]
+            if sweep > 0 or kept:
                 ahead = 0.0
                 for i in span(indptr[state], indptr[state + 1]):
                     ahead += data[i] * value[at(indices[i])]
-                room[state] = constant[state] + discount * ahead - value[state]
-        low, high, size = np.inf, -np.inf, earned
-        for state in range(states):
-            low, high = min(low, room[state]), max(high, room[state])
+                left = room[state] = constant[state] + discount * ahead - value[state]
+            low, high = min(low, left), max(high, left)
         middle = (low + high) / 2 if whole else 0.0
         error = max(high - middle, middle - low)
         more = discount * middle / (1 - discount) if whole else 0.0
         for state in range(states):
             value[state] += room[state] + more
-            size = max(size, abs(value[state]))
-        if error * discount <= max(fine * size, 0.0 if fine > 0 else enough):
+        largest = (largest + (max(-low, high) + abs(more))) * (1 + 2.0**-20)
+        if fine > 0:
+            if error * discount <= fine * largest:
+                size = earned
+                for state in range(states):
+                    size = max(size, abs(value[state]))
+                if error * discount <= fine * size:
+                    return True
+        elif error * discount <= enough:
             return True
         if sweep >= tried:
             falls = error < before and error * (error / before) ** (most - sweep) <= enough

@@ -50,6 +50,7 @@ def test_a_band_is_eliminated(seed: int, lower: int, upper: int) -> None:
     for threshold in (0, 10**6):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(elimination, "COMPILED", threshold)
+            assert reach(chain) == (down, up)
             value = band(chain, 0.9, (down, up))(constant)
         assert np.allclose(value - 0.9 * (chain @ value), constant, rtol=0, atol=1e-12)
 
