@@ -42,7 +42,7 @@ import numpy as np
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
     TINY,
     UNIT,
@@ -103,16 +103,25 @@ class Sweeps:
 
     @cached_property
     def uniform(self) -> bool:
-        """Whether a shift of all values is a shift by c w: γ < 1, and no state is terminal."""
-        weight = self.weights.value
-        alike = bool((weight == 1.0).all())
-        return alike and self.mdp.discount < 1 and not self.mdp.terminal.any()
+        """Whether a shift of all values is one by c w: γ < 1, and no way leads to an end.
+
+        Then nothing is left in a row but what it leaks.
+        """
+        live, rate = ~self.mdp.terminal, self.mdp.discount
+        whole = rate < 1 and bool(live.any()) and bool((self.weights.value[live] == 1.0).all())
+        return whole and self._most_margin <= 1 - rate + 2 * FLOAT_ROW_TOLERANCE
 
     @cached_property
     def alike(self) -> bool:
         """Whether a shift by c takes about as much from all pairs, and so favours none."""
-        most = float(self.weights.margin.max()) + self.weights.error
-        return self.uniform and most <= (1 + ALIKE) * self.least_margin
+        return self.uniform and self._most_margin <= (1 + ALIKE) * self.least_margin
+
+    @cached_property
+    def _most_margin(self) -> float:
+        """An upper bound of the margins of all states that have not ended."""
+        margin, ended = self.weights.margin, self.mdp.terminal
+        open_pairs = margin[~ended[self.mdp.pair_state]] if ended.any() else margin
+        return float(open_pairs.max()) + self.weights.error
 
     @cached_property
     def facts(self) -> RoundingFacts:

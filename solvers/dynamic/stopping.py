@@ -340,10 +340,12 @@ class Iterate:
     def _centre(self) -> None:
         """Hold what all values have in common as a shift, which costs no digits."""
         if self.sweeps.uniform:
-            low, high = float(self.value.min()), float(self.value.max())
+            live = ~self.sweeps.mdp.terminal
+            values = self.value[live]
+            low, high = float(values.min()), float(values.max())
             middle = (low + high) / 2
             if abs(middle) > high - low:
-                self.value -= middle
+                self.value[live] -= middle
                 self.shift += middle
 
     def take(self, found: Pass) -> None:
@@ -414,6 +416,7 @@ class Iterate:
         system: LinearSystem | Banded | None = None
         error, relative = np.inf, None
         kept, shift = self.value.copy(), self.shift
+        margin = np.where(self.sweeps.mdp.terminal, 0.0, self.sweeps.weights.margin[pairs])
         for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
             # Only where a shift takes up what errors have in common is the rest all there is.
@@ -431,12 +434,12 @@ class Iterate:
                 self.price = system.work
                 self._count(f"policies evaluated by {system.method}")
                 if isinstance(system, LinearSystem) and self._relative:
-                    relative = relatively(system, self.sweeps.weights.margin[pairs])
+                    relative = relatively(system, margin)
             kept[:], shift = self.value, self.shift
             if self.sweeps.uniform:
                 middle = (low + high) / 2
                 self.shift += middle
-                step -= middle * self.sweeps.weights.margin[pairs]
+                step -= middle * margin
             if relative is not None:
                 better, level = relative(step)
                 self.value += better

@@ -83,12 +83,15 @@ class State(NamedTuple):
 
 
 @inlined
-def extent(value: Floats) -> tuple[float, float]:
-    """Return the least and the greatest of some values (S,)."""
-    low, high = np.inf, -np.inf
+def extent(value: Floats, ended: Numbers) -> tuple[float, float, bool]:
+    """Return the least and the greatest value (S,) of states that go on, and if any has `ended`."""
+    low, high, some = np.inf, -np.inf, False
     for state in range(len(value)):
-        low, high = min(low, value[state]), max(high, value[state])
-    return low, high
+        if ended[state]:
+            some = True
+        else:
+            low, high = min(low, value[state]), max(high, value[state])
+    return low, high, some
 
 
 @inlined
@@ -137,13 +140,15 @@ def rounds(
     doubt, slow, spent, rise, known = state[10:]
     weight, uniform, stopped, found, due = settings.weight, settings.uniform, False, False, False
     for _ in range(count):
-        bottom, top = extent(value)
+        bottom, top, some = extent(value, model.ended)
         middle = (bottom + top) / 2
         if uniform and abs(middle) > top - bottom:
             for s in range(states):
-                value[s] -= middle
+                value[s] -= 0.0 if model.ended[s] else middle
             shift += middle
-            bottom, top = extent(value)
+            bottom, top, some = extent(value, model.ended)
+        if some:
+            bottom, top = min(bottom, 0.0), max(top, 0.0)
         still, keep = bottom == top, since >= pace.SHORT
         if settings.whole:
             size = max(abs(bottom), abs(top))

@@ -9,7 +9,14 @@ import pytest
 import scipy.sparse as sp
 
 from exact_mdp.mdp import MDP
-from exact_mdp.solvers import ModifiedPolicyIteration, PolicyIteration, certify, solve
+from exact_mdp.solvers import (
+    GaussSeidel,
+    ModifiedPolicyIteration,
+    PolicyIteration,
+    ValueIteration,
+    certify,
+    solve,
+)
 from exact_mdp.solvers.bounds import gains as gains_module
 from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import margin_weights
@@ -180,3 +187,29 @@ def test_news_is_not_carried_on_where_it_is_rounding(
     values.correct(1e-6, error=error)
     assert len(calls) == relaxed
     assert abs(values.shift) > 0.9e7
+
+
+def beside_an_end(exponent: int) -> MDP:
+    """Four states that no way leads out of, beside one in which all is over."""
+    state, action = [0, 1, 1, 2, 2, 3, 3, 3, 4, 4, 4, 4], [0, 0, 1, 0, 1, 0, 1, 2, 0, 1, 2, 3]
+    after = np.eye(5)[[0, 1, 3, 1, 4, 4, 1, 3, 4, 4, 3, 4]]
+    reward = [0, -0.33, -0.42, -0.46, 0.44, 0.14, -0.48, -0.38, 0.21, 0.38, -0.21, -0.47]
+    return MDP.from_pairs(state, action, after, reward, discount=1 - 2.0**-exponent)
+
+
+@pytest.mark.parametrize("kind", [ModifiedPolicyIteration, GaussSeidel, ValueIteration])
+@pytest.mark.parametrize("exponent", [25, 30, 40, 51])
+@pytest.mark.parametrize("loaded", [True, False])
+def test_an_end_that_nothing_leads_to_costs_no_digits(
+    kind: Any, exponent: int, loaded: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (gains_module, sweeps_module):
+        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
+    model = beside_an_end(exponent)
+    found = kind().solve(model)
+    assert found.status is Status.CONVERGED
+    assert found.iterations < 10
+    for value, exact, error in zip(
+        found.value, certify(model).value, found.state_error, strict=True
+    ):
+        assert abs(F(float(value)) - exact) <= F(float(error))

@@ -673,7 +673,7 @@ def test_a_policy_counts_as_evaluated_only_once_its_values_are_near(data: st.Dat
     """Against the equations solved: states that still change alike are not near."""
     living = data.draw(st.integers(1, 4))
     rng = np.random.default_rng(data.draw(st.integers(0, 10**6)))
-    last, ending = np.zeros(living + 1), data.draw(st.sampled_from([0.0, 1e-6, 0.3]))
+    last, ending = np.zeros(living + 1), data.draw(st.sampled_from([1e-6, 0.3]))
     last[-1] = 1.0
     rows = rng.dirichlet(np.ones(living), living) * (1 - ending)
     rows = np.vstack([np.column_stack([rows, np.full(living, ending)]), last])
