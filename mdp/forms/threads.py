@@ -36,7 +36,7 @@ def block_ends(work: Numbers, threads: int | None = None, most: int | None = Non
     """
     total = int(work[-1])
     if threads is None:
-        threads = max(1, min(cores(), total // SMALLEST))
+        threads = min(cores(), total // SMALLEST) if total >= 2 * SMALLEST else 1
     if threads == 1 and (most is None or total <= most):
         return [0, len(work) - 1]
     count = 1 if threads == 1 else PER_THREAD * threads

@@ -25,6 +25,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -65,7 +66,7 @@ class Bounds:
     low: float
     high: float
 
-    @property
+    @cached_property
     def state_error(self) -> Floats:
         """(S,) |value - V*| and |value - V^π| are at most this."""
         return np.asarray(max(abs(self.low), abs(self.high)) * self.weight * SLACK)
@@ -178,7 +179,7 @@ def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
     """Return the margins (L,) w - γ P w, 1 for pairs of terminal states, and their error."""
     if (weight == 1.0).all():
         facts = rounding_facts(mdp)
-        size = max(abs(float(facts.leak.min())), abs(float(facts.leak.max())))
+        size = max(map(abs, facts.extremes))
         return facts.leak, float((gamma(4) * size + facts.leak_error + TINY) * SLACK)
     margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
     open_pairs = ~mdp.terminal[mdp.pair_state]

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,14 @@ def gamma(terms: Integers | int) -> Floats:
     return np.asarray(count / (1 - count) * (1 + 4 * UNIT))
 
 
+@lru_cache(maxsize=16)
+def roundings(most: int) -> Floats:
+    """Return γ(n + 8) of rows of n roundings, from 0 to `most`."""
+    found = gamma(np.arange(most + 1) + 8)
+    found.setflags(write=False)
+    return found
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gain:
     """What each pair adds to V: d(l) = r(l) + γ P_l V - V(s)."""
@@ -66,6 +75,11 @@ class Weights:
     value: Floats  # (S,) The weights w
     margin: Floats  # (L,) The margins m, rounded; 1 for pairs of terminal states
     error: float  # The greatest error of any of them
+
+    @cached_property
+    def extremes(self) -> tuple[float, float]:
+        """The least and the greatest margin, as computed."""
+        return float(self.margin.min()), float(self.margin.max())
 
     @property
     def least(self) -> Floats:
@@ -146,12 +160,19 @@ class RoundingFacts:
     reward_error: Floats  # (L,) or (0,) how far each reward may be from the exact one
     leak: Floats  # (L,) 1 - γ Σ p
     leak_error: float  # the greatest error of `leak`
+    size: float  # the greatest |reward|
+
+    @cached_property
+    def extremes(self) -> tuple[float, float]:
+        """The least and the greatest leak, as computed."""
+        return float(self.leak.min()), float(self.leak.max())
 
     def terms(self, mdp: MDP, first: int, last: int) -> Integers:
         """Return the number of roundings in a row of pairs first … last-1."""
         if len(self.merged):
             return np.asarray(self.merged[first:last])
-        return np.diff(mdp.table.offsets[first : last + 1])
+        offsets = mdp.table.offsets
+        return np.asarray(offsets[first + 1 : last + 1] - offsets[first:last])
 
     def reward_errors(self, mdp: MDP, first: int, last: int) -> Floats:
         """Return how far the rewards of pairs first … last-1 may be from the exact ones."""
@@ -160,11 +181,12 @@ class RoundingFacts:
         earning = _earning(mdp, first, last)
         return np.asarray(UNIT * np.abs(mdp.reward[first:last]) + TINY * earning)
 
-    def reward_error_bound(self, mdp: MDP) -> float:
+    @property
+    def reward_error_bound(self) -> float:
         """Return the greatest of them, or a little more."""
         if len(self.reward_error):
             return float(self.reward_error.max())
-        return UNIT * max(abs(float(mdp.reward.min())), abs(float(mdp.reward.max()))) + TINY
+        return UNIT * self.size + TINY
 
 
 @once
@@ -175,7 +197,11 @@ def rounding_facts(mdp: MDP) -> RoundingFacts:
     if mdp.table.weight.dtype == np.float64 and mdp.n_transitions < len(mdp.table.next):
         merged = (2 * np.diff(mdp.table.offsets)).astype(np.int32)
     return RoundingFacts(
-        merged=merged, reward_error=_reward_error(mdp), leak=leak, leak_error=leak_error
+        merged=merged,
+        reward_error=_reward_error(mdp),
+        leak=leak,
+        leak_error=leak_error,
+        size=max(-float(mdp.reward.min()), float(mdp.reward.max())),
     )
 
 

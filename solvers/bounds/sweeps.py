@@ -51,9 +51,9 @@ from exact_mdp.solvers.bounds.gains import (
     Weights,
     added,
     gains,
-    gamma,
     greedy,
     rounding_facts,
+    roundings,
 )
 from exact_mdp.solvers.bounds.sizes import Greatest, Sizes, dropped, risen, sizes
 from exact_mdp.solvers.solution import SolverError, Status
@@ -147,7 +147,7 @@ class Sweeps:
     @cached_property
     def least_margin(self) -> float:
         """A lower bound of all margins."""
-        return float(self.weights.margin.min()) - self.weights.error
+        return self.weights.extremes[0] - self.weights.error
 
     @cached_property
     def blur(self) -> float:
@@ -294,18 +294,19 @@ class Remembered:
     @classmethod
     def nothing(cls, mdp: MDP, weights: Weights, facts: RoundingFacts) -> Remembered:
         """Return what is known of a model before any pass."""
-        margin, matrix = weights.margin, mdp.transition
+        matrix = mdp.transition
         slots = np.zeros(mdp.n_states + 1, dtype=matrix.indptr.dtype)
         indices, data = matrix.indices, matrix.data
         if len(data) <= ASIDE:
-            longest = np.maximum.reduceat(np.diff(matrix.indptr), mdp.pair_offsets[:-1])
+            lengths = matrix.indptr[1:] - matrix.indptr[:-1]
+            longest = np.maximum.reduceat(lengths, mdp.pair_offsets[:-1])
             np.cumsum(longest, out=slots[1:])
         columns, room = np.empty(slots[-1], dtype=indices.dtype), np.empty(slots[-1])
         if len(room):
             indices, data = columns.view(), room.view()
             indices.flags.writeable = data.flags.writeable = False  # as the model's are
         return cls(
-            margin=(float(margin.min()) - weights.error, float(margin.max()) + weights.error),
+            margin=(weights.extremes[0] - weights.error, weights.extremes[1] + weights.error),
             policy=bellman.Known(
                 slots=slots[:-1],
                 ends=slots[:-1].copy(),
@@ -313,7 +314,7 @@ class Remembered:
                 data=data,
                 numbers=np.empty((3, mdp.n_states)),
                 pairs=np.empty(mdp.n_states, dtype=np.int64),
-                ceilings=mdp.reward + 4 * facts.reward_error_bound(mdp),  # rounded, too
+                ceilings=mdp.reward + 4 * facts.reward_error_bound,  # rounded, too
                 rise=0.0,
                 known=False,
                 columns=columns,
@@ -505,14 +506,14 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _greatest(self) -> Greatest:
         facts, mdp = self.facts, self.mdp
-        least, most = float(facts.leak.min()), float(facts.leak.max())
+        least, most = facts.extremes
         below, above = least - facts.leak_error, most + facts.leak_error
         lost = 4 * UNIT * (1 + abs(below) + abs(above))
         return Greatest(
-            reward=max(abs(float(mdp.reward.min())), abs(float(mdp.reward.max()))),
+            reward=facts.size,
             leak=max(abs(least), abs(most)),
             terms=int(facts.terms(mdp, 0, mdp.n_pairs).max()),
-            reward_error=facts.reward_error_bound(mdp),
+            reward_error=facts.reward_error_bound,
             leak_error=facts.leak_error,
             least_flow=1 - above - lost,
             most_flow=1 - below + lost,
@@ -541,7 +542,7 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _widest(self) -> int:
         """The most pairs of a state."""
-        return int(np.diff(self.mdp.pair_offsets).max())
+        return int((self.mdp.pair_offsets[1:] - self.mdp.pair_offsets[:-1]).max())
 
     @cached_property
     def _reward_error(self) -> Floats:
@@ -550,7 +551,7 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _rounding(self) -> Floats:
         """γ(n + 8) of rows of n roundings."""
-        return gamma(np.arange(self._greatest.terms + 1) + 8)
+        return roundings(self._greatest.terms)
 
     @cached_property
     def _step(self) -> Floats:

@@ -102,7 +102,7 @@ class Run:
         With `sweeps`, each pass is a round of modified policy iteration: the loop's body is
         `round`, which compiled code may have gone through many times.
         """
-        self._most = sweeps
+        self._most, self._blank = sweeps, getattr(solver, "start", None) is None
         self._started, self.mdp, self._solver = perf_counter(), mdp, solver
         self._tol, self._polish = solver.tol, polish
         found = sweeps_of(mdp, margin_weights(mdp), strict=self._tol is not None)
@@ -141,9 +141,11 @@ class Run:
     def _hasten(self) -> None:
         """Go through the rounds before the next pass that may be the last, if they are compiled."""
         sweeps, values = self.values.sweeps, self.values
-        fused = self._most and isinstance(sweeps, CompiledSweeps) and sweeps.alone
-        if not fused or sweeps.mdp.terminal.all():
+        if not (self._most and isinstance(sweeps, CompiledSweeps) and sweeps.alone):
             return
+        alike = self._blank and self.iteration == 0 and not sweeps.whole
+        if alike or sweeps.mdp.terminal.all():
+            return  # nothing for there: values that are all the same need no transition
         count = max(1, ROUNDS * COMPILED // max(COMPILED, sweeps.mdp.n_transitions))
         arrived = False
         while not arrived:
