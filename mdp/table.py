@@ -574,7 +574,9 @@ def _half_ulp(values: Numbers) -> Floats:
     if values.dtype != np.float64:
         return np.zeros(len(values))
     # A number without the digits after its first is the power of two that its unit goes by.
-    return (values.view(np.int64) & EXPONENT).view(np.float64) * 2.0**-53
+    found: Floats = (values.view(np.int64) & EXPONENT).view(np.float64)
+    found *= 2.0**-53
+    return found
 
 
 def dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:

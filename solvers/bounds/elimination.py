@@ -51,8 +51,14 @@ class TooLarge(SolverError):
         return type(self), (self.detail,)
 
 
-def reach(chain: sp.csr_array) -> tuple[int, int]:
-    """Return how far transitions (S, S) lead down and up in number at most."""
+def reach(chain: sp.csr_array, order: Numbers | None = None) -> tuple[int, int]:
+    """Return how far transitions (S, S) lead down and up at most, in number or in an `order`."""
+    if order is not None:
+        place = np.empty(chain.shape[0], dtype=chain.indices.dtype)
+        place[order] = np.arange(chain.shape[0])
+        ahead = place[chain.indices]
+        ahead -= np.repeat(place, np.diff(chain.indptr))
+        return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
     if chain.nnz >= COMPILED:
         ends, ended = (chain.indptr[:-1], chain.indptr[1:]), np.zeros(chain.shape[0], dtype=bool)
         down, up, _ = kernel.reach(*ends, chain.indices, ended)
@@ -192,7 +198,9 @@ def fill(matrix: sp.csc_array) -> int | None:
 
 def near_order(matrix: sp.csr_array | sp.csc_array) -> Numbers:
     """Return the states (S,) in the order of Reverse Cuthill and McKee, neighbours near."""
-    pattern = (matrix + matrix.T).tocsr()
+    parts = ((matrix.data != 0).astype(np.int8), matrix.indices, matrix.indptr)
+    one = type(matrix)(parts, matrix.shape)  # bytes in place of floats
+    pattern = (one + one.T).tocsr()
     return np.asarray(csgraph.reverse_cuthill_mckee(pattern, symmetric_mode=True))
 
 

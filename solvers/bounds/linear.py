@@ -253,7 +253,7 @@ class LinearSystem:
         if work:
             return within, work, None
         order = elimination.near_order(self.transition)
-        within = elimination.reach(self.transition[order][:, order])
+        within = elimination.reach(self.transition, order)
         work = _work(self.transition.shape[0], self.transition.nnz, within)
         return within, work, order if work else None
 

@@ -373,11 +373,12 @@ class CompiledSweeps(Sweeps):
         first, live = self.mdp.pair_offsets[:-1], ~self.mdp.terminal
         gain = self.mdp.reward if value == 0 else self.mdp.reward - self.facts.leak * value
         margin = self.weights.margin
-        step = np.maximum.reduceat(gain - shift * margin if shift else gain, first)
-        ratio = np.maximum.reduceat(gain / margin, first)[live]
-        low, high = float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
+        ratio = np.maximum.reduceat(gain / margin, first)
+        low = float(ratio.min(initial=np.inf, where=live))
+        high = float(ratio.max(initial=-np.inf, where=live))
         if not live.any():
             low = high = 0.0
+        step = np.maximum.reduceat(gain - shift * margin if shift else gain, first)
         floor = self._floor(of.noise, low, high)
         return Pass(step=np.where(live, step, 0.0), low=low, high=high, floor=floor)
 

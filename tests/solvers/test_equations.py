@@ -51,6 +51,8 @@ def test_a_band_is_eliminated(seed: int, lower: int, upper: int) -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(elimination, "COMPILED", threshold)
             assert reach(chain) == (down, up)
+            order = np.random.default_rng(seed + 1).permutation(chain.shape[0])
+            assert reach(chain, order) == reach(sp.csr_array(chain[order][:, order]))
             value = band(chain, 0.9, (down, up))(constant)
         assert np.allclose(value - 0.9 * (chain @ value), constant, rtol=0, atol=1e-12)
 
