@@ -189,13 +189,14 @@ def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
 
 def _verified(mdp: MDP, weight: Floats) -> Weights:
     margin, error = _margins(mdp, weight)
+    found = Weights(value=weight, margin=margin, error=error)
     if not (
         np.all(np.isfinite(weight))
         and (weight[~mdp.terminal] > 0).all()
-        and margin.min() - error > 0
+        and found.extremes[0] - error > 0
     ):
         raise SolverError(Status.NO_BOUND, "the end is too many steps away")
-    return Weights(value=weight, margin=margin, error=error)
+    return found
 
 
 def ladder(levels: int) -> Callable[[Floats, float, Floats], None]:
