@@ -131,13 +131,16 @@ def test_audits_are_the_same_without_the_short_cut(
     mdp = model(seed, rate)
     policy = np.random.default_rng(seed).integers(0, 3, mdp.n_states)
     found: list[Any] = []
-    for way in (widest_tie, lambda *_: np.inf):
-        monkeypatch.setattr(regret, "widest_tie", way)
+    for tie, moved in ((widest_tie, widest), (lambda *_: np.inf, lambda *_: np.inf)):
+        monkeypatch.setattr(regret, "widest_tie", tie)
+        monkeypatch.setattr(regret, "widest", moved)
         found.append(check(mdp, policy, exact_values=False))
     one, other = found
     assert np.array_equal(one.regret.optimal_pairs, other.regret.optimal_pairs)
     assert np.array_equal(one.regret.gap, other.regret.gap)
     assert (one.passed, one.disagreements) == (other.passed, other.disagreements)
+    assert one.verdicts == other.verdicts
+    assert one.forgiven == other.forgiven
 
 
 def test_prices_are_worked_out_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
