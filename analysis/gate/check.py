@@ -159,8 +159,9 @@ class Audit(Pictured):
         lost = f"regret {_number(self.value)}"
         if self.interval is not None:
             lost = f"regret in {self.interval}; estimated {_number(self.value)}"
+        word = "failed, left open" if self.undecided else "failed"
         return (
-            f"Audit({'passed' if self.passed else 'failed'}: {lost} of "
+            f"Audit({'passed' if self.passed else word}: {lost} of "
             f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements)"
         )
 

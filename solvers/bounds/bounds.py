@@ -25,6 +25,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import cast
 
@@ -195,8 +196,23 @@ def _verified(mdp: MDP, weight: Floats) -> Weights:
         and (weight[~mdp.terminal] > 0).all()
         and found.extremes[0] - error > 0
     ):
-        raise SolverError(Status.NO_BOUND, "the end is too many steps away")
+        raise SolverError(Status.NO_BOUND, _why_not(mdp, weight, margin))
     return found
+
+
+def _why_not(mdp: MDP, weight: Floats, margin: Floats) -> str:
+    """Return what keeps a margin from being proven: the end, a row, or the discount."""
+    if mdp.discount_exact == 1 or not (weight[~mdp.terminal] == 1).all():
+        return "the end is too many steps away"
+    pair, lost = int(np.argmin(margin)), float(1 - mdp.discount_exact)
+    if margin[pair] > 0:
+        return f"1 - γ is {lost:.2g}, of which rounding leaves too little"
+    over = float(sum(map(Fraction, mdp.transition[[pair]].data.tolist())) - 1)
+    where = mdp.space.label(mdp.pair_state[pair]), mdp.actions[mdp.pair_action[pair]]
+    return (
+        f"the row of state ({where[0]}), action {where[1]}, sums to 1 + {over:.2g}, "
+        f"and 1 - γ is {lost:.2g}, so that values may grow for ever"
+    )
 
 
 def ladder(levels: int) -> Callable[[Floats, float, Floats], None]:

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP
 from exact_mdp.solvers import (
     GaussSeidel,
     ModifiedPolicyIteration,
     PolicyIteration,
+    SolverError,
     ValueIteration,
     certify,
     solve,
@@ -213,3 +215,26 @@ def test_an_end_that_nothing_leads_to_costs_no_digits(
         found.value, certify(model).value, found.state_error, strict=True
     ):
         assert abs(F(float(value)) - exact) <= F(float(error))
+
+
+def test_a_row_that_gains_by_discounting_is_named() -> None:
+    model = MDP.from_arrays([[[0.5, 0.5], [0.5, 0.5000000009]]], [1, 2], discount=1 - 1e-12)
+    said = r"\(state 1\), action 0, sums to 1 \+ 9e-10, and 1 - γ is 1e-12, .*certify\(\)"
+    with pytest.raises(SolverError, match=said):
+        solve(model)
+
+
+def test_an_audit_that_bounds_leave_open_says_so() -> None:
+    model = classes("int", 1 - 1e-6)
+    actions = solve(model).policy.rule.copy()
+    actions[5] = (actions[5] + 1) % 3
+    lost = check(model, actions).regret.at_start
+    found = [check(model, actions, max_regret=lost.value + k * lost.error) for k in (-2, 0, 2)]
+    assert [(each.passed, each.undecided) for each in found] == [
+        (False, False),
+        (False, True),
+        (True, False),
+    ]
+    assert repr(found[0]).startswith("Audit(failed: ")
+    assert repr(found[1]).startswith("Audit(failed, left open: ")
+    assert "the bounds do not decide" in found[1].verdicts[0].text
