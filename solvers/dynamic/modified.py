@@ -12,14 +12,22 @@ until rounding stops them, so that ties show as ties.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.dynamic.stopping import Run, check_settings, of_costs
-from exact_mdp.solvers.solution import Solution
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.dynamic.stopping import (
+    NEARLY_ONE,
+    RELATIVE_TOLERANCE,
+    Run,
+    check_settings,
+    of_costs,
+)
+from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,3 +70,24 @@ class ModifiedPolicyIteration:
         for found in run:
             run.round(found)
         return run.solution
+
+
+def wide(model: MDP, value: Floats, error: float) -> bool:
+    """Return whether `value` (S,), known to an `error`, may be told closer, next to discount 1.
+
+    Equations for values as large as there lose what rounds keep, which hold apart what all values
+    have in common.
+    """
+    near = model.discount > NEARLY_ONE and model.discount_exact != 1
+    return near and not error <= RELATIVE_TOLERANCE * float(np.abs(value).max(initial=1.0))
+
+
+def closer(model: MDP, value: Floats | None, error: float) -> Solution | None:
+    """Return the optimum by rounds that begin with `value` (S,); None if its error is no less."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        try:
+            found = ModifiedPolicyIteration(start=value).solve(model)
+        except SolverError:
+            return None
+    return found if found.error_bound < error else None

@@ -23,7 +23,7 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import per_step
-from exact_mdp.mdp.lazy import asked, later
+from exact_mdp.mdp.lazy import COMPILED, asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
@@ -31,6 +31,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
+from exact_mdp.solvers.dynamic.modified import closer, wide
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, in_float
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
@@ -468,9 +469,30 @@ def evaluate(
     if mdp.discount_exact == 1:
         live &= chain.ends
     reward, error = chain.reward
-    found = chain.discounted.solve(np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
+    found = _closest(chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
     known = live | mdp.terminal
     value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)
     value.setflags(write=False)
     bound.setflags(write=False)
     return Evaluation(chain=chain, given=given, value=value, error=bound)
+
+
+def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
+    """Return a policy's values by its equations, or next to discount 1 by closer rounds.
+
+    Rows of mixed policies are put together exactly for that, in small models.
+    """
+    mdp, plain, doubt = chain.mdp, None, inf
+    small = len(chain.pairs) == mdp.n_states or mdp.n_transitions < COMPILED
+    try:
+        plain = chain.discounted.solve(reward, error)
+        doubt = float(plain.error.max(initial=0.0))
+    except SolverError:
+        if not (small and wide(mdp, reward, doubt)):
+            raise
+    if plain is not None and not (small and wide(mdp, plain.value, doubt)):
+        return plain
+    alone = closer(model_of(chain), None if plain is None else plain.value, doubt)
+    if alone is not None:
+        return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
+    return chain.discounted.solve(reward, error) if plain is None else plain

@@ -140,7 +140,7 @@ def model_of(chain: PolicyChain) -> MDP:
         outcomes = [(w * p, t, r) for pair, w in taken for p, t, r in mdp.table.row(pair)]
         rows.append((state, 0, outcomes))
     return replace(
-        MDP.from_outcomes(rows, start=dict(mdp.start), actions=["mixed"]),
+        MDP.from_outcomes(rows, mdp.discount_exact, start=dict(mdp.start), actions=["mixed"]),
         space=mdp.space,
         sense=mdp.sense,
         goal=mdp.goal,

@@ -17,6 +17,7 @@ from exact_mdp.solvers import (
     SolverError,
     ValueIteration,
     certify,
+    evaluate,
     solve,
 )
 from exact_mdp.solvers.bounds import gains as gains_module
@@ -238,3 +239,28 @@ def test_an_audit_that_bounds_leave_open_says_so() -> None:
     assert repr(found[0]).startswith("Audit(failed: ")
     assert repr(found[1]).startswith("Audit(failed, left open: ")
     assert "the bounds do not decide" in found[1].verdicts[0].text
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("exponent", [24, 30, 40, 48, 51])
+def test_policies_are_evaluated_as_closely_as_models_are_solved(exponent: int, seed: int) -> None:
+    """A policy, a mixed one and policy iteration, against rational arithmetic."""
+    rng, rate = np.random.default_rng(seed), 1 - 2.0**-exponent
+    chances = rng.multinomial(16, [0.25] * 4, size=(2, 4)) / 16  # floats are exact, their means too
+    rewards = rng.integers(-3, 4, (4, 2)) * 1.0
+    model = MDP.from_arrays(chances, rewards, discount=rate)
+    first = MDP.from_arrays(chances[:1], rewards[:, :1], discount=rate)
+    mean = MDP.from_arrays([chances.mean(axis=0)], rewards.mean(axis=1)[:, None], discount=rate)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for found, of in (
+            (evaluate(model, [0] * 4), first),
+            (evaluate(model, np.full(8, 0.5)), mean),
+            (PolicyIteration().solve(model), model),
+        ):
+            best = solve(of)
+            assert found.error_bound <= 2 * max(1e-9 * np.abs(best.value).max(), best.error_bound)
+            for value, exact, error in zip(
+                found.value, certify(of).value, found.error, strict=True
+            ):
+                assert abs(F(float(value)) - exact) <= F(float(error))
