@@ -172,8 +172,15 @@ class LinearSystem:
         return value, residual
 
     def _floor(self, constant: Floats, value: Floats) -> float:
-        """Return the size of a residual that may be rounding alone: to refine it brings nothing."""
-        return 8 * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
+        """Return the size of a residual that may be rounding alone: to refine it brings nothing.
+
+        Of rows of n terms, the error bound counts n roundings whatever the residual is.
+        """
+        return self._roundings * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
+
+    @cached_property
+    def _roundings(self) -> float:
+        return max(8.0, float(np.diff(self.transition.indptr).max()) / 4)
 
     def roughly(self, constant: Floats) -> Floats:
         """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller.
