@@ -176,10 +176,10 @@ class LinearSystem:
 
         Of rows of n terms, the error bound counts n roundings whatever the residual is.
         """
-        return self._roundings * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
+        return self._negligible * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
 
     @cached_property
-    def _roundings(self) -> float:
+    def _negligible(self) -> float:
         return max(8.0, float(np.diff(self.transition.indptr).max()) / 4)
 
     def roughly(self, constant: Floats) -> Floats:
