@@ -42,7 +42,7 @@ from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_pr
 
 RELATIVE_TOLERANCE = 1e-9
 CORRECTIONS = 30
-MANY = 10_000
+MANY, FEW = 10_000, 100  # a tenth in each 100 passes is nine digits in 20,000
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PASS = 20_000  # operations in the time of the calls of one pass
 ROUNDS = 200  # of a small model in one compiled call, which cannot be interrupted
@@ -112,6 +112,7 @@ class Run:
         self._half = self._best = np.inf
         self._mark, self._since = np.inf, 0
         self._idle, self._stalled, self._doubt = 0, False, 1.0
+        self._hurried = False
         self._end: tuple[Status, Bounds] | None = None
 
     def __iter__(self) -> Iterator[Pass]:
@@ -184,13 +185,15 @@ class Run:
                 values.correct(0.0 if self.ready else self.goal, error=self._half)
 
     def hurry(self) -> None:
-        """Where `MANY` passes were too few, move close to the values of the last pass's policy.
+        """Where passes bring too little, move close to the values of the last pass's policy.
 
-        Its linear equations do not mind how slowly news travels. Where there is no room for them,
-        passes go on as before.
+        That is where `MANY` were too few, or would be: where each `FEW` do not bring the error down
+        by a tenth. Its linear equations do not mind how slowly news travels. Where there is no room
+        for them, passes go on as before.
         """
-        if self.iteration >= MANY:
-            self._since = 0 if self.iteration == MANY else self._since
+        if not self._hurried and (self.iteration >= MANY or self._since >= FEW):
+            self._hurried, self._since = True, 0
+        if self._hurried:
             with suppress(SolverError):
                 self.values.evaluate(self.goal, 0, error=self._half)
 
@@ -212,7 +215,7 @@ class Run:
     @property
     def _patience(self) -> float:
         """How many passes may bring nothing; any number where policies are not evaluated."""
-        if not self._most and self.iteration <= MANY:
+        if not (self._most or self._hurried):
             return np.inf
         values = self.values
         return pace.patience(len(values.value), float(values.price), values.work)

@@ -4,8 +4,9 @@
 
 until the bounds of `solvers.bounds.bounds` around V are as close as asked for; that the last sweep
 changed little is no reason to stop (Haddad and Monmege, Theoretical Computer Science 735, 2018).
-The answer is the middle between the bounds (MacQueen 1966; Porteus 1971). After 10,000 sweeps each
-is followed by the linear equations of its policy, so that chains that mix slowly end, too.
+The answer is the middle between the bounds (MacQueen 1966; Porteus 1971). Once a hundred sweeps do
+not bring these closer by a tenth, or after 10,000, each is followed by the linear equations of its
+policy, so that chains that mix slowly end, too.
 """
 
 from __future__ import annotations

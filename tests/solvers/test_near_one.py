@@ -264,3 +264,21 @@ def test_policies_are_evaluated_as_closely_as_models_are_solved(exponent: int, s
                 found.value, certify(of).value, found.error, strict=True
             ):
                 assert abs(F(float(value)) - exact) <= F(float(error))
+
+
+@pytest.mark.parametrize("kind", [GaussSeidel, ValueIteration])
+@pytest.mark.parametrize("seed", range(8))
+def test_a_hundred_sweeps_tell_that_ten_thousand_would_be_too_few(kind: Any, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    states = int(rng.integers(3, 8))
+    after = (np.arange(states)[:, None] + rng.integers(-1, 2, (2, states, 2))) % states
+    chances = np.eye(states)[after].mean(axis=2)
+    model = MDP.from_arrays(chances, rng.normal(size=(states, 2)), discount=1 - 1e-9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = kind().solve(model)
+    assert found.iterations < 200
+    for value, exact, error in zip(
+        found.value, certify(model).value, found.state_error, strict=True
+    ):
+        assert abs(F(float(value)) - exact) <= F(float(error))
