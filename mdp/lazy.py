@@ -201,7 +201,7 @@ def names_later(
 
     Examples
     --------
-    >>> get, names = names_later("mine", {"math": ["pi", "tau"]})
+    >>> get, names = names_later(__name__, {"math": ["pi", "tau"]})
     >>> get("pi"), names()
     (3.14..., ['pi', 'tau'])
     """
@@ -210,6 +210,8 @@ def names_later(
     def get(name: str) -> Any:
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(home[name]), name)
+        value = getattr(import_module(home[name]), name)
+        setattr(sys.modules[package], name, value)  # found at once from now on
+        return value
 
     return get, lambda: sorted(home)
