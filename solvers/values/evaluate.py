@@ -13,6 +13,7 @@ Every number comes with a bound on its error that is sound in floating point.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, nan, sqrt
@@ -480,19 +481,20 @@ def evaluate(
 def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
     """Return a policy's values by its equations, or next to discount 1 by closer rounds.
 
-    Rows of mixed policies are put together exactly for that, in small models.
+    Rounds are of models: a mixed policy's rows make one where, put together exactly, they sum to 1.
     """
     mdp, plain, doubt = chain.mdp, None, inf
-    small = len(chain.pairs) == mdp.n_states or mdp.n_transitions < COMPILED
     try:
         plain = chain.discounted.solve(reward, error)
         doubt = float(plain.error.max(initial=0.0))
+        if not wide(mdp, plain.value, doubt):
+            return plain
     except SolverError:
-        if not (small and wide(mdp, reward, doubt)):
+        if not wide(mdp, reward, doubt):
             raise
-    if plain is not None and not (small and wide(mdp, plain.value, doubt)):
-        return plain
-    alone = closer(model_of(chain), None if plain is None else plain.value, doubt)
-    if alone is not None:
-        return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
+    if len(chain.pairs) == mdp.n_states or mdp.n_transitions < COMPILED:
+        with suppress(ModelError):
+            alone = closer(model_of(chain), None if plain is None else plain.value, doubt)
+            if alone is not None:
+                return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
     return chain.discounted.solve(reward, error) if plain is None else plain

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.solvers import (
     GaussSeidel,
     ModifiedPolicyIteration,
@@ -26,6 +27,8 @@ from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Sweeps
 from exact_mdp.solvers.dynamic.stopping import Iterate
 from exact_mdp.solvers.solution import Status
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.unending import model_of
 
 
 def sparse(rows: np.ndarray, weight: np.ndarray, reward: np.ndarray, discount: float) -> MDP:
@@ -282,3 +285,14 @@ def test_a_hundred_sweeps_tell_that_ten_thousand_would_be_too_few(kind: Any, see
         found.value, certify(model).value, found.state_error, strict=True
     ):
         assert abs(F(float(value)) - exact) <= F(float(error))
+
+
+def test_a_mixed_policy_whose_rows_do_not_sum_to_1_is_evaluated_by_its_equations() -> None:
+    chances = np.random.default_rng(0).dirichlet(np.ones(4), (2, 4))
+    model = MDP.from_arrays(chances, [[1, 2]] * 4, discount=1 - 1e-9)
+    chain = PolicyChain.of(model, np.tile([0.3, 0.7], 4))
+    with pytest.raises(ModelError, match="sum to"):
+        model_of(chain)
+    found, plain = evaluate(model, np.tile([0.3, 0.7], 4)), chain.discounted.solve(*chain.reward)
+    assert (np.abs(found.value - plain.value) <= found.error + plain.error).all()
+    assert np.abs(found.value / 1.7e9 - 1).max() < 1e-6
