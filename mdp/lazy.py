@@ -27,9 +27,11 @@ joblib, tqdm, click, rich and jinja2: all that the commands need, but for what t
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from functools import cache, wraps
 from importlib import import_module
+from threading import Thread
 from time import perf_counter
 from types import ModuleType, SimpleNamespace
 from typing import Any, TypeVar
@@ -94,7 +96,7 @@ def load(name: str) -> ModuleType:
         return import_module(name)
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
-        if missing not in (package, *EXTRAS):
+        if missing not in (package, *EXTRAS, *HEAVY):
             raise
         extra = EXTRAS.get(missing)
         what = f"exact-mdp[{extra}]" if extra else missing
@@ -188,7 +190,34 @@ def loops_pay(transitions: int, least: int) -> bool:
     if LOOPS in sys.modules or transitions >= least:
         return True
     goes_on = _process.calls > 1 and not _process.command
-    return goes_on or _seconds() >= LOADING
+    return (goes_on or _seconds() >= LOADING) and _compiler_loads()
+
+
+@cache
+def _compiler_loads() -> bool:
+    """Load the compiler, and return whether that succeeds; say once what is in the way.
+
+    In a thread, which an interrupt from the keyboard does not reach: a module that is left half
+    loaded would fail for the rest of the session.
+    """
+    failed = list[Exception]()
+
+    def bring() -> None:
+        try:
+            load(LOOPS)
+        except (ImportError, ModelError) as error:
+            failed.append(error)
+
+    thread = Thread(target=bring)
+    thread.start()
+    thread.join()
+    if not failed:
+        return True
+    reason = str(failed[0]).splitlines()[0]
+    warnings.warn(
+        f"loops are not compiled: {reason}; answers are the same, and slower", stacklevel=2
+    )
+    return False
 
 
 def names_later(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from fractions import Fraction
-from math import inf, isinf, nextafter
+from math import inf, isinf, isnan, nextafter
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -466,7 +466,11 @@ def _facts(audit: Audit, why: Representation | None, plan: Needed | None) -> dic
         "optimal value": lost.optimal,
         "learned value": lost.learned,
         "agreement": f"{audit.agreement:.1%} of the states with a choice, "
-        f"{audit.agreement_by_visits:.1%} of the visits to them",
+        + (
+            "of the visits to them not known"
+            if isnan(audit.agreement_by_visits)
+            else f"{audit.agreement_by_visits:.1%} of the visits to them"
+        ),
         "value of the room left under the limits": Certified(value=audit.limits.room)
         if audit.limits is not None and audit.limits.best.feasible
         else None,

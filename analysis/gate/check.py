@@ -25,9 +25,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
-from functools import cache, cached_property, partial
-from math import inf, isfinite, isinf
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from math import inf, isfinite, isinf, isnan
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,8 +118,8 @@ class Audit(Pictured):
     regret : Regret
         Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
     found : callable
-        Makes `visits` and `disagreements`, once, when they are first asked for: a verdict does not
-        need them.
+        Makes `visits` and `disagreements` when they are first asked for: a verdict does not need
+        them.
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
     criterion : "total" or "average"
@@ -172,15 +172,18 @@ class Audit(Pictured):
     def visits(self) -> Floats:
         """(S,) expected discounted visits of the policy from the start; undiscounted at discount 1.
 
-        Raises SolverError where floats cannot bound them, in a model too large for rational
-        arithmetic.
+        NaN where floats cannot bound them, in a model too large for rational arithmetic.
         """
-        return self.found()[0]
+        return self._findings[0]
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
         """States with a choice where it does not act optimally, the costliest first."""
-        return self.found()[1]
+        return self._findings[1]
+
+    @cached_property
+    def _findings(self) -> Findings:
+        return self.found()
 
     @property
     def begins(self) -> str:
@@ -356,13 +359,7 @@ class Audit(Pictured):
         if limit is None and relative is None:
             name = f"the regret is {'at most 0' if held else 'zero'}"
 
-            def words() -> tuple[str, str]:
-                if not self.regret.forgiveness.high:
-                    return name, text
-                moved = f"; rounding can move it by {_below(self.forgiven)}"
-                return f"{name} up to the rounding of the given floats", text + moved
-
-            found.append((self.regret.zero, words))
+            found.append((self.regret.zero, partial(self._unless_rounding, name, text)))
         if limit is not None:
             name = f"the regret is at most {shown(limit, 10)}"
             found.append(_decision(name, self.regret.decided(limit), text))
@@ -370,6 +367,12 @@ class Audit(Pictured):
             name = f"the relative regret is at most {shown(relative, 10)}"
             found.append(_decision(name, *self._relative(relative)))
         return tuple(found)
+
+    def _unless_rounding(self, name: str, text: str) -> tuple[str, str]:
+        if not self.regret.forgiveness.high:
+            return name, text
+        moved = f"; rounding can move it by {_below(self.forgiven)}"
+        return f"{name} up to the rounding of the given floats", text + moved
 
     def _of_process(self, interval: RegretInterval) -> Decision:
         """Return what the interval decides, never the estimate."""
@@ -422,7 +425,7 @@ class Audit(Pictured):
         """The same share of the policy's visits to states with a choice."""
         total = float(self.visits[self._choosing].sum())
         wrong = sum(each.expected_visits for each in self.disagreements)
-        return max(0.0, 1 - wrong / total) if total > 0 else 1.0
+        return 1.0 if total == 0 else float(np.maximum(0.0, 1 - wrong / total))
 
     # ---- reasons -----------------------------------------------------------------------------
 
@@ -502,6 +505,8 @@ class Audit(Pictured):
                 f" waits for ever and loses {each.cost:.6g}"
                 if isinf(each.expected_visits) and isfinite(each.cost)
                 else f" loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
+                if not isnan(each.cost)
+                else f" loses {each.gap:.6g} a visit; how often it is visited is not known"
             )
             for each in listed[:most]
         ]
@@ -525,8 +530,16 @@ def share_of(cost: float, lost: float) -> float | None:
     return cost / lost if 0 < lost < inf else None
 
 
+First = TypeVar("First")
+Second = TypeVar("Second")
+
+
+def _both(first: First, second: Second) -> tuple[First, Second]:
+    return first, second
+
+
 def _decision(name: str, decision: bool | None, text: str) -> Decision:
-    return decision, lambda: (name, text)
+    return decision, partial(_both, name, text)
 
 
 def _kept(limits: UnderLimits | None) -> list[Decision]:
@@ -676,7 +689,7 @@ def check(
             policy=held,
             chain=PolicyChain.of(mdp, held) if costs else chain,
             regret=lost.negated() if costs else lost,
-            found=lambda: (visits, wrong),
+            found=partial(_both, visits, wrong),
             criterion=criterion,
             **limits,
         )
@@ -695,7 +708,7 @@ def check(
             policy=held,
             chain=PolicyChain.of(mdp, held) if costs else chain,
             regret=signed if under is None else under.regret(signed),
-            found=cache(partial(findings, rewards, chain, lost)),
+            found=partial(findings, rewards, chain, lost),
             limits=under,
             **limits,
         )

@@ -135,10 +135,14 @@ Findings = tuple[Floats, tuple[Disagreement, ...]]
 def findings(mdp: MDP, chain: PolicyChain, found: Regret) -> Findings:
     """Return the visits of the policy of `chain`, and the states that make up a regret `found`.
 
-    Raises SolverError where floats cannot bound the visits, and rational arithmetic would be slow.
+    Visits are NaN where floats cannot bound them and rational arithmetic would be slow: a verdict
+    stands without them.
     """
     exact = isinstance(found.at_start, Certified) or cheap(mdp, LAST_CYCLE)
-    visited, floats = own_visits(chain, exact=exact)
+    try:
+        visited, floats = own_visits(chain, exact=exact)
+    except SolverError:
+        visited, floats = np.where(chain.reached, np.nan, 0.0), False
     return visited, disagreements(mdp, chain, found, visited, priced=floats)
 
 

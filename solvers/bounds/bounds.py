@@ -70,7 +70,9 @@ class Bounds:
     @cached_property
     def state_error(self) -> Floats:
         """(S,) |value - V*| and |value - V^π| are at most this."""
-        return np.asarray(max(abs(self.low), abs(self.high)) * self.weight * SLACK)
+        error = np.asarray(max(abs(self.low), abs(self.high)) * self.weight * SLACK)
+        error.setflags(write=False)
+        return error
 
     @property
     def error(self) -> float:

@@ -10,6 +10,7 @@ is the optimum of the model in which there is nothing else to do.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from math import inf
 
 import numpy as np
@@ -19,7 +20,7 @@ from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Numbers
+from exact_mdp.mdp.table import Given, Numbers
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.average.evaluate import evaluated
 from exact_mdp.solvers.solver import solve
@@ -134,11 +135,17 @@ def model_of(chain: PolicyChain) -> MDP:
             pair_state=mdp.pair_state[chain.pairs],
             pair_action=mdp.pair_action[chain.pairs],
         )
+    earned, below = mdp.table.expected_gain_exact()
     rows = []
     for state in range(mdp.n_states):
         taken = chain.exact_weights(state).items()
-        outcomes = [(w * p, t, r) for pair, w in taken for p, t, r in mdp.table.row(pair)]
-        rows.append((state, 0, outcomes))
+        mean = sum((w * Fraction(int(earned[l]), int(below[l])) for l, w in taken), Fraction(0))
+        gain = Given(
+            mean, certain=True
+        )  # a pair's reward is earned in full, whatever its row sums to
+        rows.append(
+            (state, 0, [(w * p, t, gain) for l, w in taken for p, t, _ in mdp.table.row(l)])
+        )
     return replace(
         MDP.from_outcomes(rows, mdp.discount_exact, start=dict(mdp.start), actions=["mixed"]),
         space=mdp.space,

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from threading import current_thread, main_thread
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from solvers import solve
 
 SESSION = """
 import sys
+from threading import current_thread, main_thread
 from exact_mdp import MDP, check, evaluate, solve
 from exact_mdp.solvers import ValueIteration
 chances = [[["1/2", "1/2"], ["1/3", "2/3"]], [[0, 1], [1, 0]]]
@@ -128,3 +130,37 @@ def test_calls_on_the_way_are_not_counted(clock: Clock) -> None:
     costs = MDP.from_arrays([np.full((2, 2), 0.5)] * 2, [[1, 2], [0, 3]], 0.9, sense="min")
     solve(costs)  # by the model of which it is the negation
     assert lazy._process.calls == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        ("ModuleNotFoundError('No module named numba', name='numba')", "numba is not installed"),
+        ("ImportError('Numba needs another NumPy')", "Numba needs another NumPy"),
+    ],
+)
+def test_a_session_without_the_compiler_goes_on_and_says_so_once(error: str, told: str) -> None:
+    broken = (
+        "import sys, warnings\n"
+        "class Broken:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == 'numba': raise {error}\n"
+        "sys.meta_path.insert(0, Broken())\n"
+        "caught = warnings.catch_warnings(record=True)\n"
+        "heard = caught.__enter__()\n"
+        "warnings.simplefilter('always')\n"
+    )
+    calls = "lambda: solve(mdp), lambda: solve(mdp), lambda: check(mdp, [0, 0]), "
+    code = broken + SESSION.format(calls=calls) + "print([str(each.message) for each in heard])"
+    found, heard = printed(code).splitlines()
+    assert found == str([False] * 3)
+    assert heard.count("loops are not compiled") == 1
+    assert told in heard
+
+
+def test_an_interrupt_does_not_reach_what_is_being_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads = []
+    monkeypatch.setattr(lazy, "load", lambda name: threads.append((name, current_thread())))
+    assert lazy._compiler_loads.__wrapped__()
+    assert [name for name, _ in threads] == [lazy.LOOPS]
+    assert threads[0][1] is not main_thread()

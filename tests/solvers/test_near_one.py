@@ -303,3 +303,38 @@ def test_a_mixed_policy_whose_rows_do_not_sum_to_1_is_evaluated_by_its_equations
     found, plain = evaluate(model, np.tile([0.3, 0.7], 4)), chain.discounted.solve(*chain.reward)
     assert (np.abs(found.value - plain.value) <= found.error + plain.error).all()
     assert np.abs(found.value / 1.7e9 - 1).max() < 1e-6
+
+
+@pytest.mark.parametrize("rate", [1 - 1e-8, 1 - 1e-9, 1 - 1e-12])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_mixed_policy_earns_its_pairs_rewards_in_full(rate: float, seed: int) -> None:
+    """Rows that sum to less than 1 are not paid less: against each state's own equations."""
+    rng = np.random.default_rng(seed)
+    chances = rng.dirichlet(np.ones(2), (2, 2))
+    chances[0, :, 0] -= 1e-10 * (chances[0, :, 0] > 0.1)
+    rewards = rng.integers(0, 4, (2, 2)) * 1.0
+    model = MDP.from_arrays(chances, rewards, discount=rate)
+    a, b, c, d = (sum(map(F, map(float, chances[:, s, t])), F(0)) / 2 for s, t in np.ndindex(2, 2))
+    r, q = (sum(map(F, map(float, row)), F(0)) / 2 for row in rewards)
+    g = F(rate)
+    below = (1 - g * a) * (1 - g * d) - g * b * g * c
+    right = ((1 - g * d) * r + g * b * q) / below, ((1 - g * a) * q + g * c * r) / below
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = evaluate(model, np.full((2, 2), 0.5), kind="policy")
+    for value, exact, error in zip(found.value, right, found.error, strict=True):
+        assert abs(F(float(value)) - exact) <= F(float(error))
+
+
+def test_a_mixed_policy_of_leaking_rows_fails_where_it_loses_more() -> None:
+    states = np.arange(600)
+    half = 0.5 - 2.0**-34  # rows sum to 1 - 2^-33
+    rows = np.repeat(np.arange(1200), 2), np.c_[states, (states + 1) % 600].repeat(2, 0).ravel()
+    model = MDP.from_pairs(
+        states.repeat(2), np.tile([0, 1], 600), sp.csr_array((np.full(2400, half), rows)),
+        np.tile([0.0, -1.0], 600), discount=1 - 1e-8,
+    )  # fmt: skip
+    lost = F(1, 2) / (1 - F(1 - 1e-8) * 2 * F(half))  # in all states alike, by half a step's -1
+    mixed = np.full((600, 2), 0.5)
+    assert not check(model, mixed, kind="policy", max_regret=lost - F(3, 1000)).passed
+    assert check(model, mixed, kind="policy", max_regret=lost + F(3, 1000)).passed

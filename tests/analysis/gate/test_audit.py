@@ -1,5 +1,6 @@
 """The audit of a policy: its regret and the price of each state, against rational arithmetic."""
 
+import pickle
 from dataclasses import replace
 from fractions import Fraction as F
 from math import inf
@@ -17,10 +18,11 @@ from oracle import ACTIONS, acting, oracle_of
 from strategies import Pairs, Rows, any_models, model_of, models
 
 from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp.analysis.gate import disagreements
 from exact_mdp.analysis.gate.check import UNDECIDED, Verdict
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.chain import reachable
-from exact_mdp.solvers import Bounded, Certified, Claim, certify
+from exact_mdp.solvers import Bounded, Certified, Claim, SolverError, certify
 
 # Failed trials cost nothing and assistance much: what is best changes with the trial.
 
@@ -391,3 +393,27 @@ def test_an_audit_says_from_where_it_measures() -> None:
     assert (audit.passed, audit.begins, audit.never_reached) == (True, "state x", 2)
     spread = check(mdp.with_(start=["1/2", "1/2", 0]), [0, 1, 1])
     assert (spread.begins, spread.never_reached) == ("2 states, each with its probability", 1)
+
+
+def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unbounded(*_: Any, **__: Any) -> Any:
+        raise SolverError("no bound")
+
+    monkeypatch.setattr(disagreements, "own_visits", unbounded)
+    mdp = MDP.from_arrays([np.full((3, 3), 1 / 3)] * 2, [[1.0, 0.0]] * 3, discount=0.9)
+    audit = check(mdp, [0, 1, 0], exact_values=False)
+    assert not audit.passed
+    assert np.isnan([*audit.visits, audit.agreement_by_visits]).all()
+    assert audit.agreement == pytest.approx(2 / 3)
+    assert "loses 1 a visit; how often it is visited is not known" in str(audit)
+    assert audit.frame(full=True).loc[1, "gap"] == pytest.approx(1)
+    assert audit.plot() is not None
+    with pytest.raises(AssertionError, match="the regret is"):
+        assert_policy_optimal(mdp, [0, 1, 0])
+
+
+@pytest.mark.parametrize("criterion", ["total", "average"])
+def test_audits_can_be_pickled(criterion: Any) -> None:
+    audit = check(Scenario.load("yuan2025").compile(), "random", criterion=criterion)
+    again = pickle.loads(pickle.dumps(audit))
+    assert (repr(again), again.message()) == (repr(audit), audit.message())
