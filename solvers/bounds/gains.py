@@ -171,8 +171,8 @@ class RoundingFacts:
         """Return the number of roundings in a row of pairs first … last-1."""
         if len(self.merged):
             return np.asarray(self.merged[first:last])
-        offsets = mdp.table.offsets
-        return np.asarray(offsets[first + 1 : last + 1] - offsets[first:last])
+        ends = mdp.transition.indptr  # an exact model's outcomes of a next state are one in it
+        return np.asarray(ends[first + 1 : last + 1] - ends[first:last])
 
     def reward_errors(self, mdp: MDP, first: int, last: int) -> Floats:
         """Return how far the rewards of pairs first … last-1 may be from the exact ones."""

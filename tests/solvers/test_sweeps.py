@@ -366,12 +366,24 @@ def test_slow_chains_are_solved_by_their_equations(discount: float) -> None:
     assert one.iterations < 60
 
 
+def two_ways() -> MDP:
+    """Exact outcomes, two of each pair to every next state, which its rows of floats have once."""
+    rng, rows = np.random.default_rng(34), []
+    for state in range(3):
+        cuts = [int(each) for each in rng.integers(1, 2**20, 6)]
+        chances = [F(cut, sum(cuts)) for cut in cuts]
+        rewards = [F(int(each), 7) for each in rng.integers(0, 100, 6)]
+        rows.append((state, 0, [*zip(chances, [0, 1, 2] * 2, rewards, strict=True)]))
+    return MDP.from_outcomes(rows, "9/10")
+
+
 SMALL = [
     lambda: queue(60).model(),
     lambda: gridworld(6),
     lambda: garnet(60, seed=31, discount="99/100"),
     lambda: uneven(garnet(30, seed=32, ends=True), 32),
     lambda: garnet(40, seed=33, discount=1, ends=True),
+    two_ways,
 ]
 
 
