@@ -365,8 +365,8 @@ def _table(
 def _taken(rows: Any) -> tuple[Integers, Numbers, Floats, Floats] | None:
     """Return offsets (L+1,), columns and numbers (N,) of a sparse matrix, copied in one pass.
 
-    Last comes by how much each row's sum exceeds 1. None where compiled loops are not loaded nor
-    worth it, and where rows are not sound as they are.
+    The last part is by how much each row's sum exceeds 1. None where compiled loops are not loaded
+    nor worth it, and where rows are not sound as they are.
     """
     wide, loaded = rows.shape[1] >= 2**31, COMPILER in sys.modules or rows.nnz >= LOADING
     if not loaded or rows.dtype != np.float64 or wide or not rows.shape[0]:

@@ -34,7 +34,7 @@ from importlib import import_module
 from threading import Thread
 from time import perf_counter
 from types import ModuleType, SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from exact_mdp.mdp.errors import ModelError
 
@@ -170,7 +170,7 @@ def asked(function: Call) -> Call:
         finally:
             _process.seconds, _process.since = _seconds(), None
 
-    return call  # type: ignore[return-value]
+    return cast("Call", call)
 
 
 def _seconds() -> float:

@@ -79,6 +79,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     monkeypatch.setattr(lazy, "_process", fresh)
     monkeypatch.setattr(lazy, "LOOPS", "not loaded")
+    monkeypatch.setattr(lazy, "_compiler_loads", lambda: True)
     monkeypatch.setattr(lazy, "perf_counter", clock)
     return clock
 

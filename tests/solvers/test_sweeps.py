@@ -277,14 +277,14 @@ def test_the_number_of_threads_changes_no_bit(large: MDP, monkeypatch: pytest.Mo
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: garnet(1_500, seed=41, discount="99/100"),
-        lambda: uneven(garnet(1_500, seed=42, ends=True), 42),
-        lambda: queue(2_500).model(),
-    ],
-)
+LARGER = [
+    lambda: garnet(1_500, seed=41, discount="99/100"),
+    lambda: uneven(garnet(1_500, seed=42, ends=True), 42),
+    lambda: queue(2_500).model(),
+]
+
+
+@pytest.mark.parametrize("make", LARGER)
 def test_rows_of_policies_are_the_same_where_they_stand(
     make: Callable[[], MDP], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -608,14 +608,7 @@ def test_compiled_rounds_may_be_cut_anywhere(
 
 
 @pytest.mark.parametrize("tol", [None, 1e-6])
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: garnet(1_300, seed=41, discount="99/100"),
-        lambda: uneven(garnet(1_500, seed=42, ends=True), 42),
-        lambda: queue(2_500).model(),
-    ],
-)
+@pytest.mark.parametrize("make", LARGER)
 def test_rounds_of_larger_models_are_those_of_python(
     make: Callable[[], MDP], tol: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
