@@ -234,7 +234,7 @@ def main() -> None:
                 names = list(FULL | LINEAR_PROGRAMS)
                 rows = [row for row in rows if row["family"] in names]
                 rows.sort(key=lambda row: (names.index(row["family"]), row["states"]))
-                write(rows, bandwidth, options.out, rounds=options.rounds)
+                write(rows, bandwidth, options.out)
     slow = [row for row in rows if row["verdict"] == "wrong" and row["contender"].startswith(OURS)]
     sys.exit(1 if slow else 0)
 

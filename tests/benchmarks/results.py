@@ -19,16 +19,19 @@ from exact_mdp.analysis.plots.style import LINES, MARKS, save, style
 from exact_mdp.mdp.io.files import write_atomically
 
 PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy", "highspy")
-INK = ("#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7", "#E69F00", "#56B4E9")
+INK = (
+    "#0072B2", "#D55E00", "#009E73", "#4D4D4D", "#CC79A7", "#E69F00", "#56B4E9", "#000000",
+    "#999933", "#882255",
+)  # fmt: skip
 LARGE = 5e6  # bytes of arrays from which on memory says more of the model than of the process
 Rows = Sequence[dict[str, Any]]
 
 
-def write(rows: Rows, bandwidth: float, folder: Path, *, rounds: int) -> None:
+def write(rows: Rows, bandwidth: float, folder: Path) -> None:
     """Write RESULTS.md, results.json and the figures into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "results.json", json.dumps(list(rows), indent=1) + "\n")
-    write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth, rounds)) + "\n")
+    write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth)) + "\n")
     with style():
         if _leading(rows):
             save(figure := _ratios(rows), folder, "results_ratio")
@@ -42,7 +45,7 @@ def write(rows: Rows, bandwidth: float, folder: Path, *, rounds: int) -> None:
             plt.close(figure)
 
 
-def _page(rows: Rows, bandwidth: float, rounds: int) -> list[str]:
+def _page(rows: Rows, bandwidth: float) -> list[str]:
     lines = [
         "# Timings beside other solvers",
         "",
@@ -59,9 +62,9 @@ def _page(rows: Rows, bandwidth: float, rounds: int) -> list[str]:
         + ".",
         "",
         f"Written by `make bench`, whose runs took {_spent(rows):.0f} minutes. Each solver is "
-        f"given the same arrays, in a process of its own, in turn, {rounds} rounds; a time is the "
-        "best of three repeats or more, half a second of them, after a first call, and includes "
-        "what a user waits for: taking over the arrays, finding structure, solving, "
+        f"given the same arrays, in a process of its own, in turn, in {_rounds(rows)}; a time is "
+        "the best of three repeats or more, half a second of them, after a first call, and "
+        "includes what a user waits for: taking over the arrays, finding structure, solving, "
         "bounding. Python lists for mdpsolver and Storm's matrix are made beforehand, untimed, and "
         "only up to 4 million transitions; Storm's time is for *solving alone*, as that column is. "
         "An answer counts where it is within 1e-6 (or 1e-9 of the largest value) of a reference "
@@ -181,6 +184,13 @@ def _spent(rows: Rows) -> float:
     return sum(row.get("spent", 0.0) for row in rows) / 60
 
 
+def _rounds(rows: Rows) -> str:
+    """Return how often each solver was run, in words: least to most."""
+    counts = sorted({len(row["seconds"]) for row in rows if "seconds" in row})
+    number = " to ".join(map(str, dict.fromkeys([*counts[:1], *counts[-1:]])))
+    return f"{number} round{'s' * (counts != [1])}"
+
+
 def _ratio(row: dict[str, Any], rows: Rows, what: str) -> str:
     """Return how many times ours it took: the ratio of medians, and the range over rounds."""
     for ours in rows:
@@ -199,21 +209,17 @@ def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
     columns = min(3, len(families))
     height = -(-len(families) // columns)
     figure, axes = plt.subplots(
-        height, columns, figsize=(3.4 * columns, 3.0 * height), squeeze=False
+        height, columns, figsize=(3.4 * columns, 2.4 * height), squeeze=False, layout="constrained"
     )
     for ax, family in zip(axes.flat, families, strict=False):
         mine = [row for row in rows if row["family"] == family and row["verdict"] == "right"]
         for name in dict.fromkeys(row["contender"] for row in mine):
             number = known.index(name.removesuffix(" LP"))  # one colour in every panel
             own = [row for row in mine if row["contender"] == name]
-            x = np.array([row["states"] for row in own], dtype=float)
-            y = np.array([max(_number(row, what), 1e-9) for row in own])
-            label = name
-            if len(x) > 1:
-                label += f", as n^{np.polyfit(np.log(x), np.log(y), 1)[0]:.2f}"
             ax.loglog(
-                x, y, linestyle=LINES[number % len(LINES)], marker=MARKS[number % len(MARKS)],
-                color=INK[number % len(INK)], markersize=4, label=label,
+                [row["states"] for row in own], [max(_number(row, what), 1e-9) for row in own],
+                linestyle=LINES[number % len(LINES)], marker=MARKS[number % len(MARKS)],
+                color=INK[number % len(INK)], markersize=4, label=known[number],
             )  # fmt: skip
         sizes = {row["states"]: row["bytes"] for row in rows if row["family"] == family}
         amount = np.array(list(sizes.values())) / (bandwidth if what == "seconds" else 1)
@@ -221,9 +227,18 @@ def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
         ax.loglog(list(sizes), amount, color="0.6", linewidth=1, label=once)
         ax.set(title=family, xlabel="states", ylabel="seconds" if what == "seconds" else "bytes")
         _plain(ax)
-        ax.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.25))
+        if max(sizes) < 10 * min(sizes):  # hardly a power of ten between them
+            ax.set_xticks(list(sizes))
     for ax in list(axes.flat)[len(families) :]:
         ax.set_axis_off()
+    shown = dict[str, Any]()
+    for ax in axes.flat:
+        handles, labels = ax.get_legend_handles_labels()
+        shown |= dict(zip(labels, handles, strict=True))
+    figure.legend(
+        shown.values(), shown.keys(), frameon=False, fontsize=8, ncols=columns,
+        loc="outside lower center",
+    )  # fmt: skip
     return figure
 
 

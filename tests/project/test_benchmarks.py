@@ -63,7 +63,7 @@ def test_an_answer_is_held_against_the_reference_and_its_own_bound(
     assert rows[PEER]["verdict"] == verdict
     assert ("seconds" in rows[PEER]) == (verdict == "right")
     assert rows["mdpsolver MPI"]["verdict"].startswith("no answer")
-    write(list(rows.values()), 1e10, tmp_path, rounds=2)
+    write(list(rows.values()), 1e10, tmp_path)
     (line,) = [
         line
         for line in (tmp_path / "RESULTS.md").read_text().splitlines()
