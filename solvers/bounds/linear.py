@@ -233,9 +233,7 @@ class LinearSystem:
 
     @property
     def method(self) -> str:
-        """The word for what answered last; before, for what will be tried first."""
-        if self._mixes[0]:
-            return "sweeps"
+        """The word for what is done."""
         if self.order is not None:
             return "substitution"
         if self.work:

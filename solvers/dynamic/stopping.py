@@ -422,7 +422,7 @@ class Iterate:
         error, relative = np.inf, None
         kept, shift = self.value.copy(), self.shift
         margin = np.where(self.sweeps.mdp.terminal, 0.0, self.sweeps.weights.margin[pairs])
-        for number in range(CORRECTIONS):
+        for _ in range(CORRECTIONS):
             step, low, high = self.sweeps.follow(self.value, self.shift)
             # Only where a shift takes up what errors have in common is the rest all there is.
             before = error
@@ -437,6 +437,7 @@ class Iterate:
             if system is None:
                 system = self._equations(pairs)
                 self.price = system.work
+                self._count(f"policies evaluated by {system.method}")
                 if isinstance(system, LinearSystem) and self._relative:
                     relative = relatively(system, margin)
             kept[:], shift = self.value, self.shift
@@ -450,8 +451,6 @@ class Iterate:
                 self.shift += level
             else:
                 self.value += system.roughly(step)
-            if number == 0:  # what answers is known once it has
-                self._count(f"policies evaluated by {system.method}")
 
     @property
     def _relative(self) -> bool:
