@@ -30,7 +30,7 @@ class Move:
 
 
 def moves(model: MDP, policy: PolicyLike | None, *, most: int) -> list[Move]:
-    """Return the moves of every state but the terminal ones; raises ModelError beyond `most`."""
+    """Return the moves of every state in which not all is over; raises ModelError beyond `most`."""
     if model.n_states > most:
         raise ModelError(
             f"a graph of {model.n_states:,} states",
@@ -41,7 +41,7 @@ def moves(model: MDP, policy: PolicyLike | None, *, most: int) -> list[Move]:
     found = []
     for pair in range(model.n_pairs):
         state = int(model.pair_state[pair])
-        if model.terminal[state]:
+        if model.over[state]:
             continue
         outcomes = tuple(
             (following, _number(chance) + (f", {_number(gain)}" if gain else ""))
@@ -89,7 +89,7 @@ def dot(model: MDP | Scenario, policy: PolicyLike | None = None) -> str:
     mdp = mdp_of(model)
     lines = ["digraph {", "  rankdir=LR"]
     for state in range(mdp.n_states):
-        end = ", shape=doublecircle" if mdp.terminal[state] else ""
+        end = ", shape=doublecircle" if mdp.over[state] else ""
         lines.append(f"  {state} [label={_quoted(mdp.space.label(state))}{end}]")
     for number, move in enumerate(moves(mdp, policy, most=MOST)):
         heavy = ", penwidth=2.5" if move.taken else ""

@@ -128,7 +128,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             if self.mdp.table.event is not None:
                 bits |= int(self.mdp.table.event[outcome])
             self.state = int(self.mdp.table.next[outcome])
-            over = bool(self.mdp.terminal[self.state])
+            over = bool(self.mdp.over[self.state])
             asked = over or not self.mdp.forced[self.state]
             if asked or not self.pass_forced or len(taken) > self.mdp.n_states:
                 break

@@ -303,7 +303,10 @@ class MDP(Parts):
 
     @cached_property
     def terminal(self) -> NDArray[np.bool_]:
-        """(S,) True where every action stays put for ever and earns nothing."""
+        """(S,) True where every action stays put for ever and earns nothing: it is worth 0.
+
+        What is counted beside the reward may differ there; see `over`.
+        """
         indptr = self.transition.indptr
         stays = np.diff(indptr) == 1
         alone = np.flatnonzero(stays)
@@ -322,6 +325,24 @@ class MDP(Parts):
             if len(alone):
                 stays[alone] = ~np.logical_or.reduceat(table.gain[places] != 0, before)
         return np.asarray(np.logical_and.reduceat(stays, self.pair_offsets[:-1]))
+
+    @cached_property
+    def over(self) -> NDArray[np.bool_]:
+        """(S,) True where all is over: terminal, without any component or event to be counted."""
+        counted = np.zeros(self.n_pairs, dtype=bool)
+        if self.component_table is not None:
+            counted |= np.asarray(self.component_table.amount != 0, dtype=bool).any(axis=1)
+        if self.table.event is not None:
+            counted |= np.logical_or.reduceat(self.table.event != 0, self.table.offsets[:-1])
+        return self.terminal & ~np.logical_or.reduceat(counted, self.pair_offsets[:-1])
+
+    @cached_property
+    def asked(self) -> NDArray[np.bool_]:
+        """(S,) True where a policy has to say what is done: it has a choice, and not all is over.
+
+        Elsewhere a policy may say anything, or nothing.
+        """
+        return ~self.forced & ~self.over
 
     def by_action(self, values: ArrayLike, missing: float = np.nan) -> NDArray[Any]:
         """Return a table (S, A) of numbers of pairs (L,), `missing` where there is no pair.
@@ -365,7 +386,7 @@ class MDP(Parts):
 
     @cached_property
     def indifferent(self) -> NDArray[np.bool_]:
-        """(S,) True where all actions have the same outcomes, number for number."""
+        """(S,) True where all actions have the same outcomes and amounts, number for number."""
         table, first = self.table, self.pair_offsets[self.pair_state]
         lengths = np.diff(table.offsets)
         same = lengths == lengths[first]
@@ -381,6 +402,9 @@ class MDP(Parts):
                 same &= np.asarray(values == values[first], dtype=bool)
         for bottom in (table.denominator, table.gain_denominator):
             same &= np.asarray(bottom == bottom[first], dtype=bool)
+        if (known := self.component_table) is not None:
+            equal = np.asarray(known.amount == known.amount[first], dtype=bool).all(axis=1)
+            same &= equal & np.asarray(known.denominator == known.denominator[first], dtype=bool)
         ends = np.cumsum(lengths[rows])
         same[rows] &= np.logical_and.reduceat(alike, ends - lengths[rows])
         return np.asarray(np.logical_and.reduceat(same, self.pair_offsets[:-1]))
@@ -605,7 +629,7 @@ class MDP(Parts):
         """
         return replace(
             self,
-            **questions.unrolled(self, steps, offsets=self.pair_offsets, terminal=self.terminal),
+            **questions.unrolled(self, steps, offsets=self.pair_offsets, over=self.over),
         )
 
     # ---- construction ------------------------------------------------------------------------

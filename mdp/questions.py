@@ -171,31 +171,31 @@ def _certain(name: str, values: Numbers, count: int) -> Numbers:
 def by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
     """Return (N, L) what pairs of `model.within(N)` have, by time and pair of the model itself.
 
-    A terminal state keeps its first pair, with the number 1.
+    A state in which all is over keeps its first pair, with the number 1.
     """
-    rows = _kept(model, model.pair_offsets, model.terminal)
+    rows = _kept(model, model.pair_offsets, model.over)
     found = np.zeros((steps, model.n_pairs))
-    found[:, model.pair_offsets[:-1][model.terminal]] = 1.0
+    found[:, model.pair_offsets[:-1][model.over]] = 1.0
     found[:, rows] = weights[: steps * len(rows)].reshape(steps, len(rows))
     return found
 
 
-def _kept(model: Parts, offsets: Integers, terminal: Flags) -> Integers:
+def _kept(model: Parts, offsets: Integers, over: Flags) -> Integers:
     """Return the pairs that each time but the last has.
 
-    A terminal state stays one, whatever the time, and needs no more than one action.
+    Where all is over it stays so, whatever the time, and one action is enough.
     """
-    kept = ~terminal[model.pair_state]
-    kept[offsets[:-1][terminal]] = True
-    return np.flatnonzero(kept[: offsets[_in_columns(model, terminal).regular]])
+    kept = ~over[model.pair_state]
+    kept[offsets[:-1][over]] = True
+    return np.flatnonzero(kept[: offsets[_in_columns(model, over).regular]])
 
 
-def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags) -> dict[str, Any]:
+def unrolled(model: Parts, steps: object, *, offsets: Integers, over: Flags) -> dict[str, Any]:
     """Return the parts that change where episodes stop after N steps; see `MDP.within`.
 
-    `offsets` (S+1,) says where the pairs of each state begin, `terminal` (S,) where all is over.
+    `offsets` (S+1,) says where the pairs of each state begin, `over` (S,) where all is over.
     """
-    count, space = counted(steps, "horizon"), _in_columns(model, terminal)
+    count, space = counted(steps, "horizon"), _in_columns(model, over)
     own, states = space.regular, model.n_states
     if TIME in space.names:
         raise ModelError(
@@ -204,7 +204,7 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
             fix="unroll the model that it was made from, or name that column differently",
         )
     table, first, known = model.table, offsets, model.component_table
-    rows = _kept(model, offsets, terminal)
+    rows = _kept(model, offsets, over)
     lengths = np.diff(table.offsets)[rows]
     _check_size(model, own, count, int(lengths.sum()))
     chosen = spans(table.offsets[rows], table.offsets[rows + 1])
@@ -223,7 +223,7 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
             lambda name, values: ending(name, values[chosen]),
         ),
         offsets=np.concatenate([[0], np.cumsum(layers(lengths, np.ones(states, np.int64)))]),
-        next=_following(model, own, terminal, rows, chosen, count),
+        next=_following(model, own, over, rows, chosen, count),
     )
     time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
     return {
@@ -255,13 +255,13 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, terminal: Flags)
     }
 
 
-def _in_columns(model: Parts, terminal: Flags) -> StateSpace:
+def _in_columns(model: Parts, over: Flags) -> StateSpace:
     """Return the model's states, in one plain column where the process goes on in an extra state.
 
     Extra states have no time; those in which all is over need none.
     """
     space = model.space
-    if terminal[space.regular :].all() and space.columns:
+    if over[space.regular :].all() and space.columns:
         return space
     return StateSpace.plain(space.size, space.labels(range(space.size)))
 
@@ -282,12 +282,12 @@ def _check_size(model: Parts, own: int, count: int, outcomes: int) -> None:
 
 
 def _following(
-    model: Parts, own: int, terminal: Flags, rows: Integers, chosen: Integers, count: int
+    model: Parts, own: int, over: Flags, rows: Integers, chosen: Integers, count: int
 ) -> Numbers:
-    """Return the next states: a step later, but in terminal states and at time N."""
+    """Return the next states: a step later, but where all is over and at time N."""
     lengths = np.diff(model.table.offsets)[rows]
     after, time = model.table.next[chosen].astype(np.int64), np.arange(count)
-    later = np.repeat(~terminal[model.pair_state[rows]], lengths).astype(np.int64)
+    later = np.repeat(~over[model.pair_state[rows]], lengths).astype(np.int64)
     shift = np.where(after < own, own * (time[:, None] + later), own * count)
     found = np.concatenate([(after + shift).ravel(), np.arange(model.n_states) + own * count])
     return found.astype(np.int32) if own * (count + 1) + model.n_states < 2**31 else found

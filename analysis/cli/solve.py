@@ -356,7 +356,7 @@ def whole_policy(mdp: MDP, names: Sequence[Any]) -> dict[str, Any]:
     if "status" in mdp.space.names:
         column = mdp.space.column("status")
         status = mdp.space.values("status")
-        asked = np.flatnonzero(~mdp.forced & ~mdp.terminal & (status >= 0)).tolist()
+        asked = np.flatnonzero(mdp.asked & (status >= 0)).tolist()
         found = {
             column.label(value): names[mdp.space.index(status=value)]
             for value in range(column.size)

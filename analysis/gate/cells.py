@@ -45,13 +45,13 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     found: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
-    idle = mdp.terminal | mdp.forced | (audit.visits == 0)
+    idle = ~mdp.asked | (audit.visits == 0)
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
         names = [mdp.actions[action] for action in choices[state]]
         text, best = joined([sign[name] for name in names], "mixed"), ""
         said = f"{either(names)}; {audit.visits[state]:.6g} expected visits"
-        if mdp.terminal[state]:
+        if mdp.over[state]:
             text, said = "∎", "an episode ends here"
         elif each is not None:
             text, best = f"✗ {text}", joined([sign[name] for name in each.optimal], "tied")

@@ -401,7 +401,7 @@ class Audit(Pictured):
 
     @cached_property
     def _choosing(self) -> NDArray[np.bool_]:
-        return np.asarray(~self.mdp.forced & ~self.mdp.terminal)
+        return self.mdp.asked
 
     @property
     def agreement(self) -> float:

@@ -109,7 +109,7 @@ class UnderLimits:
 
 def totals_under(of: Objectives, policy: Policy) -> Point:
     """Return the exact totals of a policy, mixed ones too, from the start; more is better."""
-    chain = PolicyChain.of(of.ending, policy)
+    chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)  # read by all that is counted
     scale, found = of.rows.scale.tolist(), []
     for amount in of.amounts:
         earned = [

@@ -237,8 +237,8 @@ def _data(explorer: Explorer) -> dict[str, Any]:
         "signs": list(sets.sign.items()),
         "taken": taken,
         "sense": mdp.sense,
-        "idle": np.flatnonzero(mdp.forced | mdp.terminal).tolist(),
-        "ends": np.flatnonzero(mdp.terminal).tolist(),
+        "idle": np.flatnonzero(~mdp.asked).tolist(),
+        "ends": np.flatnonzero(mdp.over).tolist(),
         "labels": {state: mdp.space.label(state) for state in states},
         "moving": moving,
         "map": drawn

@@ -96,7 +96,7 @@ def plot_policy(
     for state in layout.shown.tolist():
         where, numbers = (int(layout.column[state]), int(layout.row[state])), choices[state]
         drawn = styles[numbers[0]]
-        if model.terminal[state]:
+        if model.over[state]:
             cell(ax, *where, drawn, text="∎", fill="0.92", ink="0.4", hatch="", font=_font(layout))
         elif len(numbers) > 1:
             mixed = joined([styles[number].short for number in numbers], "mixed")
@@ -105,7 +105,7 @@ def plot_policy(
             cell(ax, *where, drawn, font=_font(layout))
             used.add(numbers[0])
     if legend:
-        ends = bool(model.terminal[layout.shown].any())
+        ends = bool(model.over[layout.shown].any())
         action_legend(ax, styles, sorted(used), ends=ends)
     return ax
 
@@ -177,7 +177,7 @@ def plot_states(
     for state in layout.shown.tolist():
         value, where = given[state], (int(layout.column[state]), int(layout.row[state]))
         share = 0.75 * float(scale(value)) if np.isfinite(value) else 0.0
-        lines = ["∎" if model.terminal[state] else texts[state], f"{value:.3g}" * numbered]
+        lines = ["∎" if model.over[state] else texts[state], f"{value:.3g}" * numbered]
         if not np.isfinite(value):
             lines[1] = f"{value:g}"
         text = "\n".join(line for line in lines if line) or " "
@@ -189,7 +189,7 @@ def plot_states(
     shown = ScalarMappable(Normalize(low, low + (high - low) / 0.75 or 1.0), shades)
     bar = figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
     bar.ax.set_ylim(low, high if high > low else low + 1.0)
-    ends = [ENDS] if model.terminal[layout.shown].any() else []
+    ends = [ENDS] if model.over[layout.shown].any() else []
     if policy is not None or ends:
         _key(ax, model, layout, *ends)
     return ax
@@ -249,7 +249,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     words = ["✗ not optimal; below it the optimal action; fuller: more is lost"]
     if any(each.kind == "idle" for each in drawn):
         words.append("grey: no choice, or not wrong and never visited")
-    if audit.mdp.terminal[layout.shown].any():
+    if audit.mdp.over[layout.shown].any():
         words.append(ENDS)
     if layout.listed:
         words.append("in the corner the state")
@@ -341,7 +341,7 @@ def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) ->
         shown = text if np.isfinite(values[state]) else f"{text}\n{values[state]:g}"
         below = finite[state] < 0
         ax.annotate(
-            "" if model.terminal[state] else shown,
+            "" if model.over[state] else shown,
             (state, finite[state]),
             xytext=(0, -2 if below else 2),
             textcoords="offset points",

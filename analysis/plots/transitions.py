@@ -84,7 +84,7 @@ def plot_transitions(
     names = {state: model.space.label(state).removeprefix("state ") for state in states}
     wide = max(map(len, names.values()))
     size, font = 420 + 130 * min(wide, 12), 8 if model.n_states <= 20 else 6
-    fills = ["0.85" if model.terminal[state] else "white" for state in states]
+    fills = ["0.85" if model.over[state] else "white" for state in states]
     nx.draw_networkx_nodes(
         graph, place, list(states), ax=ax, node_size=size, node_color=fills, edgecolors="black"
     )

@@ -20,7 +20,7 @@ learning, ICML 2000, state the cone for policies that are optimal in all states.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import inf
 from typing import TYPE_CHECKING, ClassVar
@@ -50,7 +50,7 @@ from exact_mdp.solvers.objectives.optima import optimum, proof
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -179,7 +179,7 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
 
 def _flow(of: Objectives, policy: PolicyLike) -> Flow:
     """Return the expected visits of pairs under any policy."""
-    chain = PolicyChain.of(of.ending, policy_of(of.mdp, policy))
+    chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
     states = np.flatnonzero(of.reached(chain.pairs) & ~of.ending.terminal)
     _, found = flow(of.ending, mixed_rows(of.rows, chain), states)
     below = found.denominator

@@ -306,6 +306,11 @@ class CareOperator:
         """(S,) True where a state has a single action."""
         return np.asarray(np.diff(self.pair_offsets) == 1)
 
+    @cached_property
+    def asked(self) -> NDArray[np.bool_]:
+        """(S,) True where a policy has to say what is done."""
+        return ~self.forced & ~self.terminal
+
     def action(self, name: str) -> int:
         """Return the number of the action called `name`."""
         if name not in self.actions:

@@ -1,8 +1,8 @@
 """What an array says of a policy: action values (a Q-table), or probabilities of actions.
 
 The rule, the same for arrays and for files. A row counts where a state with a choice reads it; rows
-of terminal states and of states with one action may hold anything, and so may those of states whose
-actions are the same in all but name, in probabilities. Unless `kind` says which it is,
+of states in which all is over and of states with one action may hold anything, and so may those of
+states whose actions are the same in all but name, in probabilities. Unless `kind` says which it is,
 
     a row that counts is not a distribution     the array is a Q-table
     every such row gives 1 to a single action   both readings are the same policy: it is one; of
@@ -203,7 +203,7 @@ def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _
         )
     row = rows_read(model, space)
     counts = np.zeros(space.size, dtype=bool)
-    counts[row[~model.forced & ~model.terminal & asked]] = True
+    counts[row[model.asked & asked]] = True
     offered = np.ones((space.size, len(actions)), dtype=bool)
     if actions is model.actions:
         offered[:] = False

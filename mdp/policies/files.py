@@ -111,7 +111,7 @@ def from_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> 
     other states, it may have been meant of these.
     """
     space = model.space.untimed or model.space
-    read = rows_read(model, space)[~model.forced & ~model.terminal]
+    read = rows_read(model, space)[model.asked]
     column = space.columns[0] if len(space.columns) == 1 else None
     states = np.unique(read).tolist()
     things = dict(zip(states, states, strict=True))
@@ -378,7 +378,7 @@ def _complete(model: MDP, space: StateSpace, rows: Rows) -> Parts:
     keys = rows_read(model, space)
     silent = np.ones(space.size, dtype=bool)
     silent[list(rows)] = False
-    missing = silent[keys] & ~model.forced & ~model.terminal
+    missing = silent[keys] & model.asked
     if missing.any():
         lost = sorted(set(keys[missing].tolist()))
         shown = "; ".join(space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")

@@ -335,8 +335,8 @@ class Policy(NDArrayOperatorsMixin):
         total = np.add.reduceat(weights, model.pair_offsets[:-1])
         bad = ~(np.abs(total - 1) <= FLOAT_ROW_TOLERANCE)
         bad |= (offered < wanted) & ~model.forced  # however rarely it is taken
-        # What is done where everything has ended does not matter: it may be left open.
-        ended = bad & model.terminal
+        # What is done where all is over does not matter: it may be left open.
+        ended = bad & model.over
         if (bad & ~ended).any():
             ended |= bad & model.indifferent
         weights[ended[model.pair_state]] = 0.0
@@ -794,7 +794,7 @@ def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
             "array of what it does in each",
         )
     numbers = np.zeros(space.size, dtype=np.int64)
-    asked = np.unique(rows_read(model, space)[~model.forced & ~model.terminal])
+    asked = np.unique(rows_read(model, space)[model.asked])
     for state in asked.tolist():
         answer = predict(np.array(state), **settings)
         first = answer[0] if isinstance(answer, tuple) else answer

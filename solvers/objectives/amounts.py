@@ -4,7 +4,7 @@ An objective is a linear combination of named amounts, `2*help-anger`, or `name=
 
     a component of the reward     its expected amount
     reward                        all of it, unless a component is called so
-    steps                         1 in every state that is no end
+    steps                         1 in every state, until all is over
     an event                      how often it happens, on average
     a label whose states are not left again, at discount 1     1 on the step into them, so that the
                                   total is the probability of reaching it
@@ -159,9 +159,12 @@ class Objectives:
             weight=rows.weight[entries],
         )
 
-    def reached(self, pairs: Integers) -> Mask:
-        """Return (S,) True for states that count from the start; at discount 0 no later ones do."""
-        return reachable(self.mdp, pairs=pairs if self.mdp.discount_exact else pairs[:0])
+    def reached(self, pairs: Integers, first: Sequence[int] | None = None) -> Mask:
+        """Return (S,) True for states that count from the start, or from the `first` ones.
+
+        At discount 0 no later ones do.
+        """
+        return reachable(self.mdp, first, pairs if self.mdp.discount_exact else pairs[:0])
 
     def at_start(self, values: Sequence[int], below: int) -> Fraction:
         """Return the mean over the start distribution of values (S,) over one denominator."""
@@ -261,10 +264,7 @@ def _column(mdp: MDP, name: str) -> Column:
     if name == REWARD:
         return mdp.table.expected_gain_exact()
     if name == STEPS:
-        counted = [mdp.component(each)[0] != 0 for each in mdp.component_names]
-        counted += [_happening(mdp, each)[0] > 0 for each in mdp.events]
-        goes_on = np.logical_or.reduceat(np.any(counted, axis=0), mdp.pair_offsets[:-1])
-        return (~mdp.terminal | goes_on)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
+        return (~mdp.over)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
     return _happening(mdp, name)
 
 

@@ -458,17 +458,9 @@ def _purified(of: Objectives, limits: Sequence[Limit], found: Flow, shift: Fract
                 taken.add(int(state[pair]))
         if len(extra) <= len(binding):
             return found
-        own, steps = visits(of, base), list[Flow]()
-        for pair in extra[: len(binding) + 1]:
-            other = base.copy()
-            other[state[pair]] = pair
-            step = visits(of, other)
-            _add_to(step, own, -ONE)
-            steps.append(step)
+        steps = [_switch(of, base, pair) for pair in extra[: len(binding) + 1]]
         moves = [totals_of(of, step) for step in steps]
         step = _mixed(steps, _kernel([[move[k] for move in moves] for k in binding], len(steps)))
-        if not any(amount < 0 for amount in step.values()):
-            step = {pair: -amount for pair, amount in step.items()}
         ahead = totals_of(of, step)
         far = [found[pair] / -amount for pair, amount in step.items() if amount < 0]
         for limit, free in zip(limits, free_of, strict=True):
@@ -477,6 +469,22 @@ def _purified(of: Objectives, limits: Sequence[Limit], found: Flow, shift: Fract
                 far.append(free / -moved)
         _add_to(found, step, min(far))
         found = {pair: amount for pair, amount in found.items() if amount}
+
+
+def _switch(of: Objectives, base: Integers, pair: int) -> Flow:
+    """Return what visits change by where a pair is taken once in place of its state's base pair.
+
+    Only pairs that a policy with these pairs takes from that state on change, so that visits to
+    states which the base pairs alone do not reach can be shifted, too.
+    """
+    rows, state = of.rows, int(of.mdp.pair_state[pair])
+    part = slice(int(rows.offsets[pair]), int(rows.offsets[pair + 1]))
+    scale = int(rows.scale[state])
+    after = zip(rows.next[part].tolist(), rows.weight[part].tolist(), strict=True)
+    start = [(state, -ONE), *((following, Fraction(w, scale)) for following, w in after)]
+    found = visits(of, base, start)
+    _add_to(found, {pair: ONE}, ONE)
+    return found
 
 
 def _mixed(parts: Sequence[Flow], factors: Sequence[Fraction]) -> Flow:

@@ -9,6 +9,7 @@ Constrained Markov Decision Processes, 1999, chapter 3).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from math import lcm
 
@@ -21,8 +22,12 @@ from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.proof.rationals import fraction
 
+Start = Sequence[tuple[int, Fraction]]
 
-def flow(mdp: MDP, rows: BellmanRows, states: Integers) -> tuple[BellmanRows, ExactValues]:
+
+def flow(
+    mdp: MDP, rows: BellmanRows, states: Integers, start: Start | None = None
+) -> tuple[BellmanRows, ExactValues]:
     """Return the equations of the visits of a policy, and their solution.
 
     Parameters
@@ -31,6 +36,8 @@ def flow(mdp: MDP, rows: BellmanRows, states: Integers) -> tuple[BellmanRows, Ex
         Those of a policy: one pair of each state.
     states : (K,) int64
         The states that are reached and not terminal.
+    start : sequence of (state, Fraction), optional
+        What comes in from outside, μ; the model's start unless given.
     """
     offsets, following = rows.offsets.tolist(), rows.next.tolist()
     weight, scale = rows.weight.tolist(), rows.scale.tolist()
@@ -39,7 +46,7 @@ def flow(mdp: MDP, rows: BellmanRows, states: Integers) -> tuple[BellmanRows, Ex
         for i in range(offsets[state], offsets[state + 1]):
             into[following[i]][state] = fraction(weight[i], scale[state])
     first = [Fraction(0)] * mdp.n_states
-    for state, chance in mdp.start:
+    for state, chance in mdp.start if start is None else start:
         first[state] += chance
     parts = zip(first, into, strict=True)
     scales = [lcm(mu.denominator, *(p.denominator for p in row.values())) for mu, row in parts]
@@ -56,11 +63,12 @@ def flow(mdp: MDP, rows: BellmanRows, states: Integers) -> tuple[BellmanRows, Ex
     return equations, solve_exactly(equations)
 
 
-def visits(of: Objectives, pairs: Integers) -> dict[int, Fraction]:
+def visits(of: Objectives, pairs: Integers, start: Start | None = None) -> dict[int, Fraction]:
     """Return the expected visits of the pairs (S,) of a policy from the start, exactly."""
-    states = np.flatnonzero(of.reached(pairs) & ~of.ending.terminal)
+    first = None if start is None else [state for state, _ in start]
+    states = np.flatnonzero(of.reached(pairs, first) & ~of.ending.terminal)
     rows = of.restricted(pairs, of.rows.constant)
-    _, found = flow(of.ending, rows, states)
+    _, found = flow(of.ending, rows, states, start)
     below = found.denominator
     return {
         int(pairs[s]): Fraction(found.numerator[s], below[found.group[s]]) for s in states.tolist()

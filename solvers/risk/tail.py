@@ -106,7 +106,7 @@ class CVaROptimum(Result):
         turned, found = self._sign * self.lattice.unit, list[tuple[int, Fraction, Fraction, str]]()
         met = self.shortages.met(self._sign * self.threshold / self.lattice.unit)
         for state, masses in met.items():
-            if not (self.mdp.forced[state] or self.mdp.terminal[state]):
+            if self.mdp.asked[state]:
                 so_far = sorted(turned * k for k in masses)
                 for action, group in groupby(so_far, partial(self.action, state)):
                     own = [*group]
