@@ -534,8 +534,9 @@ class MDP(Parts):
     def reaching(self, label: str, allowed: str | None = None) -> MDP:
         """Return the model whose value is the probability of reaching a labelled state.
 
-        One more state follows those of the label, which keep the value 1. The optimum is the
-        greatest probability; the least one where the sense is "min". There is no discount.
+        One more state, `reached`, takes the place of those of the label, which keep the value 1.
+        The optimum is the greatest probability; the least one where the sense is "min". There is no
+        discount. With `within(N)`, before or after, it is the probability within N steps.
 
         Parameters
         ----------
@@ -551,7 +552,7 @@ class MDP(Parts):
         Raises
         ------
         ModelError
-            Where a label is unknown or no state has it, or a start is not allowed.
+            Where a label is unknown, or a start is not allowed.
 
         Examples
         --------
@@ -567,7 +568,8 @@ class MDP(Parts):
         """Return the model whose value is the expected reward until a labelled state is reached.
 
         At discount 1 a run that never gets there is worth +∞. The optimum is infinite where such a
-        run has a chance under some policy; where costs are minimised, under all.
+        run has a chance under some policy; where costs are minimised, under all. With `within(N)`,
+        before or after, these are the runs that do not get there within N steps.
 
         Parameters
         ----------
@@ -583,7 +585,7 @@ class MDP(Parts):
         Raises
         ------
         ModelError
-            Where the label or the component is unknown, or no state has the label.
+            Where the label or the component is unknown.
 
         Examples
         --------

@@ -1,15 +1,17 @@
 """Questions about a model, as models whose optimal value is the answer.
 
 The probability of reaching a set T of states, through the states of a set C only, is a total reward
-at discount 1: what leads out of T earns 1 and ends, and nothing is earned elsewhere,
+at discount 1: what leads into T earns 1 and ends, and nothing is earned elsewhere,
 
-    Pr_s(C U T) = E_s Σ_t r_t,    r = 1 on the step out of T, 0 else; T and the states outside C ∪ T
-                                  are left for good.
+    Pr_s(C U T) = E_s Σ_t r_t,    r = 1 on the step into T, which leads to an end, and on the first
+                                  step where a run starts in T; 0 else, for good outside C ∪ T.
 
 The expected reward until T is that of the model in which T is absorbing and earns nothing. A run
 that never reaches T is worth +∞ (so that it is infinite unless T is reached almost surely), as
-PRISM and Storm define R[F T]. A discount below 1 keeps every sum finite, and this rule is not
-needed. States keep their numbers and pairs, so that policies for the model are policies here.
+PRISM and Storm define R[F T]; where an episode stops after N steps, so is one that has not reached
+T by then. A discount below 1 keeps every sum finite, and this rule is not needed. States keep their
+numbers and pairs, so that policies for the model are policies here. A question about the model of
+N steps, and the N steps of a question's model, are the same: reaching T within N steps.
 
 Episodes that stop after N steps are those of the model with the time written into its states:
 
@@ -67,22 +69,25 @@ def reaching(model: Parts, label: str, allowed: str | None) -> dict[str, Any]:
                 where=f"allowed {allowed!r}",
                 fix="allow it, or start elsewhere",
             )
-    name = REACHED
-    while name in space.extra:
-        name += "'"
-    states = np.append(model.pair_state, size)
-    earning = np.append(target[model.pair_state], False)
-    unearned = replace(model.table, gain=np.zeros(len(earning) - 1, np.int64), gain_doubt=None)
+    states, pairs = np.append(model.pair_state, size), model.n_pairs
+    unearned = replace(model.table, gain=np.zeros(pairs, np.int64), gain_doubt=None)
     table = _ended(
-        replace(unearned, gain_denominator=ones(len(earning) - 1)),
+        replace(unearned, gain_denominator=ones(pairs)),
         np.append((target | outside)[model.pair_state], True),
-        np.where(earning, size, states),
+        np.where(np.append(target, False)[states], size, states),
+    )
+    arrives = np.append(target, True)[table.next]
+    order = np.argsort(2 * table.pair + arrives, kind="stable")  # the new state has the last number
+    arrives = arrives[order]
+    table = replace(
+        table.mapped(lambda _, values: values, lambda _, values: values[order]),
+        next=np.where(arrives, table.next.dtype.type(size), table.next[order]),
     )
     return {
-        "table": replace(table, gain=earning.astype(np.int64)),
+        "table": replace(table, gain=(arrives & (table.pair < pairs)).astype(np.int64)),
         "pair_state": states,
         "pair_action": np.append(model.pair_action, model.pair_action[-1]),
-        "space": StateSpace(columns=space.columns, extra=(*space.extra, name)),
+        "space": StateSpace(columns=space.columns, extra=(*space.extra, REACHED)),
         "discount_exact": Fraction(1),
         **ONE_COMPONENT,
         **NO_DATA,
@@ -111,7 +116,16 @@ def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
 
 
 def labelled(model: Parts, label: str) -> Flags:
-    """Return the states (S,) of a label; raises ModelError where there are none."""
+    """Return the states (S,) of a label, if any; raises ModelError where the label is unknown.
+
+    So it does in the model of another question, where runs are over that the label may be asked of.
+    """
+    if model.goal is not None or REACHED in model.space.extra:
+        raise ModelError(
+            "this is the model of a question already, which ends runs",
+            where=f"label {label!r}",
+            fix="ask the model that it was made from, or give a label to the states that both mean",
+        )
     if label not in model.labels:
         raise ModelError(
             f"unknown label {label!r}",
@@ -119,12 +133,6 @@ def labelled(model: Parts, label: str) -> Flags:
             fix=suggest(str(label), model.labels)
             if model.labels
             else "the model has none: build it with labels={name: (S,) truth values}",
-        )
-    if not model.labels[label].any():
-        raise ModelError(
-            f"no state has the label {label!r}",
-            where="labels",
-            fix="choose one that a state has",
         )
     return model.labels[label]
 
@@ -226,6 +234,10 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, over: Flags) -> 
         next=_following(model, own, over, rows, chosen, count),
     )
     time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
+
+    def timed(flags: Flags) -> Flags:
+        return np.append(np.tile(flags[:own], count + 1), flags[own:])
+
     return {
         "table": layered if by_pair else by_outcome(layered),
         "pair_state": layers(model.pair_state[rows], np.arange(states)) + own * time,
@@ -246,11 +258,8 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, over: Flags) -> 
             denominator=layers(known.denominator[rows], np.ones(states, np.int64)),
         ),
         "time_limit": None,
-        "labels": {
-            name: np.append(np.tile(flags[:own], count + 1), flags[own:])
-            for name, flags in model.labels.items()
-        },
-        "goal": None,  # every episode is over at time N
+        "labels": {name: timed(flags) for name, flags in model.labels.items()},
+        "goal": None if model.goal is None else timed(model.goal),
         **NO_DATA,
     }
 

@@ -94,17 +94,47 @@ def test_components_keep_their_exact_values() -> None:
     assert certify(mdp.negated().until("home", "b")).start_value == F(-3, 7)
 
 
-def test_a_discount_and_a_horizon_end_the_wait() -> None:
-    """With either, a run that never arrives has a finite worth, and no state is a goal."""
+def test_a_discount_ends_the_wait() -> None:
+    """A run that never arrives has a finite worth then, and no state is a goal."""
     walk = [[["1/2", "1/2", 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [0, 0, 1]]]
     mdp = MDP.from_arrays(walk, [1, 1, 0], "1/2", labels={"home": [False, True, False]})
     assert mdp.until("home").goal is None
     assert certify(mdp.until("home")).start_value == F(4, 3)
     timed = mdp.with_(discount=1).until("home").within(3)
-    assert timed.goal is None
-    assert certify(timed).start_value == F(7, 4)
     assert timed.labels["home"].sum() == 4
-    assert certify(mdp.reaching("home").within(2)).start_value == F(1, 2)
+    assert certify(timed).start_value == np.inf
+    assert certify(timed.with_(goal=None)).start_value == F(7, 4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(asked(), st.booleans(), st.integers(1, 4))
+def test_within_n_steps_means_the_same_before_and_after_a_question(
+    mdp: MDP, avoiding: bool, steps: int
+) -> None:
+    """P[F<=N], and the reward until then, which is infinite unless N steps are surely enough."""
+    target, start = mdp.labels["target"].tolist(), mdp.start[0][0]
+    allowed = mdp.labels["allowed"].tolist() if avoiding else [True] * mdp.n_states
+    through = "allowed" if avoiding else None
+    best = enumerated.hitting_within(mdp, target, allowed, steps)[start]
+    cost = enumerated.until_within(mdp, target, steps)[start]
+    for model, answer in (
+        (mdp.reaching("target", through).within(steps), best),
+        (mdp.within(steps).reaching("target", through), best),
+        (mdp.until("target").within(steps), cost),
+        (mdp.within(steps).until("target"), cost),
+    ):
+        proof = certify(model)
+        assert (proof.start_value, proof.violations()) == (answer, [])
+        low, high = solve(model).start.interval
+        assert low <= answer <= high
+
+
+def test_a_label_that_no_state_has_is_never_reached() -> None:
+    for mdp in (LABELLED, LABELLED.within(2)):
+        assert certify(mdp.reaching("no")).start_value == 0
+        assert certify(mdp.until("no")).start_value == np.inf
+        assert certify(mdp.with_(sense="min").until("no")).start_value == np.inf
+    assert certify(LABELLED.reaching("no").within(2)).start_value == 0
 
 
 def test_care_scenarios_name_their_states() -> None:
@@ -140,8 +170,9 @@ LABELLED = MDP.from_arrays(
     [
         (lambda: LABELLED.reaching("gaol"), r"unknown label 'gaol'(.|\n)*did you mean goal"),
         (lambda: LABELLED.with_(labels={}).until("x"), r"unknown label 'x'(.|\n)*labels="),
-        (lambda: LABELLED.until("no"), "no state has the label 'no'"),
-        (lambda: LABELLED.reaching("goal", "no"), "no state has the label 'no'"),
+        (lambda: LABELLED.reaching("goal", "no"), r"\(state 0\), is not among"),
+        (lambda: LABELLED.until("goal").reaching("no"), "a question already"),
+        (lambda: LABELLED.reaching("goal").within(2).until("no"), "a question already"),
         (lambda: LABELLED.with_(start=2).reaching("goal", "start"), r"\(state 2\), is not among"),
         (lambda: LABELLED.until("goal", "rewrad"), r"no reward component(.|\n)*reward"),
         (lambda: LABELLED.with_(sense="least"), r"the sense is 'least'(.|\n)*max"),

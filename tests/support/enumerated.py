@@ -55,6 +55,44 @@ def until(mdp: MDP, choice: Choice, target: Sequence[bool]) -> list[Fraction | f
     return [v if chance == 1 else float("inf") for v, chance in zip(value, sure, strict=True)]
 
 
+def hitting_within(
+    mdp: MDP, target: Sequence[bool], allowed: Sequence[bool], steps: int
+) -> list[Fraction]:
+    """The best probability of reaching the target within N steps, through allowed states."""
+    best, value = max if mdp.sense == "max" else min, [F(bool(t)) for t in target]
+    for _ in range(steps):
+        after = value
+        value = [
+            F(bool(target[s] or allowed[s]))
+            and (
+                F(1)
+                if target[s]
+                else best(sum((p * after[t] for p, t, _ in mdp.table.row(l)), F(0)) for l in pairs)
+            )
+            for s, pairs in enumerate(map(mdp.pairs_of, range(mdp.n_states)))
+        ]
+    return value
+
+
+def until_within(mdp: MDP, target: Sequence[bool], steps: int) -> list[Fraction | float]:
+    """The best reward until the target; at discount 1 infinite unless N steps are surely enough."""
+    best = max if mdp.sense == "max" else min
+    missed = float("inf") if mdp.discount_exact == 1 else F(0)
+    value: list[Fraction | float] = [F(0) if t else missed for t in target]
+    for _ in range(steps):
+        after = value
+        value = [
+            F(0)
+            if target[s]
+            else best(
+                sum((p * (r + mdp.discount_exact * after[t]) for p, t, r in mdp.table.row(l)), F(0))
+                for l in pairs
+            )
+            for s, pairs in enumerate(map(mdp.pairs_of, range(mdp.n_states)))
+        ]
+    return value
+
+
 def _merged(row: Sequence[tuple[Fraction, int, Fraction]]) -> list[tuple[Fraction, int, Fraction]]:
     found: dict[int, Fraction] = {}
     for chance, then, _ in row:
