@@ -127,3 +127,15 @@ def _solved(moves: Sequence[dict[int, Fraction]], right: Sequence[Fraction]) -> 
     column = flint.fmpq_mat(size, 1, [flint.fmpq(v.numerator, v.denominator) for v in right])
     found = left.solve(column)
     return [F(int(found[s, 0].p), int(found[s, 0].q)) for s in range(size)]
+
+
+def solution(
+    rows: Sequence[Sequence[Fraction]], right: Sequence[Fraction]
+) -> list[Fraction] | None:
+    """x with rows x = right; None where it is not the only one."""
+    left = flint.fmpq_mat([[flint.fmpq(v.numerator, v.denominator) for v in row] for row in rows])
+    if left.det() == 0:
+        return None
+    column = flint.fmpq_mat([[flint.fmpq(v.numerator, v.denominator)] for v in right])
+    found = left.solve(column)
+    return [F(int(found[k, 0].p), int(found[k, 0].q)) for k in range(len(right))]

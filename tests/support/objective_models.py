@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
+from itertools import combinations, product
 
 import enumerated
 import numpy as np
@@ -47,7 +48,12 @@ def totals(mdp: MDP, names: list[str]) -> list[tuple[Fraction, ...]]:
     """Return the totals of every deterministic policy from the start."""
     each, ones = [], np.ones(mdp.n_pairs, dtype=np.int64)
     for name in names:
-        top, bottom = (going_on(mdp), ones) if name == "steps" else mdp.component(name)
+        if name == "steps":
+            top, bottom = going_on(mdp), ones
+        elif name in mdp.component_names:
+            top, bottom = mdp.component(name)
+        else:
+            top, bottom = mdp.table.expected_gain_exact()
         table = replace(mdp.table, gain=top, gain_denominator=bottom, gain_doubt=None)
         alone = mdp.with_(table=table)
         each.append([value_at_start(alone, choice) for choice in enumerated.policies(alone)])
@@ -70,3 +76,96 @@ def value_at_start(mdp: MDP, choice: tuple[int, ...]) -> Fraction:
         else enumerated.until(mdp, choice, mdp.terminal.tolist())
     )
     return sum((weight * F(value[state]) for state, weight in mdp.start), F(0))
+
+
+@st.composite
+def quiet_models(draw: st.DrawFn) -> MDP:
+    """Draw a model in which about half of the states earn nothing, and often stay put.
+
+    It counts two amounts everywhere, and some states are over: nothing is counted there.
+    """
+    states, rows, amounts = draw(st.integers(2, 3)), [], []
+    for state in range(states):
+        quiet, stays = draw(st.booleans()), draw(st.booleans())
+        over = quiet and stays and draw(st.booleans())
+        for action in range(draw(st.integers(1, 2))):
+            after = draw(st.lists(st.integers(0, states - 1), min_size=1, max_size=2))
+            reward = F(0) if quiet else draw(AMOUNTS)
+            law = [(F(1), state)] if quiet and stays else [(F(1, len(after)), t) for t in after]
+            rows.append((state, action, [(p, t, reward) for p, t in law]))
+            amounts.append([F(0), F(0)] if over else [draw(AMOUNTS), draw(AMOUNTS)])
+    return MDP.from_outcomes(
+        rows,
+        draw(st.sampled_from([F(1, 2), F(3, 4)])),
+        components=dict(zip(("c0", "c1"), zip(*amounts, strict=True), strict=True)),
+        sense=draw(st.sampled_from(["max", "max", "min"])),
+    )
+
+
+Vector = tuple[Fraction, ...]
+
+
+def counted(mdp: MDP, pair: int) -> Vector:
+    """Return the expected reward of a pair, then its amounts."""
+    amounts = (
+        (mdp.component(name)[0][pair], mdp.component(name)[1][pair]) for name in ("c0", "c1")
+    )
+    earned = sum((p * r for p, _, r in mdp.table.row(pair)), F(0))
+    return (earned, *(F(int(top), int(below)) for top, below in amounts))
+
+
+def totals_within(mdp: MDP, choices: Sequence[Sequence[int]], steps: int) -> set[Vector]:
+    """Return what policies that take some pairs (S, …) alone make within N steps, from state 0."""
+    known: list[set[Vector]] = [{(F(0),) * 3}] * mdp.n_states
+    for _ in range(steps):
+        after, known = known, [set[Vector]() for _ in known]
+        for state, pairs in enumerate(choices):
+            for pair in pairs:
+                own, row = counted(mdp, pair), mdp.table.row(pair)
+                for later in product(*(after[t] for _, t, _ in row)):
+                    each = zip(own, *later, strict=True)
+                    known[state].add(
+                        tuple(
+                            now
+                            + mdp.discount_exact
+                            * sum(p * v for (p, _, _), v in zip(row, then, strict=True))
+                            for now, *then in each
+                        )
+                    )
+    return known[0]
+
+
+def best_under(
+    points: Sequence[Vector], limits: Sequence[tuple[int, int, Fraction]], sense: int
+) -> Fraction | None:
+    """Return the best first entry of a mixture of points that keeps limits; None without one.
+
+    A limit (k, sign, bound) says that sign · entry k is at least sign · bound. A mixture of as few
+    points as can be has one more of them than limits that bind.
+    """
+    found = []
+    for count in range(1, len(limits) + 2):
+        for mixed, tight in product(combinations(points, count), combinations(limits, count - 1)):
+            rows = [[F(1)] * count] + [[point[k] for point in mixed] for k, _, _ in tight]
+            shares = enumerated.solution(rows, [F(1)] + [bound for _, _, bound in tight])
+            if shares is None or min(shares) < 0:
+                continue
+            total = [sum(x * p[k] for x, p in zip(shares, mixed, strict=True)) for k in range(3)]
+            if all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits):
+                found.append(sense * total[0])
+    return sense * max(found) if found else None
+
+
+def vertices(points: Sequence[tuple[Fraction, Fraction]], sense: int) -> set[Vector]:
+    """Return the points (x, y) that are best alone for some weights above 0."""
+    turned = {(sense * x, sense * y) for x, y in points}
+    hull: list[tuple[Fraction, Fraction]] = []
+    for x, y in sorted(
+        p for p in turned if not any(q != p and q >= p and q[1] >= p[1] for q in turned)
+    ):
+        while len(hull) > 1 and (hull[-1][0] - hull[-2][0]) * (y - hull[-2][1]) >= (
+            hull[-1][1] - hull[-2][1]
+        ) * (x - hull[-2][0]):
+            hull.pop()
+        hull.append((x, y))
+    return {(sense * x, sense * y) for x, y in hull}

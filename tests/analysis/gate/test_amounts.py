@@ -1,0 +1,93 @@
+"""What is counted beside the reward, also where nothing is earned, against all small policies."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import enumerated
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from objective_models import best_under, quiet_models, totals, totals_within, vertices
+
+from exact_mdp import MDP, ModelError, Policy, check, evaluate, solve, tradeoff
+from exact_mdp.mdp.environment import MDPEnv
+
+F = Fraction
+SENSE = {"max": 1, "min": -1}
+# State 1 earns nothing, and its second action is an effort for ever.
+WORK = MDP.from_pairs(
+    [0, 1, 1], [0, 0, 1], [[0, 1]] * 3, [1, 0, 0], "1/2", components={"effort": [0, 0, 1]}
+)
+
+
+def test_a_state_that_earns_nothing_is_not_over_where_an_amount_is_counted() -> None:
+    assert WORK.terminal.tolist() == [False, True]
+    assert (WORK.over.any(), WORK.asked.tolist()) == (False, [False, True])
+    assert WORK.indifferent.tolist() == [True, False]
+    table = np.array([[1, -np.inf], [0, 5]])
+    for policy in (table, [0, 1], {0: 0, 1: 1}):
+        audit = check(WORK, policy, subject_to={"effort": "<= 0"})
+        assert (audit.passed, audit.limits.totals) == (False, {"effort": F(1)})
+    assert check(WORK, [0, 0], subject_to={"effort": "<= 0"}).passed
+    assert tradeoff(WORK, ["effort", "reward"]).vertices == [(F(1), F(1))]
+    with pytest.raises(ModelError, match=r"rows are missing|no action"):
+        Policy.of(WORK, {0: 0})
+    env = MDPEnv(WORK)
+    env.reset(seed=0)
+    assert env.step(0)[2] is False
+    over = WORK.with_(components={"effort": [1, 0, 0]})
+    assert over.over.tolist() == [False, True]
+    assert Policy.of(over, {0: 0}).weights(over).tolist() == [1, 1, 0]
+    assert Policy.of(over, np.array([[1, -np.inf], [np.nan] * 2]), kind="q").tolist() == [0, 0]
+
+
+def test_within_n_steps_an_amount_is_counted_n_times() -> None:
+    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)])], "1/2", components={"u": ["1/2"]})
+    assert evaluate(mdp, [0], horizon=2).components["u"] == 3 / 4
+    assert not check(mdp, [0], horizon=2, subject_to={"u": ">= 4/5"}).passed
+    assert check(mdp, [0], horizon=2, subject_to={"u": "<= 3/4"}).passed
+    both = WORK.within(3)
+    assert tradeoff(both, ["effort", "reward"]).vertices == [(F(3, 4), F(1))]
+    assert solve(WORK, horizon=3, subject_to={"effort": ["<= 1/2", ">= 1/2"]}).feasible
+
+
+@settings(max_examples=150, deadline=None)
+@given(quiet_models(), st.sampled_from([None, None, 1, 2]), st.data())
+def test_limits_fronts_and_gates_agree_with_every_policy(
+    mdp: MDP, steps: int | None, data: st.DataObject
+) -> None:
+    sense, names = SENSE[mdp.sense], ["reward", "c0", "c1"]
+    every = [list(mdp.pairs_of(state)) for state in range(mdp.n_states)]
+    points = sorted(totals_within(mdp, every, steps) if steps else set(totals(mdp, names)))
+    limits = []
+    for k in data.draw(st.sampled_from([[1], [2], [1, 2]])):
+        ends = [bound(point[k] for point in points) for bound in (min, max)]
+        part = data.draw(st.sampled_from([F(0), F(1, 3), F(1, 2), F(1), F(5, 4)]))
+        sign = data.draw(st.sampled_from([1, -1]))
+        limits.append((k, sign, ends[0] + part * (ends[1] - ends[0])))
+    kept = {names[k]: f"{'>=' if sign > 0 else '<='} {bound}" for k, sign, bound in limits}
+    best = best_under(points, limits, sense)
+    found = solve(mdp, subject_to=kept, horizon=steps)
+    assert (found.feasible, found.violations()) == (best is not None, [])
+    assert best in (None, found.start_value)
+
+    choice = [data.draw(st.sampled_from(pairs)) for pairs in every]
+    q = np.where(mdp.by_action(np.ones(mdp.n_pairs), 0) > 0, -F(sense), np.nan).astype(float)
+    q[range(mdp.n_states), mdp.pair_action[choice]] = sense
+    q[mdp.over] = np.nan
+    mine = (
+        totals_within(mdp, [[pair] for pair in choice], steps)
+        if steps
+        else {totals(mdp, names)[[*enumerated.policies(mdp)].index(tuple(choice))]}
+    )
+    total = mine.pop()
+    audit = check(mdp, q, subject_to=kept, horizon=steps, kind="q")
+    keeps = all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits)
+    assert audit.limits.totals == {names[k]: total[k] for k, _, _ in limits}
+    assert audit.passed == (keeps and total[0] == best)
+
+    front = tradeoff(mdp.within(steps) if steps else mdp, ["c0", "c1"])
+    assert {*front.vertices} == vertices([point[1:] for point in points], sense)
+    assert front.violations() == []
