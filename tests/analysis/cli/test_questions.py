@@ -80,6 +80,12 @@ def test_simulations_and_returns_of_questions(
         (["--until", "over"], "5", "swim"),
         ([*HOME, "--discount", "1/2"], "4/3", "walk"),
         (["--minimize", "--horizon", "3"], "7/4", None),
+        (["--reach", "home", "--minimize", "--horizon", "1"], "1/2", None),
+        (["--reach", "home", "--start", "beach", "--horizon", "1"], "0", None),
+        (["--reach", "home", "--start", "beach", "--horizon", "2"], "1/5", None),
+        ([*HOME, "--horizon", "1"], "3", None),
+        ([*HOME, "--horizon", "2"], "5/2", None),  # walk, and fly where that fails
+        (["--until", "home", "--horizon", "2"], "inf", None),
     ],
 )
 def test_solve(land: str, words: list[str], exact: str, policy: str | None) -> None:

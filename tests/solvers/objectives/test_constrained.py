@@ -45,6 +45,22 @@ def sound(found: ConstrainedSolution, binding: int) -> None:
         assert measured.components[name] == pytest.approx(float(total), abs=1e-6)
 
 
+def test_actions_are_drawn_where_the_first_ones_alone_do_not_lead() -> None:
+    """The mixture takes both actions in states 0, 1 and 2; the first of each never visit 1."""
+    rows = [
+        (0, 0, [(1, 2, 1)]),
+        (0, 1, [("1/2", 1, 0), ("1/2", 2, 0)]),
+        *[(state, action, [(1, 3, action)]) for state, action in ((1, 0), (1, 1), (2, 0))],
+        (2, 1, [(1, 1, 1)]),
+        (3, 0, [(1, 3, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows, components={"cost": [1, 0, 0, 1, 0, 1, 0]})
+    for bound in ("3/2", "5/4"):
+        found = solve(mdp, subject_to={"cost": f"<= {bound}"})
+        sound(found, 1)
+        assert found.start_value == F(bound)
+
+
 @settings(max_examples=60)
 @given(mdp=with_components(1), sense=st.sampled_from([">=", "<="]), bound=LIMITS)
 def test_one_limit_is_the_best_mixture_of_two_policies(mdp: MDP, sense: str, bound: F) -> None:
