@@ -597,8 +597,8 @@ class MDP(Parts):
         """
         return replace(self, **questions.until(self, label, reward))
 
-    def within(self, steps: int) -> MDP:
-        """Return the model of episodes that stop after N steps, without a further reward.
+    def within(self, steps: int, *, terminal_value: object = None) -> MDP:
+        """Return the model of episodes that stop after N steps.
 
         A column `time` comes before the model's own: states are those of time 0, of time 1, and so
         on to time N, where all is over; extra states, such as an end, keep no time. Everything
@@ -609,6 +609,10 @@ class MDP(Parts):
         ----------
         steps : int
             N, 1 or more.
+        terminal_value : (S,) numbers or {state: number}, optional
+            What each state is worth at time N, where no reward follows unless it is given; a state
+            that is not named is worth 0. The last step earns it, discounted once, so that values at
+            time N itself are 0. With components, it is one more: "terminal value".
 
         Returns
         -------
@@ -618,7 +622,7 @@ class MDP(Parts):
         ------
         ModelError
             Where `steps` is not a positive whole number, the model would not fit in memory, or it
-            has a column `time` already.
+            has a column `time` already; for a terminal value that is not finite.
 
         Examples
         --------
@@ -629,10 +633,10 @@ class MDP(Parts):
         >>> mdp.table.row(mdp.pair(2, 0))
         [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
         """
-        return replace(
-            self,
-            **questions.unrolled(self, steps, offsets=self.pair_offsets, over=self.over),
+        parts = questions.unrolled(
+            self, steps, offsets=self.pair_offsets, over=self.over, terminal_value=terminal_value
         )
+        return replace(self, **parts)
 
     # ---- construction ------------------------------------------------------------------------
 

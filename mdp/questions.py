@@ -18,8 +18,11 @@ Episodes that stop after N steps are those of the model with the time written in
     V_N(s) = 0,    V_t(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V_{t+1}(s')
 
 A state of the new model is a time t and a state s; every step leads from t to t + 1, and at t = N
-all is over, without a further reward. The discount applies as before. That model has no cycles, so
-that whatever solves, proves, checks or evaluates models does so here, exactly and at any discount.
+all is over, without a further reward. The discount applies as before. With terminal values v,
+V_N(s) = v(s): the last step earns γ v(s') beside its reward, and time N itself nothing more. A
+state in which all is over is worth v there, too, and goes on until time N where its v is not 0.
+That model has no cycles, so that whatever solves, proves, checks or evaluates models does so here,
+exactly and at any discount.
 A policy that reads the state alone is stationary; one that reads the time as well depends on time;
 both are policies of this one model.
 
@@ -30,29 +33,36 @@ Puterman, Markov Decision Processes, 1994, section 4.3.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.components import ComponentTable
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.components import ComponentTable, of_columns
+from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import (
     MOST_BYTES,
     NARROW,
     WIDE,
+    Given,
     Integers,
     Numbers,
     OutcomeTable,
     by_outcome,
+    given,
+    integers,
     ones,
+    over_groups,
+    reduced,
+    rounding_of,
     spans,
 )
-from exact_mdp.mdp.validate import Flags, Parts, counted
+from exact_mdp.mdp.validate import Flags, Parts, by_state, counted
 
-REACHED = "reached"
+REACHED, TERMINAL_VALUE = "reached", "terminal value"
 ONE_COMPONENT = {"component_names": ("reward",), "component_table": None}
 # Other rows than those that were observed; a pair has no number of them for each time either.
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
@@ -198,11 +208,21 @@ def _kept(model: Parts, offsets: Integers, over: Flags) -> Integers:
     return np.flatnonzero(kept[: offsets[_in_columns(model, over).regular]])
 
 
-def unrolled(model: Parts, steps: object, *, offsets: Integers, over: Flags) -> dict[str, Any]:
+def unrolled(
+    model: Parts,
+    steps: object,
+    *,
+    offsets: Integers,
+    over: Flags,
+    terminal_value: object = None,
+) -> dict[str, Any]:
     """Return the parts that change where episodes stop after N steps; see `MDP.within`.
 
     `offsets` (S+1,) says where the pairs of each state begin, `over` (S,) where all is over.
     """
+    values = [] if terminal_value is None else _values(terminal_value, model.space)
+    if any(values):
+        over = over & np.array([value == 0 for value in values])
     count, space = counted(steps, "horizon"), _in_columns(model, over)
     own, states = space.regular, model.n_states
     if TIME in space.names:
@@ -238,14 +258,7 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, over: Flags) -> 
     def timed(flags: Flags) -> Flags:
         return np.append(np.tile(flags[:own], count + 1), flags[own:])
 
-    return {
-        "table": layered if by_pair else by_outcome(layered),
-        "pair_state": layers(model.pair_state[rows], np.arange(states)) + own * time,
-        "pair_action": layers(model.pair_action[rows], model.pair_action[first[:-1]]),
-        "space": StateSpace(
-            columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
-        ),
-        "start": tuple((s if s < own else s + own * count, weight) for s, weight in model.start),
+    components: dict[str, Any] = {
         "component_table": None
         if known is None
         else ComponentTable(
@@ -256,11 +269,88 @@ def unrolled(model: Parts, steps: object, *, offsets: Integers, over: Flags) -> 
                 ]
             ),
             denominator=layers(known.denominator[rows], np.ones(states, np.int64)),
+        )
+    }
+    if any(values):
+        rate = model.discount_exact
+        later = [Given(rate * v, rounding=float(rate) * rounding_of(v)) for v in values]
+        paid = _paid(
+            layered, len(rows) * (count - 1), [later[s] for s in model.table.next[chosen]], by_pair
+        )
+        if model.component_names != ("reward",):
+            components = _with_payment(model, components["component_table"], layered, paid)
+        layered, by_pair = paid, False
+    return {
+        "table": layered if by_pair else by_outcome(layered),
+        **components,
+        "pair_state": layers(model.pair_state[rows], np.arange(states)) + own * time,
+        "pair_action": layers(model.pair_action[rows], model.pair_action[first[:-1]]),
+        "space": StateSpace(
+            columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
         ),
+        "start": tuple((s if s < own else s + own * count, weight) for s, weight in model.start),
         "time_limit": None,
         "labels": {name: timed(flags) for name, flags in model.labels.items()},
         "goal": None if model.goal is None else timed(model.goal),
         **NO_DATA,
+    }
+
+
+def _values(numbers: object, space: StateSpace) -> list[Fraction]:
+    """Return a number for each state: from a vector, or from {state: number}, 0 for the others."""
+    with located("terminal_value"):
+        found = by_state(list(numbers) if isinstance(numbers, tuple) else numbers, space)
+        if found is None:
+            raise ModelError(
+                f"{type(numbers).__name__} says no value of each state",
+                fix="give one number for each state, or {state: number}",
+            )
+        return [given(found.get(state, 0)) for state in range(space.size)]
+
+
+def _paid(table: OutcomeTable, first: int, more: Sequence[Given], by_pair: bool) -> OutcomeTable:
+    """Return a table of rewards of outcomes; those from pair `first` on earn so much more."""
+    (gain, below), doubt = table.integer_gains(), table.gain_rounding()
+    if by_pair:
+        # A reward of a pair is earned whatever its probabilities sum to, one of outcomes is not.
+        weight, whole = table.integer_weights()
+        sums = np.add.reduceat(weight.astype(object), table.offsets[:-1])
+        gain, below = reduced(gain.astype(object) * whole, below.astype(object) * sums)
+        gain, doubt = gain[table.pair], doubt[table.pair]
+    gain, below, doubt = gain.astype(object), below.astype(object), doubt.copy()
+    begin = int(table.offsets[first])
+    here = slice(begin, begin + len(more))
+    pair = table.pair[here]
+    last = slice(first, int(pair[-1]) + 1)
+    earned = [
+        Fraction(own, bottom) + later
+        for own, bottom, later in zip(gain[here], below[pair], more, strict=True)
+    ]
+    gain[here], below[last] = over_groups(earned, table.offsets[first : last.stop + 1] - begin)
+    doubt[here] += [later.rounding for later in more]
+    return replace(
+        table,
+        gain=integers(gain.tolist()),
+        gain_denominator=integers(below.tolist()),
+        gain_doubt=doubt if doubt.any() else None,
+    )
+
+
+def _with_payment(
+    model: Parts, known: ComponentTable | None, before: OutcomeTable, after: OutcomeTable
+) -> dict[str, Any]:
+    """Return the components of a reward, and one more: what terminal values add to it."""
+    (old, under), (new, below) = before.expected_gain_exact(), after.expected_gain_exact()
+    added = new.astype(object) * under - old.astype(object) * below
+    columns = [(old, under)]
+    if known is not None:
+        columns = [known.column(number) for number in range(known.amount.shape[1])]
+    name = TERMINAL_VALUE
+    while name in model.component_names:
+        name += "'"
+    return {
+        "component_table": of_columns([*columns, reduced(added, below.astype(object) * under)]),
+        "component_names": (*model.component_names, name),
     }
 
 

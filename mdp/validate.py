@@ -7,6 +7,7 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fractions import Fraction
 from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,36 +226,41 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
 
     Without any it is the first state. `mdp.forms.names` says which state is meant.
     """
-    if start is None:
+    if start is None or (isinstance(start, ByNumber) and not start):
         return ((0, Fraction(1)),)
     with located("start"):
-        refuse_masked(start)
-        pandas = sys.modules.get("pandas")  # who has a table has imported it
-        if pandas is not None and isinstance(start, pandas.Series):
-            states = space.numbers(labels_of(start.index, space.parts))
-            weights = _once(states, start.tolist())
-        elif isinstance(start, ByNumber):
-            weights = {s: exact(p) for s, p in (start or {0: 1}).items()}
-        elif isinstance(start, Mapping):
-            weights = _once(space.numbers(start), start.values())
-        elif (isinstance(start, np.ndarray) and start.ndim == 1) or (
-            isinstance(start, list | tuple) and not _is_state(start, space)
-        ):
-            if len(start) != space.size:
-                raise ShapeError(
-                    f"{len(start)} entries for {space.size} states",
-                    fix="give one for each state, a state, or {state: probability}",
-                )
-            weights = {state: exact(weight) for state, weight in enumerate(start)}
-        else:
-            weights = {space.number(start): Fraction(1)}
+        found = by_state(start, space)
+        given = {space.number(start): 1} if found is None else found
+        weights = {state: exact(weight) for state, weight in given.items()}
     return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
 
 
-def _once(states: Sequence[int], chances: Iterable[object]) -> dict[int, Fraction]:
+def by_state(numbers: object, space: StateSpace) -> dict[int, Any] | None:
+    """Return numbers by state from {state: number} or from a vector; None for anything else."""
+    refuse_masked(numbers)
+    pandas = sys.modules.get("pandas")  # who has a table has imported it
+    if pandas is not None and isinstance(numbers, pandas.Series):
+        return _once(space.numbers(labels_of(numbers.index, space.parts)), numbers.tolist())
+    if isinstance(numbers, ByNumber):
+        return dict(numbers)
+    if isinstance(numbers, Mapping):
+        return _once(space.numbers(numbers), numbers.values())
+    if (isinstance(numbers, np.ndarray) and numbers.ndim == 1) or (
+        isinstance(numbers, list | tuple) and not _is_state(numbers, space)
+    ):
+        if len(numbers) != space.size:
+            raise ShapeError(
+                f"{len(numbers)} entries for {space.size} states",
+                fix="give one for each state, or name states: {state: number}",
+            )
+        return dict(enumerate(numbers))
+    return None
+
+
+def _once(states: Sequence[int], numbers: Iterable[object]) -> dict[int, Any]:
     if len(set(states)) < len(states):
         raise ModelError("a state appears twice", fix="keep one of them")
-    return dict(zip(states, map(exact, chances), strict=True))
+    return dict(zip(states, numbers, strict=True))
 
 
 def _is_state(given: object, space: StateSpace) -> bool:

@@ -102,6 +102,7 @@ def solve(
     *,
     tol: float | None = ...,
     horizon: int | None = ...,
+    terminal_value: Any = ...,
     start: Any = ...,
     criterion: Literal["total"] = ...,
 ) -> Solution: ...
@@ -118,6 +119,7 @@ def solve(
     model: MDP | Scenario,
     *,
     horizon: int | None = ...,
+    terminal_value: Any = ...,
     subject_to: Mapping[str, Any],
     deterministic: Literal[False] = ...,
 ) -> ConstrainedSolution: ...
@@ -128,6 +130,7 @@ def solve(
     model: MDP | Scenario,
     *,
     horizon: int | None = ...,
+    terminal_value: Any = ...,
     subject_to: Mapping[str, Any],
     deterministic: Literal[True],
 ) -> DeterministicSolution: ...
@@ -146,6 +149,7 @@ def solve(
     *,
     tol: float | None = None,
     horizon: int | None = None,
+    terminal_value: Any = None,
     start: Any = None,
     criterion: str = "total",
     subject_to: Mapping[str, Any] | None = None,
@@ -169,12 +173,16 @@ def solve(
         Greatest absolute error in any state, for a solver that takes one. Backward induction, where
         "auto" takes it, is as exact as floats allow; it warns where that is not enough.
     horizon : int, optional
-        Stop after this many steps, without a further reward: the solution is that of
-        `mdp.within(horizon)`, whose states are times and states.
+        Stop after this many steps: the solution is that of `mdp.within(horizon)`, whose states are
+        times and states.
+    terminal_value : (S,) numbers or {state: number}, optional
+        What each state is worth when the horizon is reached, 0 unless it is given; see
+        `mdp.within`.
     start : a solution, (S,) floats or PolicyLike, optional
         Values near the optimum, or a policy, to begin with: of a similar model, say. The answer and
         its bounds hold as without. Models without cycles are solved in one pass all the same; those
-        with a policy that never ends do not use it.
+        with a policy that never ends do not use it. It says nothing of where episodes begin, which
+        the model's own `start` does, nor of what they are worth at the end.
     criterion : "total" or "average"
         What is best: the total reward, discounted as the model says, or the average reward per
         step in the long run, whatever the discount. The average is found by policy iteration, by
@@ -209,6 +217,8 @@ def solve(
     >>> found = solve(mdp, horizon=3)
     >>> found.start_value, [found.mdp.actions[a] for a in found.policy[[0, 2, 4]]]
     (1.875, ['0', '0', '1'])
+    >>> solve(mdp, horizon=3, terminal_value=[4, 0]).start_value
+    2.25
     >>> solve(mdp, "value-iteration", tol=1e-3).error_bound < 1e-3
     True
     >>> turns = MDP.from_arrays([[[0, 1], [1, 0]]], [1, 4])
@@ -228,6 +238,7 @@ def solve(
             where="subject_to",
             fix="leave out solver, tol, start and criterion",
         )
+    _check_horizon(horizon, terminal_value, start)
     if is_average(criterion):
         require_no_horizon(horizon)
         check_tolerance("solve", tol)
@@ -248,7 +259,7 @@ def solve(
         return solve_coach(model, tol)
     mdp = mdp_of(model)
     if horizon is not None:
-        mdp = mdp.within(horizon)
+        mdp = mdp.within(horizon, terminal_value=terminal_value)
     if subject_to is not None:
         if deterministic:
             return deterministic_search.best_deterministic(mdp, subject_to)
@@ -262,6 +273,23 @@ def solve(
             return _within(BackwardInduction().solve(mdp), tol)
         return ModifiedPolicyIteration(tol=tol, start=start).solve(mdp)
     return _with_settings(_named(solver), tol=tol, start=start).solve(mdp)
+
+
+def _check_horizon(horizon: object, terminal_value: object, start: object) -> None:
+    """Raise ModelError for what has no use beside a horizon, or without one."""
+    if horizon is not None and start is not None:
+        raise ModelError(
+            "start holds values to begin the search with, and a horizon is solved in one pass",
+            where="start",
+            fix="give what states are worth at the end as terminal_value, and where episodes begin "
+            "as the model's own start: mdp.with_(start=...)",
+        )
+    if horizon is None and terminal_value is not None:
+        raise ModelError(
+            "a terminal value is what states are worth when a horizon is reached",
+            where="terminal_value",
+            fix="give a horizon, too",
+        )
 
 
 def is_average(criterion: str) -> bool:
