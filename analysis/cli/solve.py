@@ -203,7 +203,7 @@ def _deterministic(
         "exact_start_value": value,
         "bound": found.bound,
         "gap": found.gap,
-        "mixed_value": mixed.start_value if mixed.feasible else None,
+        "mixed_value": mixed.start_value,
         "limits": [str(limit) for limit in mixed.limits],
         "totals": found.totals,
         "parts": len(found.parts),
@@ -227,7 +227,7 @@ def _deterministic(
         else f"at most {float(found.bound):.10g}: the search ended early"
         if mdp.sense == "max"
         else f"at least {float(found.bound):.10g}: the search ended early",
-        "policies that draw actions": mixed.start if mixed.feasible else None,
+        "policies that draw actions": mixed.start,
         "written": result["written"] or None,
     }
     rows = [
@@ -259,9 +259,9 @@ def _under_limits(
         "method": "limits",
         "claim": found.claim,
         "feasible": found.feasible,
-        "start_value": float(found.start_value) if found.feasible else None,
-        "error_bound": 0.0,
-        "exact_start_value": found.start_value if found.feasible else None,
+        "start_value": None if found.start_value is None else float(found.start_value),
+        "error_bound": 0.0 if found.feasible else None,
+        "exact_start_value": found.start_value,
         "limits": [str(limit) for limit in found.limits],
         "totals": found.totals,
         "prices": found.prices,
@@ -276,7 +276,7 @@ def _under_limits(
     facts = {
         "limits": "can be kept" if found.feasible else "no policy keeps them all (proven)",
         "in any model": _contradictory(found.limits),
-        "start value": found.start if found.feasible else None,
+        "start value": found.start or "none: no policy keeps the limits",
         "draws its action in": f"{len(found.randomises)} state(s): "
         + "; ".join(map(mdp.space.label, found.randomises))
         if found.randomises

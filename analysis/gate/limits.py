@@ -95,12 +95,13 @@ class UnderLimits:
 
     def regret(self, priced: Regret) -> Regret:
         """Return the regret against the optimum under limits, from that in the priced model."""
-        if not self.best.feasible:
+        best = self.best.start
+        if best is None:
             return priced
-        lost = self.best.objectives.sign * (self.best.start_value - self.earned)
+        lost = self.best.objectives.sign * (best.value - self.earned)
         return replace(
             priced,
-            optimal=self.best.start,
+            optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=lost),
             forgiveness=Forgiveness(),

@@ -119,7 +119,7 @@ class ConstrainedSolution(Result):
 
     def __repr__(self) -> str:
         kept = ", ".join(map(str, self.limits))
-        if not self.feasible:
+        if self.start_value is None:
             return f"ConstrainedSolution(no policy keeps {kept}; certified)"
         return f"ConstrainedSolution({float(self.start_value):.12g} with {kept}; certified)"
 
@@ -134,14 +134,14 @@ class ConstrainedSolution(Result):
         return dict(zip(self.objectives.names[1:], self._totals[1:], strict=True))
 
     @property
-    def start_value(self) -> Fraction:
-        """The policy's expected return: the optimum where that is feasible."""
-        return self._totals[0]
+    def start_value(self) -> Fraction | None:
+        """The optimum, which the policy earns; None where no policy keeps the limits."""
+        return self._totals[0] if self.feasible else None
 
     @property
-    def start(self) -> Certified:
+    def start(self) -> Certified | None:
         """The same as a claim."""
-        return Certified(value=self.start_value)
+        return None if self.start_value is None else Certified(value=self.start_value)
 
     @cached_property
     def _totals(self) -> Point:

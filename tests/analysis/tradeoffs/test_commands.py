@@ -118,6 +118,8 @@ def test_limits_that_no_policy_keeps() -> None:
     against = run(*words, "--subject-to", "anger <= -1")
     assert (against.status, "contradict each other" in against.out) == (1, True)
     assert "contradict" not in run(*words).out
+    for key in ("start_value", "exact_start_value", "error_bound"):
+        assert found.result[key] is None
 
 
 @pytest.mark.parametrize(
