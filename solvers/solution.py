@@ -356,8 +356,9 @@ class Solution(Pictured):
     def gap_table(self) -> Floats:
         """(S, A) what each action loses against the value; NaN where it is not offered."""
         sign = -1 if getattr(self.mdp, "sense", "max") == "min" else 1
-        with np.errstate(invalid="ignore"):  # two infinite values
-            lost = sign * (self.value[self.mdp.pair_state] - self.mdp.backup(self.value))
+        here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
+        with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
+            lost = np.where(here == there, 0.0, sign * (here - there))
         table: Floats = MDP.by_action(self.mdp, lost)
         return table
 

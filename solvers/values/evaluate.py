@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar, Literal, overload
@@ -58,9 +58,9 @@ class Evaluation(Pictured):
     chain : PolicyChain
         The model under the policy.
     value, error : (S,)
-        Mean return from every state, and how far it may be from the exact one. Where every episode
-        ends at discount 1, NaN and infinity in states from which the policy may not end; no episode
-        comes there. Else the total reward, which may be infinite.
+        Mean return from every state, which may be infinite, and how far it may be from the exact
+        one. NaN and infinity where it is unknown: at discount 1 in states that no episode comes to,
+        where the total of some of them has no limit.
     given : PolicyChain
         The same without the ends that states of rest stand for; else the chain itself.
     settled : bool
@@ -150,7 +150,8 @@ class Evaluation(Pictured):
     def components(self) -> dict[str, float]:
         """Expected discounted total of each reward component; they sum to `mean`.
 
-        At discount 1, one that an end earns for ever is infinite, or NaN where ends differ in sign.
+        At discount 1, one that is earned for ever is infinite, or NaN where it has no limit, or ends
+        differ in sign.
         """
         return {name: number.value for name, number in self._components.items()}
 
@@ -159,9 +160,11 @@ class Evaluation(Pictured):
         mdp, chain = self.mdp, self.chain
         if mdp.components.shape[1] == 1:
             return {mdp.component_names[0]: self.start}
+        if not self.settled:
+            return {name: self._endless(name) for name in mdp.component_names}
         try:
             found = self._discounted
-        except (SolverError, ModelError):
+        except SolverError:
             return dict.fromkeys(mdp.component_names, UNKNOWN)
         used = pair_visits(chain, found)
         doubt = pair_visits(chain, FixedPoint(value=found.error, error=found.error))
@@ -183,6 +186,20 @@ class Evaluation(Pictured):
             for name, value, bound in zip(mdp.component_names, total, error, strict=True)
         }
 
+    def _endless(self, name: str) -> Bounded:
+        """Return the total of a component where a policy goes on for ever."""
+        mdp = self.mdp
+        if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
+            return UNKNOWN
+        gain, below = mdp.component(name)
+        table = replace(mdp.table, gain=gain, gain_denominator=below, gain_doubt=None)
+        alone = mdp.with_(table=table, component_table=None, component_names=(name,))
+        chain = PolicyChain(mdp=alone, chosen=self.chain.chosen, policy=self.chain.policy)
+        try:
+            return solve(model_of(chain)).start
+        except (SolverError, ModelError):
+            return UNKNOWN
+
     # ---- the spread --------------------------------------------------------------------------
 
     @property
@@ -200,10 +217,12 @@ class Evaluation(Pictured):
 
     @property
     def variance(self) -> Floats:
-        """(S,) variance of the return from every state; NaN where `value` is."""
+        """(S,) variance of the return from every state; NaN where `value` is not finite."""
+        if not self.settled:
+            return np.full(len(self.value), np.nan)
         with np.errstate(over="ignore"):
             found = np.ldexp(self._variance.value, 2 * self._power)
-        return np.where(np.isnan(self.value), np.nan, found)
+        return np.where(np.isfinite(self.value), found, np.nan)
 
     @cached_property
     def _power(self) -> int:
@@ -219,7 +238,7 @@ class Evaluation(Pictured):
     def _variance(self) -> FixedPoint:
         """Variances over 4^power."""
         chain, rate, power = self.chain, self.mdp.discount, self._power
-        live: Mask = ~self.mdp.terminal & ~np.isnan(self.value)
+        live: Mask = ~self.mdp.terminal & np.isfinite(self.value)
         if not chain.gain.any():
             return FixedPoint(value=np.zeros(len(live)), error=np.zeros(len(live)))
         value = np.ldexp(np.where(live, self.value, 0.0), -power)
@@ -473,6 +492,11 @@ def evaluate(
     found = _closest(chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
     known = live | mdp.terminal
     value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)
+    if not known.all():
+        with suppress(ModelError, SolverError):
+            alone = solve(model_of(given))
+            value = np.where(known, value, alone.value)
+            bound = np.where(known, bound, alone.state_error)
     value.setflags(write=False)
     bound.setflags(write=False)
     return Evaluation(chain=chain, given=given, value=value, error=bound)

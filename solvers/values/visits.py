@@ -62,10 +62,11 @@ def steps(chain: PolicyChain) -> FixedPoint:
 def ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
     """Return (S,) the probability that one of the marked outcomes (N,) ever happens."""
     states, source, following = chain.mdp.n_states, chain.source, chain.table.next
-    chance = chain.total(np.where(happens, chain.probability, 0.0))
+    live = ~chain.mdp.terminal[source]  # nothing happens in an end
+    chance = chain.total(np.where(happens & live, chain.probability, 0.0))
     # Elsewhere the probability is 0; among these states the equation has a single solution.
     possible = closure(chain.graph.T.tocsr(), chance > 0)
-    on = ~happens & possible[source] & possible[following] & ~chain.mdp.terminal[source]
+    on = ~happens & possible[source] & possible[following] & live
     entries = (chain.probability[on], (source[on], following[on]))
     matrix = sp.csr_array(entries, (states, states))
     roundings = chain.roundings + int(chain.outcomes.max())
