@@ -3,7 +3,8 @@
 An objective is a linear combination of named amounts, `2*help-anger`, or `name=2*help-anger`:
 
     a component of the reward     its expected amount
-    reward                        all of it, unless a component is called so
+    reward                        all of it, as given; reward' where one of several components is
+                                  called so. Amounts in floats add up to it but for rounding
     steps                         1 in every state, until all is over
     an event                      how often it happens, on average
     a label whose states are not left again, at discount 1     1 on the step into them, so that the
@@ -210,7 +211,7 @@ Terms = list[tuple[Fraction, str]]
 
 def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     """Return the name of an objective, and its terms."""
-    known = [*mdp.component_names, REWARD, STEPS, *mdp.events, *mdp.labels]
+    known = [*mdp.component_names, reward_name(mdp), STEPS, *mdp.events, *mdp.labels]
     name, equals, body = text.partition("=")
     if text in known or not equals:
         name, body = text, text
@@ -257,12 +258,20 @@ def _combined(mdp: MDP, terms: Terms) -> Column:
     return np.asarray(top), below
 
 
+def reward_name(mdp: MDP) -> str:
+    """Return what the reward itself is called among the amounts of a model."""
+    name = REWARD
+    while name in mdp.component_names and len(mdp.component_names) > 1:
+        name += "'"
+    return name
+
+
 def _column(mdp: MDP, name: str) -> Column:
     """Return the exact amounts (L,) of one name, over denominators (L,)."""
+    if name == reward_name(mdp):
+        return mdp.table.expected_gain_exact()
     if name in mdp.component_names:
         return mdp.component(name)
-    if name == REWARD:
-        return mdp.table.expected_gain_exact()
     if name == STEPS:
         return (~mdp.over)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
     return _happening(mdp, name)

@@ -41,7 +41,7 @@ from exact_mdp.mdp.parametric.symbolic import fraction, rational
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, Numbers, exact
-from exact_mdp.solvers.objectives.amounts import REWARD, Objectives
+from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
 from exact_mdp.solvers.objectives.basis import by_basis, combined
 from exact_mdp.solvers.objectives.checker import (
     Attained,
@@ -271,8 +271,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
     """Return the optimum under limits; see `solve`."""
     limits = limits_of(subject_to)
     names = list(dict.fromkeys(limit.name for limit in limits))
-    whole = REWARD if mdp.component_names in (("reward",), ()) else "+".join(mdp.component_names)
-    of = Objectives.of(mdp, [f"return={whole}", *names])
+    of = Objectives.of(mdp, [f"return={reward_name(mdp)}", *names])
     limits = tuple(
         Limit(name=of.names[1 + names.index(each.name)], sign=each.sign, bound=each.bound)
         for each in limits
