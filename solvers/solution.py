@@ -182,30 +182,40 @@ class Bounded:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimated:
-    """A sample mean and its standard error.
+    """A sample mean, its standard error, and what no sample shows.
+
+    Attributes
+    ----------
+    value, standard_error : float
+    cut_off : float
+        How far what was left out of every sample may move the mean, at most; this is proven.
 
     Examples
     --------
     >>> Estimated(value=2.0, standard_error=0.5).interval
     (1.0..., 2.9...)
+    >>> print(Estimated(value=2.0, standard_error=0.5, cut_off=0.25))
+    2 ± 0.5 s.e. ± 0.25 cut off (estimated)
     """
 
     value: float
     standard_error: float
+    cut_off: float = 0.0
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The normal 95 % interval."""
-        half = 1.959963984540054 * self.standard_error
+        """The normal 95 % interval, wider by what was cut off."""
+        half = 1.959963984540054 * self.standard_error + self.cut_off
         return self.value - half, self.value + half
 
     def __float__(self) -> float:
         return self.value
 
     def __str__(self) -> str:
-        return f"{self.value:.6g} ± {self.standard_error:.1g} s.e. ({self.claim})"
+        cut = f" ± {self.cut_off:.2g} cut off" if self.cut_off else ""
+        return f"{self.value:.6g} ± {self.standard_error:.1g} s.e.{cut} ({self.claim})"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -266,7 +266,8 @@ def fact(value: Any) -> str:
     if isinstance(value, Estimated):
         error = value.standard_error
         shown = number(value.value, error / 10)
-        return f"{shown} ({value.claim}, standard error {error:.2g})"
+        cut = f", cut off within {at_most(value.cut_off)}" if value.cut_off else ""
+        return f"{shown} ({value.claim}, standard error {error:.2g}{cut})"
     if isinstance(value, Certified):
         return f"{cell(value)} ({value.claim})"
     return cell(value)

@@ -150,8 +150,8 @@ class Evaluation(Pictured):
     def components(self) -> dict[str, float]:
         """Expected discounted total of each reward component; they sum to `mean`.
 
-        At discount 1, one that is earned for ever is infinite, or NaN where it has no limit, or ends
-        differ in sign.
+        At discount 1, one that is earned for ever is infinite; NaN where it has no limit, or where
+        ends differ in sign.
         """
         return {name: number.value for name, number in self._components.items()}
 

@@ -24,6 +24,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK, TINY
 from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
@@ -56,8 +57,9 @@ class Simulation(Pictured):
     truncated : int
         Episodes cut off before a terminal state: below discount 1, or by a horizon.
     truncation_error : float
-        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ). A horizon is no
-        error: its returns are those of episodes that stop there.
+        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ), rounding included.
+        `value` and its interval include it. A horizon is no error: its returns are those of
+        episodes that stop there.
     endless : int
         Episodes that never end: they gain or lose for ever, or have come to rest.
     infinite_mean : float
@@ -93,8 +95,10 @@ class Simulation(Pictured):
 
     @property
     def value(self) -> Estimated:
-        """The mean return with its standard error."""
-        return Estimated(value=self.mean, standard_error=self.standard_error)
+        """The mean return with its standard error, and what was cut off."""
+        return Estimated(
+            value=self.mean, standard_error=self.standard_error, cut_off=self.truncation_error
+        )
 
     @property
     def never_ends(self) -> float:
@@ -125,7 +129,7 @@ class Simulation(Pictured):
 
     @property
     def standard_error(self) -> float:
-        """Standard error of `mean`."""
+        """Standard error of `mean`: of the draws alone."""
         return self.sd / sqrt(self.episodes)
 
     @property
@@ -227,7 +231,8 @@ def simulate(
     if horizon is not None:
         last = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
         stopped = int((~unstopped.terminal[state[state >= last] - last]).sum())
-    rest = size * factor / float(1 - mdp.discount_exact) if len(running) else 0.0
+    missing = float(1 - mdp.discount_exact)
+    rest = (size * factor / missing * SLACK + TINY) if len(running) and size else 0.0
     return Simulation(
         returns=returns,
         steps=steps,

@@ -92,7 +92,23 @@ def test_an_endless_process_is_cut_off_where_nothing_is_lost() -> None:
     assert 0 < found.truncation_error <= 1e-12 * 3 / 0.1
     short = simulate(mdp, [0, 0, 0], 20_000, rng=5, max_steps=10)
     assert short.truncation_error == pytest.approx(0.9**10 * 3 / 0.1)
-    assert abs(short.mean - evaluate(mdp, [0, 0, 0]).mean) < short.truncation_error
+    wanted = evaluate(mdp, [0, 0, 0]).mean
+    assert abs(short.mean - wanted) < short.truncation_error
+    low, high = short.value.interval
+    assert low < wanted < high
+    assert "cut off" in str(short.value)
+
+
+def test_what_is_cut_off_is_part_of_the_error() -> None:
+    """Every episode earns 1 a step: the first three show no spread, and the rest is missing."""
+    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "9/10")
+    found = simulate(mdp, [0], 5, rng=0, max_steps=3)
+    assert (found.mean, found.standard_error) == (pytest.approx(2.71), 0)
+    low, high = found.value.interval
+    assert low <= 10 <= high
+    assert high - 10 < 1e-4
+    ended = simulate(mdp, [0], 5, rng=0, horizon=3)
+    assert ended.value.interval == (ended.mean, ended.mean)
 
 
 def test_probabilities_of_large_models_keep_their_digits() -> None:
