@@ -25,7 +25,7 @@ E[V*] - V*(mean), one number. Every difference is that of pairs in the same draw
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Unpack
@@ -361,11 +361,7 @@ def psa(
         more = key | {"policies": told}
         return joined(in_blocks(solver, name, work, drawn, more, rest, **how))
 
-    found = valued([weights for _, weights in given])
-    picked, frequency = _selected(solver, chosen.names, solved, blocks, given, found)
-    if len(picked) > len(given):
-        others = valued([weights for _, weights in picked[len(given) :]])
-        found = {name: np.hstack([found[name], others[name]]) for name in found}
+    picked, found, frequency = _selected(solver, chosen.names, solved, blocks, given, valued)
     return PSA(
         model=family.name,
         start=solver.base.solution.start,
@@ -414,19 +410,26 @@ def _selected(
     found: Mapping[str, np.ndarray],
     blocks: Sequence[Arrays],
     given: Sequence[tuple[str, Floats]],
-    valued: Arrays,
-) -> tuple[list[tuple[str, Floats]], dict[str, int]]:
-    """Return the policies to evaluate, those given and those that add most; and frequencies.
+    valued: Callable[[Sequence[Floats]], Arrays],
+) -> tuple[list[tuple[str, Floats]], Arrays, dict[str, int]]:
+    """Return the policies given and those that add most, their values, and how often each is best.
 
-    What the given policies leave to be won is V* - max_c V^c, draw by draw. Policies are considered
-    by how much of it lies in the draws whose optimum they are, and compared in the draws in which
-    most of it lies. The one that adds most is taken, until none adds a hundredth of the whole.
+    What the policies taken so far leave to be won is V* - max_c V^c, draw by draw. Policies are
+    considered by how much of it lies in the draws whose optimum they are. What one would add is at
+    least that, and at least what it adds in the draws in which most was left at first, where all
+    are valued. The one that adds most is valued in every draw, until none adds a hundredth of the
+    whole.
     """
     rows, which = merged(blocks)
     sign = solver.base.sign
-    best, error = (sign * valued["value"]).max(axis=1), valued["error"].max(axis=1)
-    left = sign * found["start"] - best
-    left = np.where(left > found["error"] + error, left, 0.0)
+    picked, taken = list(given), valued([weights for _, weights in given])
+
+    def to_be_won() -> Floats:
+        """Return (D,) what the policies taken leave, and 0 where rounding may be all there is."""
+        left = sign * found["start"] - (sign * taken["value"]).max(axis=1)
+        return np.where(left > found["error"] + taken["error"].max(axis=1), left, 0.0)
+
+    left = to_be_won()
     counts = np.bincount(which, minlength=len(rows))
     by_loss = np.bincount(which, weights=left, minlength=len(rows))
     order = np.argsort(-by_loss, kind="stable")[:POOL].tolist()
@@ -437,19 +440,24 @@ def _selected(
         told = digest(each)
         frequency[told] = frequency.get(told, 0) + int(counts[number])
     known = {digest(each) for _, each in given}
-    pool = {digest(weights[number]): weights[number] for number in order if by_loss[number] > 0}
-    others = [each for told, each in pool.items() if told not in known]
-    picked, total = list(given), float(left.sum())
-    if not others:
-        return picked, frequency
-    some = np.sort(np.argsort(-left, kind="stable")[: solver.pool])
+    pool: dict[str, list[int]] = {}
+    for number in order:
+        if by_loss[number] > 0 and (told := digest(weights[number])) not in known:
+            pool.setdefault(told, []).append(number)
+    if not pool:
+        return picked, taken, frequency
+    others, alike = [weights[numbers[0]] for numbers in pool.values()], list(pool.values())
+    total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: solver.pool])
     values = sign * solver.values(names, found["draws"][some], others)["value"]
-    best = best[some]
     for count in range(1, CANDIDATES + 1):
-        gains = np.maximum(values - best[:, None], 0.0).sum(axis=0)
+        best = (sign * taken["value"][some]).max(axis=1)
+        seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)
+        by_loss = np.bincount(which, weights=to_be_won(), minlength=len(rows))
+        gains = np.maximum(seen, [by_loss[numbers].sum() for numbers in alike])
         number = int(gains.argmax())
         if gains[number] <= LEAST_GAIN * total:
             break
         picked.append((f"alternative {count}", others[number]))
-        best = np.maximum(best, values[:, number])
-    return picked, frequency
+        more = valued([others[number]])
+        taken = {name: np.hstack([taken[name], more[name]]) for name in taken}
+    return picked, taken, frequency

@@ -110,6 +110,30 @@ def test_evpi_and_evppi_of_a_wager_are_the_closed_form() -> None:
         assert abs(each.value - exact) < 4 * each.standard_error
 
 
+def test_a_policy_that_is_often_best_by_little_is_a_candidate() -> None:
+    """Of three wagers on a chance p ~ Beta(1, 1), the middle one is best in an eighth of the draws.
+
+    They pay 0, p - 1/2 and 4 p - 19/8: the draws in which most is lost are all of the third.
+    EVPI = ∫ max(0, p - 1/2, 4 p - 19/8) dp = (1/8)² / 2 + (3/8) (1/8 + 13/8) / 2 = 43/128.
+    """
+    p = F(1, 2)
+    rows = [
+        (0, 0, [(F(1), 3, F(0))]),
+        (0, 1, [(p, 3, F(1, 2)), (1 - p, 1, F(-1, 2))]),
+        (0, 2, [(p, 3, F(13, 8)), (1 - p, 2, F(-19, 8))]),
+        *((s, 0, [(F(1), 3, F(0))]) for s in (1, 2)),
+        (3, 0, [(F(1), 3, F(0))]),
+    ]
+    moved = moving(MDP.from_outcomes(rows, 1), {"p": [(1, 3), (2, 3)]})
+    found = psa(moved, 400, rng=5, uncertain=uncertainty(moved, default=2))
+    assert len(found.candidates) == 3
+    among, most = found.evpi_of_candidates(), found.evpi().high
+    assert among.value == pytest.approx(most.value, rel=1e-9)
+    known = found.evppi({"p": ["p"]})["p"].regression
+    for each in (among, most, known):
+        assert abs(each.value - 43 / 128) < 4 * each.standard_error
+
+
 @pytest.mark.parametrize(("mean", "size", "other"), [(0.3, 8, 0.4), (0.5, 3, 0.5), (0.2, 60, 0.6)])
 def test_evppi_of_one_of_two_chances_is_the_closed_form(mean, size, other) -> None:
     rng = np.random.default_rng(3)
