@@ -179,8 +179,11 @@ def regret(
     states. An `optimum` that another policy's regret was found with is not computed again; unless
     `exact` is given, it says how. Raises ModelError at discount 1 where not every policy ends.
 
-    The model is one of rewards: of costs give `mdp.maximised`, and negate what comes back.
+    Of costs, all is found in the model of rewards that are the costs times -1.
     """
+    if mdp.sense == "min":
+        chain = PolicyChain(mdp=chain.mdp.maximised, chosen=chain.chosen, policy=chain.policy)
+        return regret(mdp.maximised, chain, exact=exact, optimum=optimum).negated()
     if endless(mdp):
         mdp, exact = divided(mdp), True  # bounds are of models in which every policy ends
     if exact is None:

@@ -139,7 +139,8 @@ class TrainingRun(Brief):
     space : StateSpace
         What the K rows of the Q-table stand for.
     q : (K, A)
-        Action values at the end; of double Q-learning, the mean of both tables.
+        Action values at the end, of costs the expected costs; of double Q-learning, the mean of
+        both tables.
     policies : (U, K) int16
         Distinct greedy policies recorded, by action number, as they first appeared.
     snapshots : (E,) int32
@@ -185,6 +186,7 @@ class Trainer:
     """Settings and a model, laid out once for many runs."""
 
     def __init__(self, settings: QLearning, mdp: MDP) -> None:
+        self.costs = mdp.sense == "min"
         mdp = mdp.maximised
         self.settings, self.mdp = settings, mdp
         self.rows = rows_of(mdp, settings.columns)
@@ -201,8 +203,9 @@ class Trainer:
         """Return one run; see `QLearning.train`."""
         own, rows = self.settings, self.rows.space.size
         entries, double = rows * self.mdp.n_actions, own.method == "double-q-learning"
-        both = np.full((2, entries if double else 0), float(own.initial))
-        acting = np.full(entries, float(own.initial)) if not double else both[0] + both[1]
+        initial = 0.0 - float(own.initial) if self.costs else float(own.initial)
+        both = np.full((2, entries if double else 0), initial)
+        acting = np.full(entries, initial) if not double else both[0] + both[1]
         counts = np.zeros(entries if own.rate_power else 0, dtype=np.int64)
         snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int16)
         last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int16)
@@ -230,9 +233,12 @@ class Trainer:
             returns,
         )
         policies, numbers = distinct(np.concatenate([snapshots, last]))
+        q = (acting / (1 + double)).reshape(rows, self.mdp.n_actions)
+        if self.costs:  # learned as rewards, told as the costs that they are
+            q, returns = 0.0 - q, 0.0 - returns
         return TrainingRun(
             space=self.rows.space,
-            q=(acting / (1 + double)).reshape(rows, self.mdp.n_actions),
+            q=q,
             policies=policies,
             snapshots=numbers[: len(snapshots)],
             last=numbers[len(snapshots) :],
