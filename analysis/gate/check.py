@@ -162,8 +162,19 @@ class Audit(Pictured):
         word = "failed, left open" if self.undecided else "failed"
         return (
             f"Audit({'passed' if self.passed else word}: {lost} of "
-            f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements)"
+            f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements; "
+            f"{self._question})"
         )
+
+    @property
+    def _question(self) -> str:
+        """What was read, and how rewards add up: all that a number of the audit depends on."""
+        known, space = self.policy.source or "a policy", self.mdp.space
+        sums = f"discount {self.mdp.discount}".removesuffix(".0")
+        if self.criterion == "average":
+            sums = "reward per step"
+        steps = "" if space.untimed is None else f", horizon {space.columns[0].size - 1}"
+        return f"read as {known}, {sums}{steps}"
 
     def __str__(self) -> str:
         return "\n".join([repr(self), *self._costliest(AT_A_GLANCE)])

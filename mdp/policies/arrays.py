@@ -9,9 +9,11 @@ states whose actions are the same in all but name, in probabilities. Unless `kin
                                                 costs they differ: refused, `kind` has to say
     otherwise                                   both fit and differ: refused, `kind` has to say
 
-A distribution has entries of at least 0 that sum to 1, up to 1e-9. Of a Q-table the greedy policy
-counts: the greatest value among the actions offered, of costs the least, compared in the array's
-own numbers, the lowest action number on a tie. -inf is an action never to be taken. NaN and +inf,
+A distribution has entries of at least 0 that sum to 1, up to 1e-9 or the rounding of a short type:
+numbers that are all float32, float16 or bfloat16, whatever holds them now, or are all printed as
+float32 are. Such rows are divided by their exact sums. Of a Q-table the greedy policy counts:
+the greatest value among the actions offered, of costs the least, compared in the array's own
+numbers, the lowest action number on a tie. -inf is an action never to be taken. NaN and +inf,
 and -inf on every action offered, do not say what to do and are refused; of costs the infinities
 change places.
 """
@@ -29,11 +31,12 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Integers, Numbers
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
 
 Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
 SAY = 'say which: kind="policy" (--kind policy) or kind="q" (--kind q)'
+UNIT_32 = 2.0**-24  # the unit roundoff of float32
 Q_TABLE, PROBABILITIES = "a Q-table: its greedy policy", "action probabilities"
 
 Parts = dict[str, Any]
@@ -63,7 +66,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     """
     array = by_time(model, array, 0, of_actions=True)
     layout = _layout(model, array.shape)
-    fits = _distributions(array)
+    fits = are_distributions(array, layout.counts)
     wrong = np.flatnonzero(layout.counts & ~fits)
     if len(wrong) and kind != "q" and model.indifferent.any():
         choosing = _layout(model, array.shape, ~model.indifferent)
@@ -243,15 +246,39 @@ def _least(values: Numbers) -> Any:
     return -np.inf if values.dtype == object else values.dtype.type(-np.inf)
 
 
-def _distributions(array: Numbers) -> Flags:
-    """Return (K,) True for rows that are distributions."""
-    most = 1 + FLOAT_ROW_TOLERANCE
+def are_distributions(array: Numbers, asked: Flags) -> Flags:
+    """Return (K,) True for rows that are distributions, up to the rounding of the rows `asked`.
+
+    A softmax of A numbers divides each by their sum: A - 1 additions and a division, each off by a
+    factor of 1 ± u at most. The quotients are rounded once more where they are stored or printed.
+    With n = A + 1 they sum to 1 up to n u / (1 - n u).
+
+    Examples
+    --------
+    >>> thirds = np.full((1, 3), 1 / 3, dtype=np.float16)
+    >>> are_distributions(thirds, np.array([True])), are_distributions(thirds * 2, np.array([True]))
+    (array([ True]), array([False]))
+    """
     with np.errstate(invalid="ignore"):  # NaN is not a probability
-        inside = np.asarray((array >= 0) & (array <= most), dtype=bool).all(axis=1)
+        inside = np.asarray((array >= 0) & (array <= 1 + FLOAT_ROW_TOLERANCE), bool).all(axis=1)
+    rows = array[inside].astype(np.float64)
+    off = np.abs(rows.sum(axis=1) - 1)
     found = np.zeros(len(array), dtype=bool)
-    total = array[inside].astype(np.float64).sum(axis=1)
-    found[inside] = np.abs(total - 1) <= FLOAT_ROW_TOLERANCE
+    found[inside] = off <= FLOAT_ROW_TOLERANCE
+    if (asked & inside & ~found).any():
+        rounding = (array.shape[1] + 1) * _unit_roundoff(rows[asked[inside]])
+        with np.errstate(divide="ignore"):
+            found[inside] |= off <= (rounding / (1 - rounding) if rounding < 1 else 0.0)
     return found
+
+
+def _unit_roundoff(numbers: Floats) -> float:
+    """Return u of the shortest type that holds all of some numbers, or prints them as they are."""
+    if not np.array_equal(numbers, single := numbers.astype(np.float32)):
+        return UNIT_32 if np.array_equal(numbers, single.astype(str).astype(float)) else 0.0
+    if not (single.view(np.uint32) & 0xFFFF).any():  # a bfloat16 is the first half of a float32
+        return 2.0**-8
+    return 2.0**-11 if np.array_equal(numbers, numbers.astype(np.float16)) else UNIT_32
 
 
 def space_of(model: MDP, rows: int) -> StateSpace | None:

@@ -31,6 +31,7 @@ from exact_mdp.mdp.policies.arrays import (
     Q_TABLE,
     Parts,
     action_numbers,
+    are_distributions,
     by_time,
     numbers_of,
     policy_of_array,
@@ -139,9 +140,7 @@ class Policy(NDArrayOperatorsMixin):
         """Return the rule of a table, action numbers where they say it all, and its shares."""
         table = float_array(given).copy()
         silent = np.isnan(table).all(axis=1)
-        wrong = ~silent & ~(
-            (np.abs(table.sum(axis=1) - 1) <= FLOAT_ROW_TOLERANCE) & (table >= 0).all(axis=1)
-        )
+        wrong = ~silent & ~are_distributions(given, ~silent)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             raise ModelError(
@@ -149,7 +148,11 @@ class Policy(NDArrayOperatorsMixin):
                 where=f"policy, {self.space.label(row)}",
                 fix="make them at least 0, with sum 1",
             )
-        shares = _rounded_away(given, table) if self.shares is None else self.shares
+        total = table.sum(axis=1, keepdims=True)
+        short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()  # rows of a shorter type
+        shares = _shares(given, table, exactly=short) if self.shares is None else self.shares
+        if short:
+            table /= np.where(silent[:, None], 1.0, total)
         if shares is not None:
             shares = self._checked_shares(shares, table)
         alone = (table == 1).any(axis=1) & (np.count_nonzero(table, axis=1) == 1)
@@ -885,13 +888,17 @@ def _refuse_two_meanings(model: MDP, array: Numbers) -> None:
         )
 
 
-def _rounded_away(given: Numbers, table: Floats) -> Numbers | None:
-    """Return (K, A) exact shares of the numbers given; None where the floats are these numbers."""
-    if given.dtype.kind in "biu" or (given.dtype.kind == "f" and given.dtype.itemsize <= 8):
+def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
+    """Return (K, A) exact shares of the numbers given; None where the floats say as much.
+
+    They do not where the rows of floats are about to be divided by their sums, `exactly`.
+    """
+    held = given.dtype.kind in "biu" or (given.dtype.kind == "f" and given.dtype.itemsize <= 8)
+    if held and not exactly:
         return None
     said = np.flatnonzero(~np.isnan(table).all(axis=1)).tolist()
     chances = {row: [exact(number) for number in given[row]] for row in said}
-    if all(table[row].tolist() == numbers for row, numbers in chances.items()):
+    if not exactly and all(table[row].tolist() == numbers for row, numbers in chances.items()):
         return None
     rows = [in_proportion(chances[k]) if k in chances else None for k in range(len(table))]
     none = [0] * table.shape[1]

@@ -300,3 +300,81 @@ def test_action_numbers_that_are_not_whole_are_refused() -> None:
     with pytest.raises(ModelError, match="not whole"):
         Policy.by(mdp, ("state",), [0.9, 0.0])
     assert Policy.by(mdp, ("state",), [1, 0]).weights(mdp).tolist() == [0.0, 1.0, 1.0]
+
+
+SHORT = ["float16", "float32", "bfloat16"]
+
+
+def short(rows: np.ndarray, kind: str) -> np.ndarray:
+    """Return rows rounded to a type of networks; a bfloat16 is the first half of a float32."""
+    if kind != "bfloat16":
+        return rows.astype(kind)
+    bits = rows.astype(np.float32).view(np.uint32) + np.uint32(0x8000)
+    return (bits & np.uint32(0xFFFF0000)).view(np.float32)
+
+
+class Tensor:
+    """An array by its protocol alone."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = array
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.array, dtype=dtype)
+
+
+@pytest.mark.parametrize("kind", SHORT)
+@pytest.mark.parametrize("actions", [2, 3, 18])
+def test_probabilities_of_a_network_are_no_q_table(kind: str, actions: int, tmp_path: Path) -> None:
+    """Rows of short floats miss 1 by their rounding; they are refused, or divided by their sums."""
+    pd = pytest.importorskip("pandas")
+    rng, states = np.random.default_rng(actions), 6
+    law = np.tile(np.eye(states), (actions, 1, 1))
+    mdp = MDP.from_arrays(law, rng.random((states, actions)), discount=0.5)
+    logits = rng.normal(size=(states, actions))
+    table = short(np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True), kind)
+    assert (np.abs(table.astype(float).sum(axis=1) - 1) > 1e-9).any()
+    np.save(tmp_path / "p.npy", table)
+    np.savez(tmp_path / "p.npz", q=table)
+    forms: list[Any] = [table, table.astype(float), table.tolist(), [*table], Tensor(table)]
+    forms += [pd.DataFrame(table, columns=mdp.actions, index=mdp.space.labels(range(states)))]
+    forms += [dict(enumerate(table)), lambda state: table[int(state)]]
+    forms += [tmp_path / "p.npy", tmp_path / "p.npz"]
+    exact = [[F(float(x)) for x in row] for row in table]
+    worth = sum(
+        F(float(mdp.reward[pair])) * exact[0][mdp.pair_action[pair]] for pair in mdp.pairs_of(0)
+    )
+    for form in forms:
+        with pytest.raises(ModelError, match="may be probabilities or action values"):
+            check(mdp, form)
+        audit = check(mdp, form, kind="policy")
+        assert audit.regret.learned.value == 2 * worth / sum(exact[0])  # discount 1/2
+        assert audit.read_as == "policy"
+        assert check(mdp, form, kind="q").read_as == "q"
+    by_name = {str(s): dict(zip(mdp.actions, table[s], strict=True)) for s in range(states)}
+    lines = [f"{s},{a},{x!s}" for s, row in by_name.items() for a, x in row.items()]
+    (tmp_path / "p.csv").write_text("\n".join(["state,action,probability", *lines]))
+    assert check(mdp, by_name).regret.learned.value == 2 * worth / sum(exact[0])
+    if kind == "float32":  # as text: in as many digits as tell it from other floats
+        printed = check(mdp, tmp_path / "p.csv").regret.learned.value
+        assert float(printed) == pytest.approx(float(2 * worth / sum(exact[0])), rel=1e-6)
+    else:
+        with pytest.raises(ModelError, match="not a distribution"):
+            check(mdp, short(table * 1.2, kind), kind="policy")
+
+
+def test_a_row_beyond_the_rounding_of_its_type_is_a_row_of_action_values(mdp: MDP) -> None:
+    """One part in 2^24 for each entry and one more is all that float32 explains; doubles less."""
+    off = whole([[0.5, 0.5 + 2.0**-20], [0.1, 0.9]])
+    assert check(mdp, off.astype(np.float32)).read_as == "q"
+    with pytest.raises(ModelError, match="not a distribution"):
+        check(mdp, off.astype(np.float32), kind="policy")
+    with pytest.raises(ModelError, match="not a distribution"):
+        check(mdp, {"first": {"0": 0.333, "1": 0.666}, "second": "0"})
+
+
+def test_the_first_line_says_what_was_read(mdp: MDP) -> None:
+    """With the discount and the horizon: all that a number rests on."""
+    first = str(check(mdp, whole(BOTH), kind="policy", horizon=3)).splitlines()[0]
+    assert first.endswith("read as action probabilities, discount 1, horizon 3)")
+    assert "read as a Q-table" in str(check(mdp, whole(BOTH), kind="q")).splitlines()[0]

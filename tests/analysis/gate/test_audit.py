@@ -297,7 +297,8 @@ def test_its_text_names_the_costliest_states_and_its_table_begins_with_what_matt
     mdp = MDP.from_outcomes([*rows, (5, 0, [(1, 5, 0)])], discount=1)
     audit = check(mdp, [0] * 6)
     first, *states, rest = str(audit).splitlines()
-    assert first == repr(audit) == "Audit(failed: regret 15 (certified) of 15, 5 disagreements)"
+    lost = "regret 15 (certified) of 15, 5 disagreements"
+    assert first == repr(audit) == f"Audit(failed: {lost}; read as a policy, discount 1)"
     assert [line.partition(":")[0] for line in states] == ["  state 4", "  state 3", "  state 2"]
     assert rest == "  and 2 more, 3 in all"
     table = audit.frame()
