@@ -45,7 +45,7 @@ from exact_mdp.analysis.gate.forgiveness import (
     widest,
     widest_tie,
 )
-from exact_mdp.analysis.gate.waiting import kept, ways_out
+from exact_mdp.analysis.gate.waiting import to_blame
 from exact_mdp.mdp.chain import components, endless, is_acyclic
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import divided
@@ -257,8 +257,7 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             lost = best.start_value - own.start_value
     # What keeps a value without attaining it is found where the policy stays for ever.
     optimal = np.array(best.optimal_pairs)
-    waits = ways_out(mdp, kept(chain), optimal) & (by_state > 0)
-    optimal[waits[mdp.pair_state] & (chain.chosen > 0)] = False
+    optimal[to_blame(chain, best, by_state)] = False
     return Regret(
         optimal=best.start,
         learned=own.start,

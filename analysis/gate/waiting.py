@@ -10,11 +10,17 @@ which it comes in:
     regret = Σ_s d(s) gap(s) + Σ_s e(s) (V*(s) - V^π(s))
 
 with d the visits of the states that it leaves again, and e(s) the probability that it comes into
-such a class at s. The places to blame are the states of the class with an optimal action that may
-lead out of it; where there are several, each has an equal share.
+such a class at s. To blame are the states of the class in which an optimal action may lead out of
+it. Where none does, because the optimum stays in a part of the class, or earns more for ever there,
+those are to blame in which the policy departs from the optimal one of the certificate: a policy
+that does not is as good. Among these, an action cannot be used for ever where V + w > P w, with the
+w of the proof (`solvers.proof.endless`), since the mean of V + w - P w in the class is what it
+loses. Where there are several states, each has an equal share.
 """
 
 from __future__ import annotations
+
+from fractions import Fraction
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +30,7 @@ from exact_mdp.mdp.chain import closure, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import ended
 from exact_mdp.solvers.values.visits import visits
@@ -46,6 +53,33 @@ def ways_out(mdp: MDP, label: Integers, optimal: Flags) -> Flags:
     out = np.zeros(mdp.n_pairs, dtype=bool)
     out[pair[label[matrix.indices] != label[mdp.pair_state[pair]]]] = True
     return np.logical_or.reduceat(out & optimal, mdp.pair_offsets[:-1]) & (label >= 0)
+
+
+def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
+    """Return (L,) pairs of a policy that are to blame for what is lost (S,) in its classes."""
+    mdp, label = chain.mdp, kept(chain)
+    of, taken, optimal = mdp.pair_state, chain.chosen > 0, np.asarray(best.optimal_pairs)
+    departs = taken & (mdp.pair_action != best.policy[of])
+    found, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
+    for pairs in (found, taken & ways_out(mdp, label, optimal)[of], None, departs, taken):
+        open_ = ((label >= 0) & (lost > 0) & ~named[label])[of]
+        some = _falling(mdp, best, departs & open_) if pairs is None else pairs & open_
+        found = found | some
+        named[label[of[some]]] = True
+    same = alike(mdp, np.arange(mdp.n_pairs))  # twins of an action are to blame with it
+    return np.isin(same, same[found])
+
+
+def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
+    """Return those pairs (L,) of finite states for which V + w > P w."""
+    found = np.zeros(len(pairs), dtype=bool)
+    if best.endless is not None:
+        w = best.endless.potential
+        for pair in np.flatnonzero(pairs & (best.endless.sign == 0)[mdp.pair_state]).tolist():
+            state = int(mdp.pair_state[pair])
+            later = sum((p * w[t] for p, t, _ in mdp.table.row(pair)), Fraction(0))
+            found[pair] = best.value[state] + w[state] > later
+    return found
 
 
 def arrivals(chain: PolicyChain, label: Integers) -> Floats:

@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 from fractions import Fraction as F
+from itertools import product
 from math import inf
 from random import Random
 from typing import Any
@@ -385,6 +386,40 @@ def test_policies_of_models_without_end_are_judged(pairs: Pairs, rng: Random) ->
         assert check(mdp, proof.policy).passed
     assert audit.message()
     assert len(audit.frame()) == len(audit.disagreements)
+
+
+def test_what_fails_without_end_names_its_states() -> None:
+    """Where rewards cancel on a loop, or the optimum is infinite, no gap says where it is lost."""
+    rng, failed = np.random.default_rng(7), 0
+    for _ in range(15):
+        states, actions = rng.integers(1, 4), int(rng.integers(2, 4))
+        rows: list[Any] = []
+        for state, action in product(range(states), range(actions)):
+            p = F(int(rng.integers(1, 4)), 3)
+            chances = ((p, rng.integers(states)), (1 - p, rng.integers(states)))
+            law = [(q, int(t), int(rng.integers(-1, 2))) for q, t in chances if q]
+            rows.append((state, action, law))
+        mdp = MDP.from_outcomes(rows)
+        for policy in product(range(actions), repeat=int(states)):
+            try:
+                audit = check(mdp, list(policy))
+            except ModelError:  # totals that swing, or are infinitely large for both
+                continue
+            lost = sum(each.cost for each in audit.disagreements)
+            assert audit.passed == (audit.value.value == 0)
+            assert lost == pytest.approx(float(audit.value.value))
+            failed += not audit.passed
+    assert failed > 30
+
+
+def test_an_action_that_only_a_policy_without_gain_uses_for_ever_is_to_blame() -> None:
+    """The loop 0 -> 1 -> 0 earns nothing, and on average it is at a debt; staying in 0 is not."""
+    rows: list[Any] = [(0, 0, [(1, 0, 0)]), (1, 0, [("4/5", 0, 1), ("1/5", 1, 0)])]
+    rows += [(0, a, [("2/3", 0, 0), ("1/3", 1, -1)]) for a in (1, 2)] + [(1, 1, [(1, 1, 0)])]
+    audit = check(MDP.from_outcomes(rows), [2, 0])
+    assert audit.value.value == F(5, 17)
+    [found] = audit.disagreements
+    assert (found.state, found.optimal, found.cost) == (0, ("0",), 5 / 17)
 
 
 def test_an_audit_says_from_where_it_measures() -> None:
