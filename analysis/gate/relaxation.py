@@ -49,7 +49,7 @@ class Levels:
         used = used[np.argsort(level[used], kind="stable")]
         cuts = np.flatnonzero(np.diff(level[used], prepend=0))
         self.blocks = []
-        for states in np.split(used, cuts[1:]):
+        for states in np.split(used, cuts)[1:]:
             first, last = mdp.pair_offsets[states], mdp.pair_offsets[states + 1]
             pairs = spans(first, last)
             matrix = mdp.transition[pairs]

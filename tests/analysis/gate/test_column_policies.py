@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction as F
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
 from exact_mdp.analysis.gate.relaxation import Rows as TableRows
 from exact_mdp.mdp import MDP, Column, ModelError, Policy, Scenario
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.solvers import certify, evaluate
+from exact_mdp.solvers import certify, evaluate, solve
 
 CARE = Scenario.load("yuan2025")
 
@@ -212,3 +213,30 @@ def test_the_best_policy_of_small_rewards_is_the_best(unit: F) -> None:
     assert best.proven
     assert best.value.value == pytest.approx(float(max(worth)), rel=1e-9, abs=0)
     assert best.upper_bound >= float(max(worth)) * (1 - 1e-12)
+
+
+ALL_OVER = [(s, a, [(1, s, 0)]) for s in range(3) for a in range(2)]
+
+
+@pytest.mark.parametrize("rows", [ALL_OVER, ALL_OVER[:2], ALL_OVER[:1], [(0, 0, [(1, 0, 1)])]])
+@pytest.mark.parametrize("discount", [1, F(1, 2)])
+def test_models_with_nothing_to_do_have_answers(rows: list[Any], discount: F) -> None:
+    """All states terminal, one state, one action: nothing is lost, and nothing fails."""
+    if discount == 1 and rows[0][2][0][2]:
+        return  # worth +∞, whatever is done
+    mdp = MDP.from_outcomes(rows, discount)
+    worth = F(rows[0][2][0][2]) / (1 - discount) if discount < 1 else F(0)
+    assert certify(mdp).start_value == worth
+    assert certify(mdp).violations() == []
+    for read in ((), ("state",)):
+        assert best_policy(mdp, read).value.value == pytest.approx(float(worth))
+    value_of_memory(mdp, ("state",))
+    for kind, given in (("auto", solve(mdp)), ("q", np.zeros((mdp.n_states, mdp.n_actions)))):
+        for exactly in (True, False):
+            audit = check(mdp, given, kind=kind, exact_values=exactly)
+            assert audit.passed
+            assert len(audit.frame()) == 0
+            assert audit.message()
+    assert check(mdp, "random", criterion="average").passed
+    assert check(mdp, "random", horizon=2).passed
+    assert evaluate(mdp, "random").mean == pytest.approx(float(worth))
