@@ -6,6 +6,10 @@ an error in the program itself. A signal that asks to stop ends with 128 + its n
 130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed; and 141, without a word, where the reader
 of a pipe went away (`| head`).
 
+Only a command that comes to its end answers with 0 or 1. Code of the user's that is called on the
+way, an environment's module or a trainer, may ask for another end (`sys.exit`, `os._exit`); then
+there is no answer, which is 3.
+
 Failures are reported on standard error. The variable EXACT_MDP_TRACEBACK=1 shows the traceback, for
 reports of a fault.
 """
@@ -39,6 +43,44 @@ ONE_REQUEST = 1.0  # seconds: `timeout` and others signal the process, then its 
 ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
 Told = Callable[[int, str], None]
+
+
+class NoAnswer(RuntimeError):
+    """Code that was called asked the process to end before there was an answer."""
+
+
+@contextmanager
+def answering() -> Iterator[None]:
+    """Raise NoAnswer where code that is called ends the process by `sys.exit` or `os._exit`.
+
+    Examples
+    --------
+    >>> with answering():
+    ...     sys.exit(0)
+    Traceback (most recent call last):
+    exact_mdp.analysis.exit_status.NoAnswer: sys.exit(0) was called before there was an answer
+    """
+    before = _exit_by(sys.exit)
+    try:
+        yield
+    except SystemExit as end:
+        said = short(f"sys.exit({end.code!r})")
+        raise NoAnswer(f"{said} was called before there was an answer") from end
+    finally:
+        vars(os)["_exit"] = before
+
+
+def _exit_by(end: Callable[[int], object]) -> Callable[[int], NoReturn]:
+    """Let `os._exit` do something else in this process, not in those forked; return what it was."""
+    process, before = os.getpid(), os._exit
+
+    def leave_at_once(status: int) -> NoReturn:
+        if os.getpid() == process:
+            end(status)
+        before(status)
+
+    vars(os)["_exit"] = leave_at_once
+    return before
 
 
 class Stopped(KeyboardInterrupt):
@@ -82,14 +124,15 @@ def run(
     try:
         with redirect_stdout(output), _signals(), warnings.catch_warnings():
             warnings.showwarning = warner()
-            with command.make_context(program, list(words), obj=list(words)) as context:
+            with (
+                answering(),
+                command.make_context(program, list(words), obj=list(words)) as context,
+            ):
                 status = command.invoke(context)
             output.flush()
         return int(status or DONE)
     except click.exceptions.Exit as end:  # --help and --version
         return end.exit_code
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else DONE if end.code is None else FAILED
     except BaseException as error:
         if os.environ.get(TRACEBACK, "") not in ("", "0"):
             traceback.print_exc()
@@ -104,6 +147,8 @@ def leave(status: int) -> NoReturn:
     example, and such a library can crash when it is taken apart.
     """
     if status <= SIGNALS or status == PIPE_CLOSED:
+        at_once = os._exit
+        _exit_by(lambda _: at_once(status))  # whatever a module has registered to be done at exit
         sys.exit(status)
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
@@ -159,6 +204,9 @@ def _broken(error: BaseException, usage: str) -> str:
     """Return the message for what is neither bad input nor a failed check."""
     kind, said = type(error).__name__, short(" ".join(str(error).split()))
     # By name: the modules that define these errors take long to load.
+    if isinstance(error, NoAnswer):
+        fix = "let the environment, trainer or policy return instead"
+        return _message(kind, said, usage, fix)
     if any(base.__name__ in ("SolverError", "Contradiction") for base in type(error).__mro__):
         return f"{kind}: {error}"
     if isinstance(error, MemoryError):

@@ -76,6 +76,7 @@ class PolicyGate(Protocol):
 def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
     """Assert that a policy loses no more than it may against the exact optimum of a model."""
 
+    @import_module("exact_mdp.analysis.exit_status").answering()
     def gate(
         model: MDP | str | Path,
         policy: Any,

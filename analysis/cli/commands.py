@@ -7,6 +7,7 @@ write the function that `does` names, which takes the options by name and return
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
@@ -44,7 +45,10 @@ def command(
     def declare(function: Function) -> click.Command:
         @wraps(function)
         def work(*, as_json: bool, as_markdown: bool = False, **options: Any) -> int:
-            report = getattr(import_module(f"{HERE}.{module}"), name)(**options)
+            try:
+                report = getattr(import_module(f"{HERE}.{module}"), name)(**options)
+            except click.exceptions.Exit as end:  # not of --help, but of code that was called
+                sys.exit(end.exit_code)
             show = import_module(f"{HERE}.render").show
             status: int = show(report, as_json=as_json, as_markdown=as_markdown)
             return status

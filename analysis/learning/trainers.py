@@ -24,6 +24,7 @@ from itertools import islice
 from numbers import Number
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from exact_mdp.analysis.exit_status import answering
 from exact_mdp.analysis.gate.check import Audit, check
 from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
@@ -233,10 +234,12 @@ def check_trainer(
             yield audit.passed
 
     intervals = list[Interval]()
-    for interval in share_intervals(passes(), risk):
-        intervals.append(interval)
-        if _decided(sum(audit.passed for audit in audits), len(audits), wanted, risk) is not None:
-            break
+    with answering():
+        for interval in share_intervals(passes(), risk):
+            intervals.append(interval)
+            within = sum(audit.passed for audit in audits)
+            if _decided(within, len(audits), wanted, risk) is not None:
+                break
     if not audits:
         raise ModelError("no policies", where="check_trainer", fix="give at least one")
     found = TrainerAudit(

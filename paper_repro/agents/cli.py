@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -263,16 +262,17 @@ def run(
 
 @main.command()
 @click.argument("recording", type=FILE)
-def replay(recording: Path) -> None:
+def replay(recording: Path) -> int:
     """Replay a RECORDING without any model; exit status 1 where anything differs."""
     told = recordings.read(recording)
     differences = session.replayed(recorded(told.header, session.Recorded(told)), told)
     for difference in differences:
         click.echo(f"differs: {difference}", err=True)
     if differences:
-        sys.exit(1)
+        return 1
     open_end = "" if told.end else "; the recording is not finished"
     click.echo(f"the same: {len(told.steps)} timesteps, each draw and each request{open_end}")
+    return 0
 
 
 @main.command()

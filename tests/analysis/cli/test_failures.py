@@ -6,6 +6,7 @@ import os
 import re
 import resource
 import subprocess
+import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -134,6 +135,54 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
     done = run("check", "yuan2025", "optimal")
     assert (done.status, done.out) == (3, "")
     told(done.err)
+
+
+ENDS = {
+    "0": "import sys; sys.exit(0)",
+    "1": "import sys; sys.exit(1)",
+    "text": "import sys; sys.exit('a text')",
+    "None": "raise SystemExit",
+    "a subclass": "class End(SystemExit): pass\nraise End(0)",
+    "at once": "import os; os._exit(0)",
+    "click": "import gymnasium as g; import click\n"
+    "class Env(g.Env):\n"
+    "    observation_space = action_space = g.spaces.Discrete(2)\n"
+    "    @property\n"
+    "    def P(self): raise click.exceptions.Exit(0)\n"
+    "g.register('X-v0', entry_point=Env, disable_env_checker=True)",
+    "any other": "class End(BaseException): pass\nraise End",
+}
+
+
+@pytest.mark.parametrize("code", ENDS.values(), ids=ENDS.keys())
+def test_a_module_that_ends_the_program_gives_no_verdict(
+    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An environment that asks for status 0 while it is loaded has not passed."""
+    pytest.importorskip("gymnasium")
+    (tmp_path / "ends.py").write_text(code, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "ends", raising=False)
+    done = run("check", "gymnasium:ends:X-v0", "random", "--discount", "0.9")
+    assert (done.status, done.out) == (3, "")
+    told(done.err)
+
+
+def test_what_is_registered_for_the_end_does_not_change_the_status(tmp_path: Path) -> None:
+    (tmp_path / "late.py").write_text(
+        "import atexit, os; atexit.register(os._exit, 0); atexit.register(lambda: os._exit(0))\n"
+        "import gymnasium; gymnasium.register('X-v0', "
+        "entry_point='gymnasium.envs.toy_text.frozen_lake:FrozenLakeEnv')",
+        "utf-8",
+    )
+    pytest.importorskip("gymnasium")
+    words = ["check", "gymnasium:late:X-v0", "always:LEFT"]
+    code = f"from exact_mdp.analysis.cli import main; import sys; sys.argv[1:] = {words!r}; main()"
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    end = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, env=os.environ | {"PYTHONPATH": path}
+    )
+    assert end.returncode == 1, end.stderr
 
 
 def test_the_other_programs_end_in_the_same_way(

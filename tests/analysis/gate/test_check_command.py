@@ -203,6 +203,8 @@ def test_what_xml_cannot_hold(tmp_path: Path) -> None:
 # ---- the pytest fixture ------------------------------------------------------------------------
 
 TESTS = """
+import os
+
 import numpy as np
 import pytest
 from analysis import assert_policy_optimal
@@ -230,6 +232,11 @@ def test_trainer(policy_gate):
     files = policy_gate("yuan2025", ["best.json"] * 80, set=SMALL, runs=80)
     assert files.proven and len(files.audits) < 80
     policy_gate("tea", lambda seed: "random", runs=9, alpha="1/20")
+
+
+def test_ends(policy_gate):
+    with pytest.raises(RuntimeError, match="before there was an answer"):
+        policy_gate("tea", lambda state: os._exit(0))
 
 
 def test_asserts():
@@ -269,7 +276,7 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
         text=True,
     )
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "3 passed" in done.stdout
+    assert "4 passed" in done.stdout
     assert "3 failed" in done.stdout
     assert "failed: the share of runs within the limits is not at least 0.9" in done.stdout
     assert "AssertionError: failed: the regret is not zero" in done.stdout

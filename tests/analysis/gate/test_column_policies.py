@@ -231,9 +231,9 @@ def test_models_with_nothing_to_do_have_answers(rows: list[Any], discount: F) ->
     for read in ((), ("state",)):
         assert best_policy(mdp, read).value.value == pytest.approx(float(worth))
     value_of_memory(mdp, ("state",))
-    for kind, given in (("auto", solve(mdp)), ("q", np.zeros((mdp.n_states, mdp.n_actions)))):
+    for kind, form in (("auto", solve(mdp)), ("q", np.zeros((mdp.n_states, mdp.n_actions)))):
         for exactly in (True, False):
-            audit = check(mdp, given, kind=kind, exact_values=exactly)
+            audit = check(mdp, form, kind=kind, exact_values=exactly)
             assert audit.passed
             assert len(audit.frame()) == 0
             assert audit.message()

@@ -1,6 +1,8 @@
 """A gate for random trainers: the interval that holds at every moment, and what stops by it."""
 
-from collections.abc import Iterator
+import os
+import sys
+from collections.abc import Callable, Iterator
 from fractions import Fraction as F
 from importlib import import_module
 from itertools import count
@@ -288,3 +290,14 @@ def test_options_that_do_not_fit(
     done = run("check", str(tmp_path / "two.npz"), *named, *words)
     assert (done.status, done.out) == (2, "")
     assert what in done.err
+
+
+@pytest.mark.parametrize("end", [lambda: sys.exit(0), lambda: os._exit(0)])
+def test_a_trainer_that_ends_the_program_has_no_verdict(end: Callable[[], None]) -> None:
+    """Neither while it trains, nor in the policy that it returns, nor in a list made on the way."""
+    mdp = Scenario.load("tea").compile()
+    before = os._exit
+    for train in (lambda seed: end(), lambda seed: lambda state: end(), (end() for _ in range(9))):
+        with pytest.raises(RuntimeError, match=r"sys.exit\(0\) was called before"):
+            check_trainer(mdp, train, runs=9, alpha="1/20", rng=0)
+    assert os._exit is before
