@@ -68,7 +68,9 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     layout = _layout(model, array.shape)
     fits = are_distributions(array, layout.counts)
     wrong = np.flatnonzero(layout.counts & ~fits)
-    if len(wrong) and kind != "q" and model.indifferent.any():
+    if kind == "auto" and not layout.counts.any():  # it is asked at other values of a parameter
+        wrong = np.flatnonzero(~fits & (layout.offered.sum(axis=1) > 1))
+    elif len(wrong) and kind != "q" and model.indifferent.any():
         choosing = _layout(model, array.shape, ~model.indifferent)
         if kind == "policy" or choosing.counts.any():
             layout = choosing
@@ -215,28 +217,30 @@ def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _
 
 
 def _greedy(values: Numbers, layout: _Layout, *, costs: bool) -> Integers:
-    """Return (K,) the greedy actions of action values (K, A)."""
+    """Return (K,) the greedy actions of action values (K, A), -1 for rows that say nothing."""
     worst, best = "-inf", "+inf"
     if costs:  # the greatest of their negations, which unsigned and least integers do not have
         values = -(values.astype(object) if values.dtype.kind in "iu" else values)
         worst, best = best, worst
-    asked = layout.offered & layout.counts[:, None]
-    never = np.asarray(values == -np.inf) | ~layout.offered
+    offered = layout.offered
+    never = np.asarray(values == -np.inf) | ~offered
+    silent = np.zeros(len(values), dtype=bool)
     for what, rows in (
-        ("an action value is NaN", (np.asarray(values != values) & asked).any(axis=1)),
-        (f"an action value is {best}", (np.asarray(values == np.inf) & asked).any(axis=1)),
-        (f"every action offered has the value {worst}", never.all(axis=1) & layout.counts),
+        ("an action value is NaN", (np.asarray(values != values) & offered).any(axis=1)),
+        (f"an action value is {best}", (np.asarray(values == np.inf) & offered).any(axis=1)),
+        (f"every action offered has the value {worst}", never.all(axis=1)),
     ):
-        if rows.any():
+        wrong = np.flatnonzero(rows & layout.counts)
+        if len(wrong):
             raise ModelError(
                 what,
-                where=f"Q-table, {layout.space.label(int(np.flatnonzero(rows)[0]))}",
+                where=f"Q-table, {layout.space.label(int(wrong[0]))}",
                 fix=f"give a number for every available action; {worst} for one never to be taken",
             )
-    # Elsewhere it does not matter what is chosen, as long as it is offered.
-    chosen = np.argmax(np.where(asked, values, _least(values)), axis=1)
-    lowest = np.argmax(layout.offered, axis=1)
-    return np.asarray(np.where(asked[np.arange(len(chosen)), chosen], chosen, lowest))
+        silent |= rows
+    # Rows that do not count in this model may in another, at other values of its parameters.
+    chosen = np.argmax(np.where(offered & ~silent[:, None], values, _least(values)), axis=1)
+    return np.asarray(np.where(offered[np.arange(len(chosen)), chosen] & ~silent, chosen, -1))
 
 
 def _least(values: Numbers) -> Any:

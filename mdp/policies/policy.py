@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, located
 from exact_mdp.mdp.forms.names import ByNumber
@@ -406,6 +406,25 @@ class Policy(NDArrayOperatorsMixin):
         by_action[:, numbers[:-1]] = rule
         wanted = np.count_nonzero(by_action > 0, axis=1)[keys]
         return by_action[keys[model.pair_state], model.pair_action], wanted
+
+    def silent(self, model: MDP) -> NDArray[np.bool_]:
+        """Return (S,) True where a state has a choice and the policy says nothing of it.
+
+        In a model in which such a state matters, `weights` raises ModelError.
+
+        Parameters
+        ----------
+        model : MDP
+
+        Returns
+        -------
+        (S,) bool
+        """
+        said = self._by_pair(model, self.rule)[0]
+        nothing = np.logical_or.reduceat(np.isnan(said), model.pair_offsets[:-1])
+        if self.space.extra != model.space.extra:
+            nothing[model.space.regular :] = True
+        return np.asarray(nothing & ~model.forced)
 
     def choices(self, model: MDP) -> Integers:
         """Return (S,) the likeliest action of every state, the lowest number on a tie."""

@@ -285,6 +285,16 @@ def value_function(
     span = below_one(family, name, span)
     mdp, sections = family.at({}), sections_of(family, name, span)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
+    if chain is not None and chain.policy is not None:
+        ends = np.logical_and.reduce([np.array(each.rows.terminal) for each in sections])
+        open_ = np.flatnonzero(chain.policy.silent(mdp) & mdp.terminal & ~ends)
+        if len(open_):
+            raise ModelError(
+                f"the policy says nothing of a state in which all is over today, but not at every "
+                f"{name}",
+                where=f"policy, {mdp.space.label(int(open_[0]))}",
+                fix="give an action there, too, by a mapping or an array over all states",
+            )
     return ValueFunction(
         parameter=parameter_of(family, name),
         range=span,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 
 import flint
+import numpy as np
 import pytest
 from cli_runner import run
 from hypothesis import given, settings
@@ -19,7 +21,7 @@ from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.curves.signs import nonnegative, positive
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.parametric import Parametric, moving, parametric
+from exact_mdp.mdp.parametric import Family, Parameter, Parametric, moving, parametric
 from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.solvers import certify
 
@@ -291,3 +293,38 @@ def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
     refused = run(*asked, "--max-regret", "1")
     assert (refused.status, refused.out) == (2, "")
     assert "two limits" in refused.err
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
+    """Its greedy action counts in states that are over, or whose actions are alike, at 0."""
+    parameter = Parameter(name="t", value=F(0), low=F(-1), high=F(1))
+
+    def build(at: Mapping[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, at["t"])]), (2, 0, [(1, 2, 0)])]
+        rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, "1/2", sense=sense)
+
+    family = Family(parameters=(parameter,), build=build)
+    table = np.array([[0.0, 2.0], [1.0, 3.0], [0.0, 0.0]]) * (1 if sense == "max" else -1)
+    found = value_function(family, "t", (-1, 1), policy=table)
+    for t in (F(-1), F(-1, 2), F(0), F(1)):
+        assert found.fixed_at(t) == t  # action 1 in state 0, and nothing after that
+    [kept] = found.within(0)  # what it earns in state 0 has to be good, and in state 1 to be bad
+    assert (float(kept.low[0]), float(kept.high[1])) == pytest.approx((0, 0))
+
+
+def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None:
+    """A function is not asked about a state in which all is over today."""
+    parameter = Parameter(name="t", value=F(0), low=F(-1), high=F(1))
+    family = Family(
+        parameters=(parameter,),
+        build=lambda at: MDP.from_outcomes([(0, 0, [(1, 0, at["t"])]), (0, 1, [(1, 0, 0)])], "1/2"),
+    )
+    for policy in ([[1.0, 2.0]], [1], {0: 1}, [[0.0, 1.0]]):
+        found = value_function(family, "t", (-1, 1), policy=policy)
+        assert (found.fixed_at(-1), found.fixed_at(1)) == (0, 0)
+        assert found.within(0)[0].low[0] == -1
+        assert found.within(0)[-1].high[1] == pytest.approx(0)
+    with pytest.raises(ModelError, match="says nothing of a state"):
+        value_function(family, "t", (-1, 1), policy=lambda state: 1)
