@@ -3,11 +3,14 @@
 A float stands for whatever it was rounded from, half a unit in its last place to either side. What
 is rounded in the row of pair l moves the difference of two values, to first order, by at most
 
-    f(l) = |u*(l) - u(l)| Σ_i p_i ρ_i + γ (Σ_i ω_i) (max x_i - min x_i)
-    x_i = u*(l) V*(s_i) - u(l) V^π(s_i)
+    f(l) = |u*(l) - u(l)| Σ_i (p_i ρ_i + ω_i |r_i|)
+           + γ ((Σ_i ω_i) (max x_i - min x_i) + m max |x_i|)
+    x_i = u*(l) V*(s_i) - u(l) V^π(s_i),      m = |Σ_i p_i - 1|
 
 with ρ_i and ω_i the rounding of its rewards and probabilities, and u, u* the uses of the pair from
-the start by the policy and by an optimal one: what both do alike moves both alike. A policy whose
+the start by the policy and by an optimal one: what both do alike moves both alike. The numbers that
+were rounded summed to 1, so that m is rounding for certain. (ω_i |r_i| is there where rewards are
+those of outcomes.) A policy whose
 regret is at most Σ_l f(l) cannot be told from the optimum by those who know no more than the
 floats. Nothing outside what is reached from the start has any say in it, and it is 0 where all
 numbers are exact. It is computed from below and above, and as a rational where these two do not
@@ -17,7 +20,7 @@ A pair ties with the best action where its gap is at most what rounding can move
 and then acting optimally, and by acting optimally,
 
     gap(s, a) ≤ e(s, a) + γ Σ_s' P(s, a, s') F*(s') + F*(s)
-    e(l) = Σ_i p_i ρ_i + γ (Σ_i ω_i) (max V*(s_i) - min V*(s_i))
+    e(l) = Σ_i (p_i ρ_i + ω_i |r_i|) + γ ((Σ_i ω_i) (max V*(s_i) - min V*(s_i)) + m max |V*(s_i)|)
     F*(s) = e_*(s) + γ Σ_s' P_*(s, s') F*(s')
 """
 
@@ -26,7 +29,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import inf, isfinite
+from itertools import pairwise
+from math import fsum, inf, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +42,7 @@ from exact_mdp.analysis.gate.exact_policy import (
     visited_exactly,
 )
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
+from exact_mdp.mdp.table import Floats, Integers, Numbers, divide, spans
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
@@ -64,29 +68,39 @@ def of_floats(mdp: MDP) -> bool:
 
 
 @once
-def _roundings(mdp: MDP) -> tuple[Floats, Floats]:
-    """Return what is rounded in each pair (L,): its expected reward, and its row in all."""
+def _roundings(mdp: MDP) -> tuple[Floats, Floats, Floats]:
+    """Return what is rounded in each pair (L,): its expected reward, its row and the row's sum."""
     table, first = mdp.table, mdp.table.offsets[:-1]
-    rounded = table.gain_rounding()
+    rounded, moved = table.gain_rounding(), table.weight_rounding()
     if len(rounded) != table.pairs:
-        rounded = np.add.reduceat(table.probabilities() * rounded, first)
-    return rounded, np.add.reduceat(table.weight_rounding(), first)
+        each = table.probabilities() * rounded + moved * np.abs(table.gains())
+        rounded = np.add.reduceat(each, first)
+    moved, missing = np.add.reduceat(moved, first), np.zeros(table.pairs)
+    if not table.sums_to_one and table.weight.dtype == np.float64:
+        chances, ends = table.weight.tolist(), pairwise(table.offsets.tolist())
+        missing[:] = [abs(fsum([-1.0, *chances[begin:end]])) for begin, end in ends]
+    elif not table.sums_to_one:
+        missing[:] = np.abs(divide(table.row_sums() - table.denominator, table.denominator))
+    return rounded, moved, missing
 
 
 def per_use(mdp: MDP, known: FixedPoint, pairs: Integers | None = None) -> Range:
     """Return e(l) of some pairs (K,), or of all, for values (S,) known up to an error."""
     table = mdp.table
-    (rounded, moved), first, following = _roundings(mdp), table.offsets[:-1], table.next
+    (rounded, moved, missing), first = _roundings(mdp), table.offsets[:-1]
+    following = table.next
     if pairs is not None:
-        rounded, moved, (first, following) = rounded[pairs], moved[pairs], _outcomes(mdp, pairs)
+        rounded, moved, missing = rounded[pairs], moved[pairs], missing[pairs]
+        first, following = _outcomes(mdp, pairs)
     # What is not known (NaN) lies where the policy never comes.
     there = np.nan_to_num(known.value, nan=0.0)[following]
     off = np.nan_to_num(known.error, nan=0.0, posinf=0.0)[following]
     with np.errstate(over="ignore", invalid="ignore"):
         span = np.maximum.reduceat(there, first) - np.minimum.reduceat(there, first)
-        doubt = 2 * np.maximum.reduceat(off, first)
-        least = rounded + mdp.discount * (moved * np.maximum(span - doubt, 0.0))
-        most = rounded + mdp.discount * (moved * (span + doubt))
+        size, doubt = np.maximum.reduceat(np.abs(there), first), np.maximum.reduceat(off, first)
+        few = moved * np.maximum(span - 2 * doubt, 0.0) + missing * np.maximum(size - doubt, 0.0)
+        many = moved * (span + 2 * doubt) + missing * (size + doubt)
+        least, most = rounded + mdp.discount * few, rounded + mdp.discount * many
     return Range(low=least / SLACK, high=most * SLACK + TINY * (most > 0))
 
 
@@ -99,23 +113,31 @@ def _outcomes(mdp: MDP, pairs: Integers) -> tuple[Integers, Integers]:
 
 def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
     """Return e(l) of one pair as a rational, for exact values of all states."""
-    rewards, moved = _exact_roundings(mdp, pair)
-    reached = [value[following] for _, following, _ in mdp.table.row(pair)]
-    return rewards + mdp.discount_exact * moved * (max(reached) - min(reached))
+    rewards, moves = _exact_roundings(mdp, pair)
+    return rewards + moves([value[following] for _, following, _ in mdp.table.row(pair)])
 
 
-def _exact_roundings(mdp: MDP, pair: int) -> tuple[Fraction, Fraction]:
-    """Return what is rounded in a pair, exactly: its expected reward, and its row in all."""
+def _exact_roundings(
+    mdp: MDP, pair: int
+) -> tuple[Fraction, Callable[[Sequence[Fraction]], Fraction]]:
+    """Return what is rounded in a pair's expected reward, and how far its row moves values x_i."""
     table = mdp.table
     begin, end = int(table.offsets[pair]), int(table.offsets[pair + 1])
     rounding, moved = table.gain_rounding(), table.weight_rounding()[begin:end]
-    row = table.row(pair)
+    row, zero = table.row(pair), Fraction(0)
     if len(rounding) == table.pairs:
         rewards = Fraction(float(rounding[pair]))
     else:
-        each = map(Fraction, rounding[begin:end].tolist())
-        rewards = sum((p * r for (p, _, _), r in zip(row, each, strict=True)), Fraction(0))
-    return rewards, sum(map(Fraction, moved.tolist()), Fraction(0))
+        off = zip(row, rounding[begin:end].tolist(), moved.tolist(), strict=True)
+        rewards = sum((p * Fraction(a) + Fraction(b) * abs(r) for (p, _, r), a, b in off), zero)
+    rounded = sum(map(Fraction, moved.tolist()), zero)
+    missing = abs(sum(p for p, _, _ in row) - 1) if rounded else zero
+
+    def moves(x: Sequence[Fraction]) -> Fraction:
+        most = rounded * (max(x) - min(x)) + missing * max(map(abs, x))
+        return mdp.discount_exact * most
+
+    return rewards, moves
 
 
 def in_all(chain: PolicyChain, known: FixedPoint) -> Range:
@@ -217,13 +239,14 @@ def moved_at_start(mdp: MDP, own: Side, best: Side) -> tuple[Fraction, Fraction 
     (a, da), (b, db) = own.worth(), best.worth()
     if own.chain is best.chain:  # x is nearly 0, and rewards that are used alike move alike
         span_at_most = 2 * float((np.abs(b - a) * (1 + UNIT) + da + db).max())
-        high = float((_roundings(mdp)[1] * (u + du)).sum()) * mdp.discount * span_at_most * SLACK
+        _, moved, missing = _roundings(mdp)
+        high = float(((moved + missing) * (u + du)).sum()) * mdp.discount * span_at_most * SLACK
         return Fraction(0), Fraction(high + TINY) if isfinite(high) else inf
     # Pairs that neither policy uses move nothing.
     used = np.flatnonzero((own.chain.weights > 0) | (best.chain.weights > 0))
     first, there = _outcomes(mdp, used)
     pair = np.repeat(np.arange(len(used)), np.diff(first, append=len(there)))
-    rounded, moved = (part[used] for part in _roundings(mdp))
+    rounded, moved, missing = (part[used] for part in _roundings(mdp))
     u, du, v, dv = (part[used] for part in (u, du, v, dv))
     with np.errstate(over="ignore", invalid="ignore"):
         mine, ideal = u[pair] * a[there], v[pair] * b[there]
@@ -232,11 +255,13 @@ def moved_at_start(mdp: MDP, own: Side, best: Side) -> tuple[Fraction, Fraction 
         off = (off + 3 * UNIT * (np.abs(mine) + np.abs(ideal))) * SLACK + TINY
         x = ideal - mine
         span = np.maximum.reduceat(x, first) - np.minimum.reduceat(x, first)
-        doubt = 2 * np.maximum.reduceat(off, first)
+        size, doubt = np.maximum.reduceat(np.abs(x), first), np.maximum.reduceat(off, first)
+        few = moved * np.maximum(span - 2 * doubt, 0.0) + missing * np.maximum(size - doubt, 0.0)
+        many = moved * (span + 2 * doubt) + missing * (size + doubt)
         apart, unsure = np.abs(v - u), (du + dv) * SLACK + 2 * UNIT * np.abs(v - u)
         least = rounded * np.maximum(apart - unsure, 0.0)
-        least += mdp.discount * (moved * np.maximum(span - doubt, 0.0))
-        most = rounded * (apart + unsure) + mdp.discount * (moved * (span + doubt))
+        least += mdp.discount * few
+        most = rounded * (apart + unsure) + mdp.discount * many
         low, high = float(least.sum()) / SLACK, float(most.sum()) * SLACK
     if not isfinite(high):
         return Fraction(0), inf
@@ -257,9 +282,9 @@ def _exactly_at_start(
     total = Fraction(0)
     for pair in mine.keys() | ideal.keys():
         u, v = mine.get(pair, Fraction(0)), ideal.get(pair, Fraction(0))
-        rewards, moved = _exact_roundings(mdp, pair)
+        rewards, moves = _exact_roundings(mdp, pair)
         x = [v * b[t] - u * a[t] for _, t, _ in mdp.table.row(pair)]
-        total += abs(v - u) * rewards + mdp.discount_exact * moved * (max(x) - min(x))
+        total += abs(v - u) * rewards + moves(x)
     return total
 
 
@@ -308,12 +333,14 @@ def widest(mdp: MDP, *known: FixedPoint) -> Fraction | float:
 
 def _most_per_use(mdp: MDP, known: FixedPoint) -> float:
     """Return the most that e(l) of any pair can be, for values (S,) where they are not NaN."""
-    (rounded, moved), there = _roundings(mdp), ~np.isnan(known.value)
+    (rounded, moved, missing), there = _roundings(mdp), ~np.isnan(known.value)
     value, error = known.value, float(known.error.max(where=there, initial=0.0))
     with np.errstate(over="ignore", invalid="ignore"):
         high, low = value.max(where=there, initial=-inf), value.min(where=there, initial=inf)
         span = float(high - low) + 2 * error
-        return (float(rounded.max()) + mdp.discount * float(moved.max()) * span) * SLACK + TINY
+        size = max(abs(float(high)), abs(float(low))) + error
+        row = float(moved.max()) * span + float(missing.max()) * size
+        return (float(rounded.max()) + mdp.discount * row) * SLACK + TINY
 
 
 def _most_uses(mdp: MDP) -> float:
@@ -357,22 +384,32 @@ def _exactly_in_all(chain: PolicyChain, value: Sequence[Fraction]) -> Sequence[F
 
 
 def exact_forgiveness(
-    mdp: MDP, chain: PolicyChain, own: ExactPolicy | Certificate, best: Certificate
+    mdp: MDP,
+    chain: PolicyChain,
+    own: ExactPolicy | Certificate,
+    best: Certificate,
+    ideal: PolicyChain | None = None,
 ) -> Forgiveness:
-    """Return what rounding can move at the start, for exact values of a policy and the optimum."""
+    """Return what rounding can move at the start, for exact values of a policy and the optimum.
+
+    The values may be infinite in states that are not reached. `ideal` is an optimal policy, that of
+    the first optimal pairs unless given.
+    """
     if not of_floats(mdp):
         return Forgiveness()
-    ideal = policy_taking(mdp, best.optimal_pairs)
+    ideal = policy_taking(mdp, best.optimal_pairs) if ideal is None else ideal
     sides = []
     for of, values in ((chain, own), (ideal, best)):
-        worth = values.value_float  # rounded once
+        worth = np.nan_to_num(values.value_float, posinf=0.0, neginf=0.0)  # rounded once
         sides.append(
             Side(chain=of, found=FixedPoint(value=worth, error=UNIT * np.abs(worth) + TINY))
         )
 
     def make() -> Fraction:
-        return _exactly_at_start(
-            mdp, (chain, np.array(own.value, object)), (ideal, np.array(best.value, object))
+        mine, most = (
+            np.array([x if isinstance(x, Fraction) else Fraction(0) for x in each.value], object)
+            for each in (own, best)
         )
+        return _exactly_at_start(mdp, (chain, mine), (ideal, most))
 
     return Forgiveness(most=inf, narrow=lambda: moved_at_start(mdp, *sides), make=make)

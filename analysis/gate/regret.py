@@ -227,10 +227,11 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
 
 
 def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
-    """Return the regret at discount 1 where some policy never ends; nothing is forgiven.
+    """Return the regret at discount 1 where some policy never ends.
 
-    A pair that keeps the value of a state need not attain it, so that the policy is judged by its
-    own model, in which it is the only one.
+    Something is forgiven where the policy and an optimal one do end. A pair that keeps the value of
+    a state need not attain it, so that the policy is judged by its own model, in which it is the
+    only one.
     """
     own = proven(model_of(chain))
     if own.start_value == best.start_value and isinstance(best.start_value, float):
@@ -255,9 +256,17 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         lost = inf
         if isinstance(best.start_value, Fraction) and isinstance(own.start_value, Fraction):
             lost = best.start_value - own.start_value
+    ideal = PolicyChain(mdp=mdp, chosen=(mdp.pair_action == best.policy[mdp.pair_state]) * 1.0)
+    forgiven = Forgiveness()
+    if isfinite(lost) and chain.ends_from_start and ideal.ends_from_start:
+        forgiven = exact_forgiveness(mdp, chain, own, best, ideal)
     # What keeps a value without attaining it is found where the policy stays for ever.
     optimal = np.array(best.optimal_pairs)
     optimal[to_blame(chain, best, by_state)] = False
+    if lost and forgiven.covers(lost, lost):  # what all of it loses is rounding, and so each part
+        tied = (chain.chosen > 0) & chain.reached[mdp.pair_state]
+        optimal |= tied
+        gap[tied] = 0.0
     return Regret(
         optimal=best.start,
         learned=own.start,
@@ -269,7 +278,7 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0)),
         optimum=best,
-        forgiveness=Forgiveness(),
+        forgiveness=forgiven,
     )
 
 
