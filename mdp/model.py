@@ -35,7 +35,7 @@ from exact_mdp.mdp.parametric.symbolic import (
     outcomes_degree,
     pairs_degree,
 )
-from exact_mdp.mdp.result import ROWS_SHOWN, as_html
+from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
 from exact_mdp.mdp.validate import (
     Parts,
@@ -58,7 +58,7 @@ LOADER = "exact_mdp.mdp.io.load"  # by name: it knows every kind of model, this 
 
 
 @dataclass(frozen=True, eq=False)
-class MDP(Parts):
+class MDP(ByFields, Parts):
     """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
 
     Build one with `MDP.from_arrays`, `from_pairs`, `from_outcomes`, `from_function`,
@@ -164,7 +164,7 @@ class MDP(Parts):
         yield from (part for part in optional if part is not None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+        super().__setstate__(state)
         for array in self._arrays():
             array.setflags(write=False)
 

@@ -12,6 +12,7 @@ a `policy` where there is one. Reading it is the same everywhere:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import fields
 from fractions import Fraction
 from html import escape
 from reprlib import Repr
@@ -41,6 +42,24 @@ class Brief:
         names = getattr(self, "__dataclass_fields__", {})
         told = (f"{name}={_text(getattr(self, name))}" for name in names)
         return f"{type(self).__name__}({', '.join(told)})"
+
+
+class ByFields:
+    """A dataclass of which copies and pickles hold the fields, and no cached property.
+
+    These may hold functions, which cannot be pickled, and are found again when they are asked for.
+    Arrays of a copy are read-only.
+    """
+
+    def __getstate__(self) -> dict[str, Any]:
+        parts: Any = self
+        return {part.name: getattr(self, part.name) for part in fields(parts)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
 
 
 class Result(Brief, ABC):

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from math import inf, isfinite
 
 import numpy as np
@@ -375,7 +376,7 @@ def _bounded_forgiveness(
     open_ = np.flatnonzero(loses & ~(least_gap > widest_tie(mdp, best)))
     loses[open_] = least_gap[open_] > tie_range(mdp, best, ideal, open_).high
     sides = Side(chain=chain, found=own), Side(chain=ideal, found=best)
-    moved = Forgiveness(most=widest(mdp, own, best), narrow=lambda: moved_at_start(mdp, *sides))
+    moved = Forgiveness(most=widest(mdp, own, best), narrow=partial(moved_at_start, mdp, *sides))
     return moved, loses
 
 

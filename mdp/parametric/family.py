@@ -282,38 +282,52 @@ def moving(
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     whole = all(sum(p for p, _, _ in model.table.row(pair)) == 1 for pair in named)
 
-    def build(values: Mapping[str, Fraction]) -> MDP:
-        same = all(values[p.name] is p.value for p in (*found, *gains))  # no question of values
-        if whole and same:
-            return model.with_(discount=values[DISCOUNT])
-        moved = {r: values[name] for r, name in earned.items() if values[name] is not r}
-        rows = []
-        for pair in range(model.n_pairs):
-            outcomes = model.table.row(pair)
-            if pair in named:
-                outcomes = _rebalanced(model, pair, named[pair], rest[pair], values)
-            if moved:
-                outcomes = [(p, to, _replaced(gain, moved)) for p, to, gain in outcomes]
-            rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
-        return MDP.from_outcomes(
-            rows,
-            values[DISCOUNT],
-            start=ByNumber(model.start),
-            space=model.space,
-            actions=model.actions,
-            action_objects=model.action_objects,
-            name=model.name,
-            sense=model.sense,
-            labels=model.labels,
-            goal=model.goal,
-            unreached=model.unreached,
-        )
-
+    build = partial(
+        _moved, model, (*found, *gains), named=named, rest=rest, earned=earned, whole=whole
+    )
     return Family(
         parameters=(*found, *gains, rate),
         build=build,
         name=model.name or "model",
         room=_rooms(found, named),
+    )
+
+
+def _moved(
+    model: MDP,
+    today: Sequence[Parameter],
+    values: Mapping[str, Fraction],
+    *,
+    named: Mapping[int, Mapping[int, str]],
+    rest: Mapping[int, Fraction],
+    earned: Mapping[Fraction, str],
+    whole: bool,
+) -> MDP:
+    """Return the model of `moving` at some values; `today` has its parameters but the discount."""
+    same = all(values[p.name] is p.value for p in today)  # no question of values
+    if whole and same:
+        return model.with_(discount=values[DISCOUNT])
+    moved = {r: values[name] for r, name in earned.items() if values[name] is not r}
+    rows = []
+    for pair in range(model.n_pairs):
+        outcomes = model.table.row(pair)
+        if pair in named:
+            outcomes = _rebalanced(model, pair, named[pair], rest[pair], values)
+        if moved:
+            outcomes = [(p, to, _replaced(gain, moved)) for p, to, gain in outcomes]
+        rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
+    return MDP.from_outcomes(
+        rows,
+        values[DISCOUNT],
+        start=ByNumber(model.start),
+        space=model.space,
+        actions=model.actions,
+        action_objects=model.action_objects,
+        name=model.name,
+        sense=model.sense,
+        labels=model.labels,
+        goal=model.goal,
+        unreached=model.unreached,
     )
 
 

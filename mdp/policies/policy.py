@@ -39,7 +39,7 @@ from exact_mdp.mdp.policies.arrays import (
     space_read,
 )
 from exact_mdp.mdp.policies.frames import unlabelled
-from exact_mdp.mdp.result import ROWS_SHOWN, as_html
+from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -62,7 +62,7 @@ ReadAs = Literal["q", "policy"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Policy(NDArrayOperatorsMixin):
+class Policy(ByFields, NDArrayOperatorsMixin):
     """π(a | columns): what to do for each combination of column values.
 
     A policy is an array, too, that of its `rule`: in indexing, `len`, iteration, comparison and

@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import ByFields
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import Solve, TooLarge
@@ -73,7 +74,7 @@ class FixedPoint:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearSystem:
+class LinearSystem(ByFields):
     """The equation x = c + γ P x for one P and many c.
 
     Attributes

@@ -21,7 +21,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,10 +158,33 @@ class CurvePiece:
     fixed_values: Values | None = None
     proof: EndlessProof | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {name: _coefficients(getattr(self, name)) for name in POLYNOMIALS}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, part in state.items():
+            polynomial = part is not None and name in POLYNOMIALS
+            object.__setattr__(self, name, _polynomials(*part) if polynomial else part)
+
     @property
     def middle(self) -> Fraction:
         """A point inside."""
         return (self.low[1] + self.high[0]) / 2
+
+
+POLYNOMIALS = ("values", "fixed_values")  # of a piece: flint's cannot be pickled, their numbers can
+
+
+def _coefficients(values: Values | None) -> tuple[list[list[Fraction]], list[Fraction]] | None:
+    if values is None:
+        return None
+    tops, bottom = ([*map(fraction, poly.coeffs())] for poly in values[0]), values[1].coeffs()
+    return list(tops), [*map(fraction, bottom)]
+
+
+def _polynomials(tops: list[list[Fraction]], bottom: list[Fraction]) -> Values:
+    made = [flint.fmpq_poly([*map(rational, numbers)]) for numbers in (*tops, bottom)]
+    return made[:-1], made[-1]
 
 
 def piece_violations(

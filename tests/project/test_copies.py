@@ -1,0 +1,195 @@
+"""What was asked of a model before changes no copy of it: pickled or deep, it answers alike."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from fractions import Fraction
+from functools import cached_property
+from multiprocessing import get_context
+from typing import Any
+
+import matplotlib.pyplot as plt
+import pytest
+
+from exact_mdp import (
+    MDP,
+    Family,
+    Parameter,
+    Policy,
+    Scenario,
+    certify,
+    check,
+    evaluate,
+    moving,
+    return_distribution,
+    simulate,
+    solve,
+    tradeoff,
+)
+from exact_mdp.analysis import compare, rationalize
+from exact_mdp.analysis.sensitivity import (
+    gradient,
+    one_way,
+    thresholds,
+    tornado,
+    value_function,
+)
+
+COPIES: dict[str, Callable[[Any], Any]] = {
+    "pickle": lambda thing: pickle.loads(pickle.dumps(thing)),
+    "deepcopy": copy.deepcopy,
+}
+
+
+def line() -> MDP:
+    """Exact numbers, objects as states, names as actions."""
+
+    def outcomes(place: Any, action: str) -> list[tuple[str, Any, dict[str, int]]]:
+        if action == "run":
+            return [("1/2", "goal", {"effort": -2}), ("1/2", 0, {"effort": -2, "falls": -1})]
+        after = place + 1 if place < 3 else "goal"
+        return [("9/10", after, {"effort": -1}), ("1/10", place, {"effort": -1})]
+
+    return MDP.from_function(
+        0,
+        lambda place: [] if place == "goal" else ["walk", "run"],
+        outcomes,
+        labels={"goal": lambda place: place == "goal"},
+    )
+
+
+def floats() -> MDP:
+    """Floats, whose rounding a check forgives; costs, a discount."""
+    return MDP.from_arrays(
+        [[[0.3, 0.7], [0, 1]], [[0.9, 0.1], [0, 1]]],
+        [[1.1, 0.3], [0, 0]],
+        discount="9/10",
+        sense="min",
+        components={"effort": [[0.5, 0.1], [0, 0]]},
+        labels={"goal": [False, True]},
+    )
+
+
+def scenario() -> MDP:
+    return Scenario.load("yuan2025").with_(max_trial=1, tasks=[1]).compile()
+
+
+def built(at: Any) -> MDP:
+    p = at["p"]
+    rows = [[[p, 1 - p], [0, 1]], [[0, 1], [0, 1]]]
+    return MDP.from_arrays(rows, [[1, 2], [0, 0]], "1/2", labels={"goal": [False, True]})
+
+
+def own_family() -> Family:
+    chance = Parameter(name="p", value=Fraction(1, 3), low=Fraction(0), high=Fraction(1))
+    return Family(parameters=(chance,), build=built)
+
+
+MODELS = {"line": line, "floats": floats, "scenario": scenario, "within": lambda: line().within(3)}
+
+
+def by_name(mdp: MDP) -> dict[str, str]:
+    """The first action of every state, by the names of both."""
+    first = mdp.pair_action[mdp.pair_offsets[:-1]]
+    return {mdp.space.label(state): mdp.actions[first[state]] for state in range(mdp.n_states)}
+
+
+QUESTIONS: dict[str, Callable[[MDP], Any]] = {
+    "an action by name": lambda mdp: mdp.action(mdp.actions[-1]),
+    "a state by name": lambda mdp: mdp.space.number(mdp.space.label(1)),
+    "policy": lambda mdp: Policy.of(mdp, by_name(mdp)),
+    "check": lambda mdp: check(mdp, by_name(mdp)),
+    "compare": lambda mdp: compare(mdp, {"first": by_name(mdp), "best": "optimal"}),
+    "solve": solve,
+    "certify": certify,
+    "average": lambda mdp: solve(mdp, criterion="average"),
+    "evaluate": lambda mdp: evaluate(mdp, by_name(mdp)),
+    "simulate": lambda mdp: simulate(mdp, by_name(mdp), 20, 1),
+    "frame": lambda mdp: mdp.frame(),
+    "plot": lambda mdp: plt.close(solve(mdp).plot().figure),
+    "negated": lambda mdp: mdp.maximised,
+    "rationalize": lambda mdp: rationalize(mdp, by_name(mdp)),
+    "gradient": gradient,
+    "tornado": tornado,
+    "one-way": lambda mdp: one_way(mdp, "discount"),
+    "thresholds": lambda mdp: thresholds(mdp, "discount"),
+    "curve": lambda mdp: value_function(mdp, "discount"),
+}
+# What not every model answers.
+SOME: dict[str, tuple[list[str], Callable[[MDP], Any]]] = {
+    "returns": (["line", "scenario"], lambda mdp: return_distribution(mdp, "optimal")),
+    "tradeoff": (["line", "floats"], lambda mdp: tradeoff(mdp, mdp.component_names[:2])),
+    "reaching": (["line", "floats", "within"], lambda mdp: mdp.reaching("goal")),
+    "until": (["line", "floats", "within"], lambda mdp: mdp.until("goal")),
+    "family": (["line", "floats"], lambda mdp: moving(mdp, {"chance": [(0, 0)]})),
+}
+TABLE = [(model, name, ask) for model in MODELS for name, ask in QUESTIONS.items()]
+TABLE += [(model, name, ask) for name, (models, ask) in SOME.items() for model in models]
+
+
+def shown(thing: Any) -> list[str]:
+    """What a result shows: its text, its table and its view in a notebook."""
+    views = (getattr(thing, name, None) for name in ("frame", "_repr_html_"))
+    texts = [repr(thing), *(str(view()) for view in views if view is not None)]
+    return [re.sub(r"\S+ s;", "", text) for text in texts]  # without the seconds that it took
+
+
+def read_all(thing: Any) -> None:
+    """Read every public property, so that what is kept of it is kept."""
+    for name in dir(type(thing)):
+        if isinstance(getattr(type(thing), name), property | cached_property):
+            with suppress(ValueError, RuntimeError):  # a question with no answer for this model
+                getattr(thing, name)
+
+
+@pytest.mark.parametrize(("model", "name", "ask"), TABLE, ids=[f"{m}, {n}" for m, n, _ in TABLE])
+def test_whatever_was_asked_before(model: str, name: str, ask: Callable[[MDP], Any]) -> None:
+    mdp = MODELS[model]()
+    answer = ask(mdp)
+    read_all(answer)
+    read_all(mdp)
+    for how in COPIES.values():
+        again, copied = how((mdp, answer))
+        assert shown(again) == shown(mdp)
+        assert shown(copied) == shown(answer)
+    assert shown(ask(again)) == shown(answer)
+
+
+@pytest.mark.parametrize("how", COPIES)
+def test_policies_scenarios_and_families(how: str) -> None:
+    mdp = scenario()
+    policy = Policy.of(mdp, by_name(mdp))
+    policy.weights(mdp)
+    again = COPIES[how](policy)
+    assert again.tolist() == policy.tolist()
+    assert not again.rule.flags.writeable
+    tables = Scenario.load("yuan2025")
+    tables["base.anger"]
+    assert COPIES[how](tables) == tables
+    for family in (own_family(), moving(floats(), {"chance": [(0, 0)]}), tables.parametric()):
+        gradient(family)
+        other = COPIES[how](family)
+        assert [p.name for p in other.parameters] == [p.name for p in family.parameters]
+        assert shown(gradient(other)) == shown(gradient(family))
+
+
+def test_a_curve_that_was_copied_still_proves_itself() -> None:
+    curve = value_function(own_family(), "p")
+    again = COPIES["pickle"](curve)
+    assert again.violations() == curve.violations() == []
+    assert [again.at(at) for at in ("1/3", "1/2")] == [curve.at(at) for at in ("1/3", "1/2")]
+
+
+def test_a_pool_of_processes_takes_a_model_that_was_asked() -> None:
+    mdp = line()
+    audit = check(mdp, by_name(mdp))
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        value = pool.submit(evaluate, mdp, by_name(mdp)).result()
+        other = pool.submit(check, mdp, by_name(mdp)).result()
+    assert value.mean == evaluate(mdp, by_name(mdp)).mean
+    assert shown(other) == shown(audit)
