@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import packages_distributions
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,10 +17,26 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from mdp.lazy import EXTRAS
+
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
 NEEDS = {"09_an_icu_in_exact_numbers": "icu_sepsis"}  # not a part of the package
 LIMIT = 1_000_000  # characters of output that a reader may be made to load
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def extras(name: str) -> Iterator[str]:
+    """An extra, and those that it brings."""
+    yield name
+    for requirement in PROJECT["optional-dependencies"][name]:
+        if brought := re.match(r"exact-mdp\[(.+)]", requirement):
+            for other in brought[1].split(","):
+                yield from extras(other)
+
+
+HELD = set(extras("notebooks"))
+ABSENT = [package for package, extra in EXTRAS.items() if extra not in HELD]
 
 
 def test_they_are_numbered() -> None:
@@ -37,6 +59,21 @@ def test_is_prose_and_short_cells(source: Path) -> None:
     assert all("def test" not in text and "sys.path" not in text for text in code)
 
 
+def test_the_extra_brings_what_notebooks_import() -> None:
+    lists = [PROJECT["dependencies"], *(PROJECT["optional-dependencies"][name] for name in HELD)]
+    brought = {re.split(r"[^\w-]", each)[0].lower() for some in lists for each in some}
+    known, missing = packages_distributions(), set()
+    for source in SOURCES:
+        for node in ast.walk(ast.parse(source.read_text())):
+            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            for name in {name.partition(".")[0] for name in names} - sys.stdlib_module_names:
+                if name != "exact_mdp" and brought.isdisjoint(map(str.lower, known.get(name, []))):
+                    missing.add(name)
+    assert missing == set()
+    assert "gymnasium" in brought
+
+
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
 def test_runs_from_top_to_bottom(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -48,6 +85,9 @@ def test_runs_from_top_to_bottom(
     for name in ("IPYTHONDIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name))
     notebook = jupytext.read(source)
+    # As where nothing but the extra is installed.
+    hidden = f"import sys; sys.modules.update(dict.fromkeys({ABSENT}))"
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(hidden))
     NotebookClient(
         notebook,
         timeout=300,  # of a cell, against endless ones: no speed is asserted
