@@ -19,14 +19,21 @@ from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
+from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.result import as_html
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
 from exact_mdp.mdp.validate import as_discount
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
 
 READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -100,6 +107,29 @@ class Tables:
             f"tasks {list(self.tasks)}, max_trial {self.max_trial}, discount {self.discount}"
             f"{''.join(other)})"
         )
+
+    def frame(self) -> DataFrame:
+        """Return the parameters as a table, with exact numbers.
+
+        Returns
+        -------
+        DataFrame
+            One row for each parameter: its name, its value, and the range that it may take, None
+            where that is open.
+
+        Examples
+        --------
+        >>> from exact_mdp import Scenario
+        >>> print(Scenario.load("yuan2025").frame().head(2).to_csv(index=False))
+        parameter,value,low,high
+        base.forgetfulness,3/10,0,1
+        base.confusion,3/10,0,1
+        """
+        rows = [(each.name, each.value, each.low, each.high) for each in self.parameters]
+        return pandas.DataFrame(rows, columns=["parameter", "value", "low", "high"], dtype=object)
+
+    def _repr_html_(self) -> str:
+        return as_html(repr(self), self.frame(), rows=len(self.parameters))
 
     def __getstate__(self) -> dict[str, Any]:
         parts = {each.name: getattr(self, each.name) for each in fields(self)}

@@ -43,3 +43,13 @@ def test_a_row_that_says_nothing_has_no_shares() -> None:
     assert table.loc[0, ["0", "1"]].tolist() == [Fraction(1, 4), Fraction(3, 4)]
     assert table.loc[1, ["0", "1"]].isna().all()
     assert "3/4" in partial._repr_html_()
+
+
+def test_a_scenario_is_a_table_of_its_parameters() -> None:
+    scenario = Scenario.load("yuan2025").with_(parameters={"base.anger": "1/7"})
+    frame = scenario.frame()
+    assert dict(zip(frame["parameter"], frame["value"], strict=True)) == scenario.values()
+    page = scenario._repr_html_()
+    assert page.startswith("<p>Scenario(yuan2025: 4 statuses")
+    assert "<td>base.anger</td>\n      <td>1/7</td>" in page
+    assert f"and {len(frame) - 20} rows more" in page
