@@ -11,14 +11,15 @@ Compiled loops take a third of a second to load, as long as some seventy solves 
 NumPy. When to load them is decided here, on one rule: a command is short, a session goes on.
 
 - A model of `COMPILED` transitions or more is worth them at once.
-- A command, the program `exact-mdp`, solves small models in NumPy until that has taken as long as
-  loading does. So it never takes more than about twice the least time there is, however much there
-  turns out to be to solve (the ski rental problem: Karlin, Manasse, Rudolph and Sleator,
+- A command, the program `exact-mdp`, runs the loops of small models in NumPy `MANY` times, which
+  takes about as long as loading does. So it takes about twice the least time at most, however much
+  there turns out to be to solve (the ski rental problem: Karlin, Manasse, Rudolph and Sleator,
   Algorithmica 3, 1988).
 - Any other process, a notebook or a script, solves its first model in the same way, and has the
   loops loaded in its second `solve`. A call counts once, with all that it solves in turn.
 
-Both ways give the same bits, so that no answer depends on which one was taken.
+The rule counts and looks at no clock, so that a process does the same each time it is run. Both
+ways give the same bits: no answer depends on which one was taken.
 
 The core, which `pip install exact-mdp` brings, is NumPy, SciPy, pandas, numba, python-flint,
 joblib, tqdm, click, rich and jinja2: all that the commands need, but for what the extras name.
@@ -32,7 +33,6 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache, wraps
 from importlib import import_module
 from threading import Thread
-from time import perf_counter
 from types import ModuleType, SimpleNamespace
 from typing import Any, TypeVar, cast
 
@@ -145,10 +145,10 @@ def worth_compiling(steps: int, package: str = "numba") -> bool:
 COMPILER = "exact_mdp.mdp.forms.compiling"  # of loops of any kind
 LOOPS = "exact_mdp.solvers.kernels.bellman"
 COMPILED = 20_000  # transitions that take long enough, swept again and again, to load loops for
-LOADING = 0.34  # seconds to load them
+MANY = 1000  # loops of small models in NumPy that take as long as loading: of some hundred solves
 
 # Threads may miscount a call of each other's: that moves the loading, and no answer.
-_process = SimpleNamespace(command=False, calls=0, since=None, seconds=0.0)
+_process = SimpleNamespace(command=False, calls=0, inside=False, loops=0)
 Call = TypeVar("Call", bound=Callable[..., Any])
 
 
@@ -158,25 +158,19 @@ def as_command() -> None:
 
 
 def asked(function: Call) -> Call:
-    """Count the calls of a function that solves, and their seconds; those on the way are a part."""
+    """Count the calls of a function that solves; those on the way are a part of one."""
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if _process.since is not None:
+        if _process.inside:
             return function(*args, **kwargs)
-        _process.calls, _process.since = _process.calls + 1, perf_counter()
+        _process.calls, _process.inside = _process.calls + 1, True
         try:
             return function(*args, **kwargs)
         finally:
-            _process.seconds, _process.since = _seconds(), None
+            _process.inside = False
 
     return cast("Call", call)
-
-
-def _seconds() -> float:
-    """Return how long calls have taken so far."""
-    since = _process.since
-    return float(_process.seconds + (0.0 if since is None else perf_counter() - since))
 
 
 def loops_pay(transitions: int, least: int) -> bool:
@@ -189,8 +183,9 @@ def loops_pay(transitions: int, least: int) -> bool:
     """
     if LOOPS in sys.modules or transitions >= least:
         return True
+    _process.loops += 1
     goes_on = _process.calls > 1 and not _process.command
-    return (goes_on or _seconds() >= LOADING) and _compiler_loads()
+    return (goes_on or _process.loops > MANY) and _compiler_loads()
 
 
 @cache

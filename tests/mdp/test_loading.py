@@ -63,59 +63,38 @@ def test_commands_on_the_published_scenario_load_no_loops() -> None:
     assert printed(code).splitlines()[-1] == "False"
 
 
-class Clock:
-    """Seconds that pass as they are told to."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """A process that has just begun, and loads nothing."""
-    fresh = type(lazy._process)(command=False, calls=0, since=None, seconds=0.0)
-    clock = Clock()
-    monkeypatch.setattr(lazy, "_process", fresh)
+    begun = type(lazy._process)(command=False, calls=0, inside=False, loops=0)
+    monkeypatch.setattr(lazy, "_process", begun)
     monkeypatch.setattr(lazy, "LOOPS", "not loaded")
     monkeypatch.setattr(lazy, "_compiler_loads", lambda: True)
-    monkeypatch.setattr(lazy, "perf_counter", clock)
-    return clock
 
 
 def small() -> bool:
     return lazy.loops_pay(100, least=lazy.COMPILED)
 
 
-@pytest.mark.parametrize("seconds", [0.3 * lazy.LOADING, 5 * lazy.LOADING])
-def test_a_command_loads_the_loops_once_solving_has_taken_as_long(
-    clock: Clock, seconds: float
-) -> None:
+@pytest.mark.usefixtures("fresh")
+def test_a_command_loads_the_loops_after_many_in_numpy() -> None:
     lazy.as_command()
-    spent = []
-
-    @lazy.asked
-    def outer() -> None:
-        inner()
-        clock.now += seconds / 2
-
-    @lazy.asked
-    def inner() -> None:
-        clock.now += seconds / 2
-        spent.append((clock.now, small()))
-
     for _ in range(5):
-        outer()
-        clock.now += 100.0  # of other work
-    assert lazy._process.calls == 5
-    assert lazy._process.seconds == pytest.approx(5 * seconds)
-    for number, (_, loaded) in enumerate(spent):
-        assert loaded == ((number + 0.5) * seconds >= lazy.LOADING)
+        lazy.asked(lambda: None)()
+    assert [small() for _ in range(lazy.MANY)] == [False] * lazy.MANY
+    assert small()
     assert lazy.loops_pay(lazy.COMPILED, least=lazy.COMPILED)
 
 
-def test_calls_that_fail_count_and_end(clock: Clock) -> None:
+@pytest.mark.usefixtures("fresh")
+def test_a_large_model_is_worth_the_loops_at_once_and_is_not_counted() -> None:
+    for _ in range(2 * lazy.MANY):
+        assert lazy.loops_pay(lazy.COMPILED, least=lazy.COMPILED)
+    assert not small()
+
+
+@pytest.mark.usefixtures("fresh")
+def test_calls_that_fail_count_and_end() -> None:
     @lazy.asked
     def fails() -> None:
         raise ValueError
@@ -124,10 +103,11 @@ def test_calls_that_fail_count_and_end(clock: Clock) -> None:
         with pytest.raises(ValueError):
             fails()
         assert small() == loaded
-    assert lazy._process.since is None
+    assert not lazy._process.inside
 
 
-def test_calls_on_the_way_are_not_counted(clock: Clock) -> None:
+@pytest.mark.usefixtures("fresh")
+def test_calls_on_the_way_are_not_counted() -> None:
     costs = MDP.from_arrays([np.full((2, 2), 0.5)] * 2, [[1, 2], [0, 3]], 0.9, sense="min")
     solve(costs)  # by the model of which it is the negation
     assert lazy._process.calls == 1
