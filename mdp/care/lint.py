@@ -169,15 +169,15 @@ class _File:
         key, equals, value = statement.partition("=")
         name = key.strip().strip("\"'")
         try:
-            stated = tomllib.loads(statement, parse_float=exact)
-        except (ValueError, RecursionError) as error:
+            stated = toml_of(statement, "")
+        except ModelError as error:
             if not equals or not name:
                 self._add(number, "neither a [table] nor key = value", "correct that line")
                 return
             dotted = ".".join((*self.table, name))
             numeric = dotted.partition(".")[0] in TABLES and name != "other"
             guess, said = _meant(value, words=not numeric), shown_text(value.strip())[:60]
-            fault = str(error).partition(" (at ")[0]
+            fault = error.what.removeprefix("broken TOML: ").partition(" (at ")[0]
             fix = "write a number" if numeric else f"correct it ({fault})"
             fix = f"write {name} = {guess}" if guess else fix
             self._add(number, f"{dotted} cannot be read: {said}", fix)
@@ -300,7 +300,7 @@ def _meant(value: str, *, words: bool = False) -> str | None:
     quoted = WORD.sub(lambda word: word[0] if word[0].isdigit() else f'"{word[0]}"', quoted)
     try:
         tomllib.loads(f"value = {quoted}")
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return quoted if words else None
 

@@ -169,14 +169,9 @@ def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
 
 def _csv(file: Any, path: str) -> Generator[DataFrame]:
     errors = pandas.errors
-    header = next(csv.reader([file.readline().decode("utf-8-sig", "replace")]), [])
-    if twice := sorted({name for name in header if header.count(name) > 1}):
-        raise ModelError(
-            f"the column {twice[0]!r} stands twice in the header",
-            where=f"{path}, line 1",
-            fix="give each column a name of its own",
-        )
     try:
+        header = next(csv.reader([file.readline().decode("utf-8-sig", "replace")]), [])
+        _check_once(header, f"{path}, line 1")
         _check_widths(file, path, len(header))
         with warnings.catch_warnings(action="error", category=errors.ParserWarning):
             # Text is kept as it is written: "0.1" is 1/10, and 007 is not 7 (but see `_name`).
@@ -192,14 +187,26 @@ def _csv(file: Any, path: str) -> Generator[DataFrame]:
                 if chunk is None:
                     return
                 yield chunk
-    except (
-        errors.ParserError, errors.ParserWarning, errors.EmptyDataError, UnicodeError, csv.Error,
-    ) as error:  # fmt: skip
+    except UnicodeError as error:
+        raise ModelError(
+            "the file is not UTF-8 text", where=path, fix="save it as UTF-8 text"
+        ) from error
+    except (errors.ParserError, errors.ParserWarning, errors.EmptyDataError, csv.Error) as error:
         raise ModelError(
             f"the file is no table: {str(error).strip()}",
             where=path,
             fix="give CSV with a header and the same columns in every line",
         ) from error
+
+
+def _check_once(names: Sequence[str], where: str) -> None:
+    """Raise ModelError where two columns have one name."""
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ModelError(
+            f"the column {twice[0]!r} stands twice in the header",
+            where=where,
+            fix="give each column a name of its own",
+        )
 
 
 def _check_widths(file: Any, path: str, width: int) -> None:
@@ -225,14 +232,18 @@ def _parquet(file: Any, path: str, used: list[str]) -> Generator[DataFrame]:
     parquet = later("pyarrow.parquet")
     try:
         table = parquet.ParquetFile(file)
+        _check_once(table.schema_arrow.names, path)
         found = [name for name in table.schema_arrow.names if name in used or _like_cut(name)]
         for batch in table.iter_batches(ROWS, columns=found):
-            yield batch.to_pandas()
-    except (OSError, ValueError) as error:
-        if isinstance(error, ModelError):
-            raise
+            # The columns say it all: what pandas noted beside them may hide one as an index.
+            yield batch.to_pandas(ignore_metadata=True, integer_object_nulls=True)
+    except ModelError:
+        raise
+    except Exception as error:  # Arrow raises many kinds on damaged files
         raise ModelError(
-            f"the file is no Parquet: {error}", where=path, fix="write it again, or give CSV"
+            f"the file is no Parquet: {str(error)[:300]}",
+            where=path,
+            fix="write it again, or give CSV",
         ) from error
 
 

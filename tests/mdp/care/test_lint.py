@@ -265,3 +265,11 @@ def test_names_are_judged_where_the_lists_of_them_are_unreadable() -> None:
     said = {problem.line: (problem.what, problem.fix) for problem in lint(text, "x")}
     assert said[4] == ("unknown number 'base.angr'", "did you mean base.anger?")
     assert not {6, 7, 9} & said.keys()
+
+
+@pytest.mark.parametrize(
+    "line", ["a = " + "[" * 100_000, "a." * 3000 + "a = 1", "a = " + "{a = " * 5000]
+)
+def test_a_text_that_is_nested_too_deeply_is_a_problem(line: str, tmp_path: Path) -> None:
+    (tmp_path / "deep.toml").write_text(line)
+    assert run("lint", tmp_path / "deep.toml").status == 1

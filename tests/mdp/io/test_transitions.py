@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow
 import pytest
 from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
+from pyarrow import parquet
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.exact import fingerprint
@@ -261,6 +263,54 @@ def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
         MDP.from_transitions(tmp_path / "log.parquet")
     found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
     assert (found.status, "--out" in found.err) == (2, True)
+
+
+def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
+    """An index of pandas is a column, whole numbers beside empty cells stay exact."""
+    large, path = 2**60 + 1, tmp_path / "log.parquet"
+    rows = [(7, large, "l", 1, large + 2), (7, large + 2, "r", 2, None)]
+    frame = table(rows).assign(next_state=pd.array([large + 2, None], dtype="Int64"))
+    frame.set_index("episode").to_parquet(path)
+    mdp = MDP.from_transitions(path)
+    assert mdp.space.labels(range(3)) == [f"state {large}", f"state {large + 2}", "end"]
+    columns = pyarrow.Table.from_pandas(table([GOOD]))
+    for noted in (b"{}", b'{"columns": [{}], "index_columns": [{}]}'):
+        parquet.write_table(columns.replace_schema_metadata({"pandas": noted}), path)
+        assert fingerprint(MDP.from_transitions(path)) == fingerprint(
+            MDP.from_transitions(table([GOOD]))
+        )
+    twice = pyarrow.Table.from_arrays(columns.columns + columns.columns[:1], [*NAMES, NAMES[0]])
+    parquet.write_table(twice, path)
+    with pytest.raises(ModelError, match="stands twice"):
+        MDP.from_transitions(path)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_damaged_files_are_read_or_refused(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"log.{ending}"
+    frame = table([GOOD] * 3)
+    frame.to_csv(path, index=False) if ending == "csv" else frame.to_parquet(path)
+    whole = path.read_bytes()
+    refused = 0
+    for place in range(0, len(whole), 1 if ending == "csv" else 53):
+        for byte in (0x00, 0x0D, 0x22, 0xFF):
+            path.write_bytes(whole[:place] + bytes([byte]) + whole[place + 1 :])
+            try:
+                MDP.from_transitions(path)
+            except ModelError:
+                refused += 1
+    assert refused
+    path.write_bytes(whole[: len(whole) // 3])
+    found = run("data", path, "--out", tmp_path / "m.npz")
+    assert (found.status, found.out) == (2, "")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_a_text_in_another_encoding_is_refused(encoding: str, tmp_path: Path) -> None:
+    table([(1, "ä", "x", 0, "b")]).to_csv(tmp_path / "log.csv", index=False, encoding=encoding)
+    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
+    assert (found.status, found.out) == (2, "")
+    assert "UTF-8" in found.err
 
 
 def test_the_command(tmp_path: Path) -> None:
