@@ -95,3 +95,13 @@ def test_links_lead_somewhere() -> None:
     paper = "https://arxiv.org/abs/2501.17206"
     for link in links:
         assert link == paper or (ROOT / link).exists(), link
+
+
+def test_no_page_shows_what_a_command_writes() -> None:
+    """`make reproduce` rewrites its results, and `make clean` removes them."""
+    assert "/results/\n" in (ROOT / ".gitignore").read_text("utf-8")
+    for page in PAGES:
+        for picture in re.findall(r"!\[[^]]*]\(([^)]+)\)", page.read_text("utf-8")):
+            if "://" not in picture:
+                shown = (page.parent / picture).resolve().relative_to(ROOT)
+                assert shown.parts[0] != "results", (page, picture)
