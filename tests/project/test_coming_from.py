@@ -14,6 +14,7 @@ BLOCKS = re.findall(
 SHOWN = {
     "QuantEcon": ["-8.571428", "-20. ", "Policy([0 0]"],
     "pymdptoolbox": ["[74.6496 78.1056 82.1056] Policy([0 0 0]"],
+    "msdm": ["-4 "],
     "Gymnasium": ["('LEFT', 'DOWN', 'RIGHT', 'UP') row 1, column 2"],
 }
 
