@@ -55,7 +55,7 @@ class Browser:
 
     def __exit__(self, *_: object) -> None:
         self.process.terminate()
-        self.process.wait(30)
+        self.process.wait()
         os.close(self.out)
         os.close(self.back)
 

@@ -515,11 +515,9 @@ def test_a_worker_without_the_packages_is_refused(
 def test_a_worker_that_does_not_answer_is_refused(scheduler: Any, hire: Hire) -> None:
     """A worker that never answers, as one with another Dask may not, ends the call by name."""
     bad = hire("bad", script=SILENT)
-    begun = time.monotonic()
     with timeout(1.5):
         error = refused(scheduler.scheduler_address)
     assert f"{bad}: no answer within 1.5 seconds" in error.what
-    assert time.monotonic() - begun < 20
 
 
 def test_no_workers_at_all(scheduler: Any) -> None:
