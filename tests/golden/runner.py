@@ -41,8 +41,8 @@ QVBS = os.environ.get("QVBS")
 # What an answer says in words, or how it was found.
 FREE = {
     "assumptions", "certificate", "doubts", "fix", "iterations", "method", "model_hash", "notice",
-    "rerun", "seconds", "settings", "solver", "source", "status", "text", "title", "versions", "what",
-    "why", "written",
+    "rerun", "seconds", "settings", "solver", "source", "status", "text", "title", "versions",
+    "what", "why", "written",
 }  # fmt: skip
 LONGEST, SHOWN = 24, 6  # entries of a list, and how many of a longer one are pinned
 EXACT, SEEDED = 1e-9, 1e-12
@@ -168,7 +168,9 @@ def floats(value: Any) -> Iterator[float]:
 
 
 def is_bound(key: str) -> bool:
-    return key in ("regret_bound", "error") or key.endswith(("error_bound", "value_error"))
+    return key in ("regret_bound", "error") or key.endswith(
+        ("error_bound", "value_error", " error")
+    )
 
 
 def bounds(node: Any) -> Iterator[float]:

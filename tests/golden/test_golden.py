@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from golden import models
+from golden import sources
 from golden.runner import ANSWERS, CASES, FOLDER, QVBS, answer, differences, run, trimmed
 
 ROOT = FOLDER.parents[1]
@@ -28,7 +28,8 @@ FAST |= {
 
 def agrees(name: str, case: str | list[str], tmp_path: Path) -> None:
     wanted = json.loads((ANSWERS / f"{name}.json").read_text("utf-8"))
-    assert differences(wanted, answer(case, tmp_path)) == []
+    found = differences(wanted, answer(case, tmp_path))
+    assert not found, "\n".join(["the answer has changed", *found])
 
 
 @pytest.mark.parametrize("name", FAST)
@@ -55,16 +56,58 @@ def test_what_is_wrong_is_refused(name: str, tmp_path: Path) -> None:
     assert done.err.strip()
 
 
+@pytest.mark.parametrize(
+    "key, pinned, same, other",
+    [
+        ("exact_start_value", "7/3", ("7/3", "14/6"), ("7/4", "8/3", None, 7 / 3)),
+        ("mean", 7.0, (7.0 + 1e-9, 7.0 - 1e-12, 7), (7.0 + 1e-8, -7.0, "7", True, None)),
+        ("states", 7, (7,), (8, "7", True)),
+        ("passed", True, (True,), (False, 1, None)),
+        ("policy", {"worn": "run|wait"}, ({"worn": "wait"},), ({"worn": "stop"}, {}, None)),
+        ("error_bound", 1e-12, (0.0, 1e-12, 5e-10), (1e-7, -1e-12, None)),
+        ("seconds", "*", (1.0, "now"), ()),
+        ("vertices", [1, 2], ([1, 2],), ([2, 1], [1], [1, 2, 3], None)),
+    ],
+)
+def test_what_counts_as_the_same_answer(
+    key: str, pinned: object, same: tuple[object, ...], other: tuple[object, ...]
+) -> None:
+    without: dict[str, Any] = {"status": 0, "answer": {"claim": "bounded", "other": 1.0}}
+    pins: dict[str, Any] = {"status": 0, "answer": without["answer"] | {key: pinned}}
+
+    def differ(value: object) -> list[str]:
+        return differences(pins, pins | {"answer": without["answer"] | {key: value}})
+
+    assert [value for value in same if differ(value)] == []
+    assert [value for value in other if not differ(value)] == []
+    assert differences(pins, without)
+    assert differences(without, pins)
+    assert differences(pins, pins | {"status": 1})
+
+
+def test_bounds_and_samples_are_compared_as_closely_as_they_claim() -> None:
+    def differ(claim: str, value: float, bound: float) -> bool:
+        old: dict[str, Any] = {"claim": claim, "mean": 2.0, "error_bound": 1e-5}
+        new = old | {"mean": value, "error_bound": bound}
+        return bool(differences({"answer": old}, {"answer": new}))
+
+    assert not differ("bounded", 2.0 + 1.5e-5, 1e-5)
+    assert differ("bounded", 2.0 + 1.5e-5, 1e-9)
+    drawn: dict[str, Any] = {"claim": "estimated", "mean": 2.0}
+    assert not differences({"answer": drawn}, {"answer": drawn | {"mean": 2.0 + 1e-12}})
+    assert differences({"answer": drawn}, {"answer": drawn | {"mean": 2.0 + 1e-11}})
+
+
 def test_every_pinned_answer_has_a_command() -> None:
     assert {path.stem for path in ANSWERS.iterdir()} == {*FAST, *CASES["slow"], *CASES["qvbs"]}
 
 
 def test_the_models_are_still_built_as_they_were_saved(tmp_path: Path) -> None:
-    models.write(tmp_path)
-    names = {path.name for path in models.FOLDER.iterdir()}
+    sources.write(tmp_path)
+    names = {path.name for path in sources.FOLDER.iterdir()}
     assert names == {path.name for path in tmp_path.iterdir()}
     for name in names - {"damaged.npz"}:
-        old, new = models.FOLDER / name, tmp_path / name
+        old, new = sources.FOLDER / name, tmp_path / name
         if name.endswith(".npz"):
             with np.load(old) as before, np.load(new) as after:
                 assert set(before) == set(after)

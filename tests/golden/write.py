@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from golden import models
+from golden import sources
 from golden.runner import ANSWERS, CASES, CERTIFICATES, FOLDER, QVBS, answer, opened, run, trimmed
 
 
@@ -46,7 +46,7 @@ def main(words: list[str]) -> None:
         save(FOLDER / "numbers.json", [trimmed(each) for each in numbers])
         return
     if not words:
-        models.write()
+        sources.write()
         shutil.rmtree(CERTIFICATES, ignore_errors=True)
         known = {name for kind in ("fast", "slow", "qvbs") for name in CASES[kind]}
         known |= {f"verify-{name}" for name in CASES["certificates"]}
