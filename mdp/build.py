@@ -8,8 +8,8 @@ float, the table holds them as floats; else as integers over one denominator for
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
 from fractions import Fraction
 from operator import index, itemgetter
 from typing import Any
@@ -50,15 +50,18 @@ from exact_mdp.mdp.table import (
     ones,
     rounding_of,
 )
-from exact_mdp.mdp.validate import as_discount, as_start, last_action
+from exact_mdp.mdp.validate import Parts as ModelParts
+from exact_mdp.mdp.validate import as_discount, as_start, check_model, last_action
 
 loops = later("exact_mdp.mdp.forms.rows")
 
 LOADING = 3_000_000  # entries that SciPy puts in order in the time that loading loops takes
 MOST_UNNAMED_ACTIONS = 100_000
 LAYOUTS = {"ass": 1, "sas": 0}
-"""Orders of the indices of P, and which of them is that of the states; where both fit, the first
-is taken: action, state, next state."""
+"""Orders of the indices of P, action, state, next state or state, action, next state, and which of
+the indices is that of the states."""
+
+TABLE_FIELDS = fields(OutcomeTable)
 
 Outcomes = dict[tuple[int, Any, bool], Any]
 """Probabilities by next state, reward, and whether that may be a rounded one."""
@@ -77,30 +80,116 @@ def from_arrays(
     **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_arrays` makes."""
-    if layout != "ass" and listed.is_listed(P):
-        rows, found = listed.rows_of(P, R, costs=names.get("sense") == "min")
-        return from_outcomes(rows, discount, start=start, **(found | names))
-    stacked, (states, actions), layout = _stacked(P, "P", "transitions", layout)
+    if layout not in (None, *LAYOUTS):
+        raise ModelError(f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"')
+    shape: tuple[int, ...] = ()
+    if listed.is_listed(P):
+        fitting = listed.layouts_of(P)
+    else:
+        P, shape = _array_or_matrices(P, "P")
+        fitting = _layouts(shape)
+    if layout is None and len(fitting) == 2:
+        return _of_only_reading(P, R, discount, start, names)
+    offered, keys = None, None
+    if not shape:
+        if layout not in (None, *fitting):
+            raise ModelError(
+                f"these dictionaries or lists are not {layout!r}",
+                where="layout",
+                fix="leave it out; or give one square matrix for each action, by its name"
+                if layout == "ass"
+                else "leave it out; or give the rows of each state's actions, by state",
+            )
+        if (layout or fitting[0]) == "sas":
+            rows, found = listed.rows_of(P, R, costs=names.get("sense") == "min")
+            return from_outcomes(rows, discount, start=start, **(found | names))
+        P, offered, keys, found = listed.by_action(P)
+        P, shape = _array_or_matrices(P, "P")
+        names, layout = found | names, "ass"
+    stacked, (states, actions), order = _stacked(P, shape, "P", "transitions", layout)
     pair = np.arange(actions * states)
     state, action = pair // actions, pair % actions
 
     def of_pairs(values: Any, where: str) -> Any:
-        return _rewards_of_arrays(values, where, P, layout, (states, actions))
+        if keys is not None and isinstance(values, Mapping):
+            values = listed.rewards_by_action(values, where, keys, states)
+        like = order if states == actions else layout
+        return _rewards_of_arrays(values, where, shape, order, like, (states, actions))
+
+    def amounts(values: Any, where: str) -> Any:
+        plain = not isinstance(values, Mapping) and not _is_sparse_list(values)
+        if kept is not None and plain and array_of(values, where).shape == kept.shape:
+            return array_of(values, where)  # of the pairs that are offered
+        found = of_pairs(values, where)
+        return found if kept is None else found[kept]
 
     reward = of_pairs(R, "R")
-    each_component(names, of_pairs)
     names.setdefault("actions", [str(number) for number in range(actions)])
     kept = _offered(reward, names)
+    if offered is not None:
+        kept = np.flatnonzero(offered) if kept is None else kept[offered[kept]]
+    each_component(names, amounts)
     if kept is not None:
         state, action, stacked, reward = state[kept], action[kept], stacked[kept], reward[kept]
-        each_component(names, lambda values, _: values[kept])
     return _from_rows(state, action, stacked, reward, discount, start, names)
 
 
+def _of_only_reading(
+    P: Any, R: Any, discount: object, start: object, names: dict[str, Any]
+) -> Parts:
+    """Return the model of P whose shape fits both layouts; raise ModelError where these differ."""
+    read: list[Parts] = []
+    errors: list[ModelError] = []
+    for layout in LAYOUTS:
+        try:
+            parts = from_arrays(P, R, discount, layout=layout, start=start, **names)
+            check_model(ModelParts(**parts))
+            read.append(parts)
+        except ModelError as error:
+            errors.append(error)
+    if not read:
+        first, second = errors
+        if str(first) == str(second) or not isinstance(first, DistributionError):
+            raise first
+        fix = f'{first.fix}; for P (S, A, S) say layout="sas"'
+        raise type(first)(first.what, where=first.where, fix=fix) from first
+    clear = _same(*read) if len(read) == 2 else isinstance(errors[0], DistributionError)
+    if not clear:
+        raise ModelError(
+            "there are as many actions as states: P may go by action, then state, or by state, "
+            "then action, and the models differ",
+            where="P",
+            fix='say which: layout="ass" for P[action][state][next state], layout="sas" for '
+            "P[state][action][next state]",
+        )
+    return read[0]
+
+
+def _same(one: Parts, other: Parts) -> bool:
+    """Return whether two models are the same, number for number and name for name."""
+    pairs = ("pair_state", "pair_action")
+    arrays = [
+        *((getattr(one["table"], f.name), getattr(other["table"], f.name)) for f in TABLE_FIELDS),
+        *((one[name], other[name]) for name in pairs),
+    ]
+    named = ("space", "actions", "component_names", "component_table")
+    return all(np.array_equal(*both) for both in arrays) and all(
+        one.get(name) == other.get(name) for name in named
+    )
+
+
 def _rewards_of_arrays(
-    R: Any, where: str, P: Any, layout: str | None, shape: tuple[int, int]
+    R: Any,
+    where: str,
+    of_transitions: tuple[int, ...],
+    order: str,
+    layout: str | None,
+    shape: tuple[int, int],
 ) -> Any:
-    """Return rewards as `from_arrays` takes them for each pair (L,) or transition (L, S)."""
+    """Return rewards as `from_arrays` takes them for each pair (L,) or transition (L, S).
+
+    Transitions have a shape and an order, rewards of transitions this layout where it is given.
+    """
     states, actions = shape
     if isinstance(R, Mapping):
         raise ModelError(
@@ -108,40 +197,23 @@ def _rewards_of_arrays(
             where=where,
             fix=f"give an array ({states}, {actions}), or P as a dictionary, too",
         )
-    rewards = None if _is_sparse_list(R) else dense(array_of(R, where))
+    given, given_shape = _array_or_matrices(R, where)
+    rewards = None if isinstance(given, list) else dense(given)
     if where != "R" and rewards is not None and rewards.shape == (states * actions,):
         return rewards  # a component's amounts, one for each pair
     if rewards is None or rewards.ndim == 3:
-        reward, sizes, _ = _stacked(R, where, "rewards", layout if states == actions else None)
+        reward, sizes, _ = _stacked(given, given_shape, where, "rewards", layout)
     else:
         sizes = {(states,): shape}.get(rewards.shape, rewards.shape)
         reward = np.repeat(rewards, actions) if rewards.ndim == 1 else rewards.reshape(-1)
     if sizes != shape:
-        turned = f"transitions have shape {np.shape(P)}, (S, A, S), and " if layout == "sas" else ""
-        given = (len(R), *R[0].shape) if rewards is None else rewards.shape
+        turned = f"transitions have shape {of_transitions}, (S, A, S), and " * (order == "sas")
         raise ShapeError(
-            f"{turned}rewards have shape {given}",
+            f"{turned}rewards have shape {given_shape}",
             where=where,
             fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
         )
     return reward
-
-
-@contextmanager
-def hinting(P: Any, layout: str | None) -> Iterator[None]:
-    """Add to an error of shapes or rows that P may be (S, A, S), where its shape does not tell."""
-    try:
-        yield
-    except ModelError as error:
-        try:
-            shape = np.shape(P)
-        except ValueError:  # rows of different lengths
-            shape = ()
-        turned = isinstance(error, ShapeError | DistributionError) and error.where != "start"
-        if turned and layout is None and len(shape) == 3 and len(set(shape)) == 1:
-            fix = f'{error.fix}; for P (S, A, S) say layout="sas"'
-            raise type(error)(error.what, where=error.where, fix=fix) from error
-        raise
 
 
 def from_pairs(
@@ -184,6 +256,7 @@ def from_pairs(
         sorted_ = np.lexsort((action, state))
         order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
     if order is not None:
+        _observed(names, order, len(state))
         state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
         each_component(names, lambda values, _: values[order])
         below = None if below is None else below[order]
@@ -244,6 +317,7 @@ def from_outcomes(
         gain = grouped(owned, np.arange(len(merged) + 1))
     table = _table(offsets, following, weight, gain, of_pairs=owned is not None)
     each_component(names, lambda values, where: of_length(values, where, len(listed))[order])
+    _observed(names, np.array(order, dtype=np.int64), len(order))
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
@@ -293,6 +367,40 @@ def _certain(row: Outcomes) -> bool:
 
 def _total(row: Outcomes) -> Fraction:
     return sum(map(exact, row.values()), Fraction(0))
+
+
+def _observed(names: dict[str, Any], order: Integers, total: int) -> None:
+    """Put observations of all pairs (L,) in the order of those that the model has."""
+    if names.get("observations") is not None:
+        seen = whole_numbers(names["observations"], "observations")
+        if seen.shape != (total,):
+            raise ShapeError(
+                f"{len(seen)} observations for {total} pairs",
+                where="observations",
+                fix="give one number for each pair",
+            )
+        names["observations"] = seen[order]
+
+
+def _counted(table: OutcomeTable, seen: Integers) -> OutcomeTable:
+    """Return a table in which rows that were observed n times are counts over n.
+
+    A probability is k / n for the whole number k next to p n, if it lies no farther from that than
+    its rounding. Where one does not, the table stays, and the model refuses it.
+    """
+    lengths = np.diff(table.offsets)
+    each, off = np.repeat(seen, lengths).tolist(), table.weight_rounding().tolist()
+    top, bottom = table.integer_weights()
+    below = np.repeat(bottom, lengths).tolist()
+    counts = []
+    for weight, denominator, n, rounding in zip(top.tolist(), below, each, off, strict=True):
+        chance = Fraction(weight, denominator)
+        counts.append(round(chance * n) if n else weight)
+        if n and abs(chance - Fraction(counts[-1], n)) > exact(rounding):
+            return table
+    denominators = np.where(seen > 0, seen, bottom).tolist()
+    weights = integers(counts)
+    return replace(table, weight=weights, denominator=integers(denominators), weight_doubt=None)
 
 
 def _from_rows(
@@ -432,6 +540,10 @@ def _assemble(
         actions = tuple(map(str, range(last + 1)))
     if words and len(words) > size:
         size = len(words)
+    seen = names.get("observations")
+    if seen is not None:
+        seen = names["observations"] = whole_numbers(seen, "observations")
+        table = _counted(table, seen) if seen.shape == (table.pairs,) else table
     space = names.pop("space", None)
     if space is None or words:
         space = StateSpace.plain(size, words)
@@ -463,36 +575,44 @@ def _is_sparse_list(values: Any) -> bool:
     return (row or isinstance(values, Sequence)) and any(map(sp.issparse, values))
 
 
+def _array_or_matrices(values: Any, where: str) -> tuple[Any, tuple[int, ...]]:
+    """Return an array, or a list of sparse matrices of one shape, and the shape of all."""
+    if not _is_sparse_list(values):
+        array = array_of(values, where)
+        return array, array.shape
+    if not all(sp.issparse(matrix) for matrix in values):
+        raise ModelError(
+            f"{where} mixes sparse and dense matrices", where=where, fix="use one kind"
+        )
+    shapes = {matrix.shape for matrix in values}
+    if len(shapes) > 1 or len(values[0].shape) != 2:
+        raise ShapeError(
+            f"matrices have shapes {sorted(shapes)}",
+            where=where,
+            fix="give A square matrices of the same size",
+        )
+    return list(values), (len(values), *values[0].shape)
+
+
+def _layouts(shape: tuple[int, ...]) -> list[str]:
+    """Return the layouts that an array of some shape fits; of a sparse matrix none."""
+    if len(shape) != 3 or 0 in shape:
+        return []
+    return [layout for layout, at in LAYOUTS.items() if shape[at] == shape[2]]
+
+
 def _stacked(
-    values: Any, where: str, what: str, layout: str | None
+    array: Any, shape: tuple[int, ...], where: str, what: str, layout: str | None
 ) -> tuple[Any, tuple[int, int], str]:
     """Return P, or R by transition, as (L, S) rows in pair order, (S, A), and the layout."""
-    array: Any
-    if _is_sparse_list(values):
-        if not all(sp.issparse(matrix) for matrix in values):
-            raise ModelError(
-                f"{where} mixes sparse and dense matrices", where=where, fix="use one kind"
-            )
-        shapes = {matrix.shape for matrix in values}
-        if len(shapes) > 1 or len(values[0].shape) != 2:
-            raise ShapeError(
-                f"matrices of {what} have shapes {sorted(shapes)}",
-                where=where,
-                fix="give A square matrices of the same size",
-            )
-        array, shape, what = list(values), (len(values), *values[0].shape), f"matrices of {what}"
-    else:
-        array = values if sp.issparse(values) else array_of(values, where)
-        shape = array.shape
-    flat = sp.issparse(array) or len(shape) != 3 or 0 in shape
-    fits = [] if flat else [name for name, at in LAYOUTS.items() if shape[at] == shape[2]]
-    if layout is not None and layout not in LAYOUTS:
-        raise ModelError(f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"')
+    fits = _layouts(shape)
     if not fits or layout not in (None, *fits):
+        kind = "sparse " if sp.issparse(array) else ""
+        subject = (
+            f"matrices of {what} have shapes" if isinstance(array, list) else f"{what} have shape"
+        )
         raise ShapeError(
-            f"{'sparse ' if sp.issparse(array) else ''}{what} have shapes {shape}"
-            if _is_sparse_list(values)
-            else f"{'sparse ' if sp.issparse(array) else ''}{what} have shape {shape}",
+            f"{kind}{subject} {shape}",
             where=where,
             fix="give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
             + (f"; this is not {layout!r}" if fits else ""),
@@ -500,8 +620,8 @@ def _stacked(
     layout = layout or fits[0]
     sizes = (shape[0], shape[1]) if layout == "sas" else (shape[1], shape[0])
     rows = sizes[0] * sizes[1]
-    if not isinstance(array, np.ndarray):
-        stacked = sp.csr_array(sp.vstack([array_of(matrix, where) for matrix in values], "csr"))
+    if isinstance(array, list):
+        stacked = sp.csr_array(sp.vstack([array_of(matrix, where) for matrix in array], "csr"))
         order = np.arange(rows).reshape(shape[:2]).T.reshape(-1)
         return stacked if layout == "sas" else stacked[order], sizes, layout
     return (array if layout == "sas" else array.transpose(1, 0, 2)).reshape(rows, -1), sizes, layout

@@ -244,7 +244,7 @@ def endless(mdp: MDP) -> bool:
     Examples
     --------
     >>> wait, leave = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
-    >>> endless(MDP.from_arrays([leave, wait], [1, 0])), endless(MDP.from_arrays([leave], [1, 0]))
+    >>> endless(MDP.from_arrays([wait, leave], [1, 0])), endless(MDP.from_arrays([leave], [1, 0]))
     (True, False)
     """
     if mdp.discount_exact != 1:

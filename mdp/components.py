@@ -183,10 +183,7 @@ def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, An
     if parts.get("components") is None:
         parts.pop("components", None)
         return {}
-    each_component(
-        parts, lambda values, where: of_length(values, where, table.pairs)
-        if len(np.shape(values)) < 2 else values,
-    )  # fmt: skip
+    each_component(parts, lambda values, where: _of_table(values, where, table))
     columns = {}
     for name, values in parts.pop("components").items():
         if values.ndim == 1:
@@ -200,6 +197,14 @@ def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, An
         columns[name] = top, bottom
     names, known = completed(columns, table)
     return {"component_names": names, "component_table": known}
+
+
+def _of_table(values: Any, where: str, table: OutcomeTable) -> Any:
+    """Return amounts of pairs (L,) or of transitions (L, S) as arrays."""
+    amounts = array_of(values, where)
+    if amounts.ndim == 2 and len(amounts) == table.pairs and amounts.shape[1] > table.next.max():
+        return amounts
+    return of_length(amounts, where, table.pairs)
 
 
 def _check_finite(values: Numbers, name: str) -> None:

@@ -199,7 +199,7 @@ def divided(model: MDP) -> MDP:
     Examples
     --------
     >>> wait, leave = [[1, 0], [0.1, 0.9]], [[0.3, 0.7], [0, 1]]
-    >>> mdp = MDP.from_arrays([wait, leave], [[1, 1], [0, 0]])
+    >>> mdp = MDP.from_arrays([wait, leave], [[1, 1], [0, 0]], layout="ass")
     >>> mdp.table.sums_to_one, divided(mdp).table.sums_to_one
     (False, True)
     """

@@ -27,7 +27,8 @@ from exact_mdp.mdp import build, lazy, questions
 from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.forms import explore
-from exact_mdp.mdp.forms.names import Names, object_key, text_of
+from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
+from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.parametric.symbolic import (
     arrays_degree,
     changed_degree,
@@ -78,7 +79,7 @@ class MDP(ByFields, Parts):
     discount_exact : Fraction
         The discount γ in [0, 1].
     start : tuple of (state, probability)
-        Initial distribution; state 0 unless said otherwise.
+        Initial distribution, by the numbers of states; state 0 unless said otherwise.
     component_table, component_names : ComponentTable or None, tuple of str
         Exact expected reward by component, of which there are C; None where the reward is the only
         one. `components` has it in floats (L, C), whose row sums are `reward`.
@@ -126,6 +127,9 @@ class MDP(ByFields, Parts):
     def __post_init__(self) -> None:
         check_model(self)
         fill = object.__setattr__
+        fill(self, "start", Told(self.start))
+        if self.observations is not None:
+            fill(self, "observations", whole_numbers(self.observations, "observations"))
         if self.time_limit is not None:
             fill(self, "time_limit", counted(self.time_limit, "time_limit"))
         fill(self, "labels", as_labels(self.labels, self.n_states))
@@ -376,8 +380,7 @@ class MDP(ByFields, Parts):
         >>> mdp.P(0).toarray().tolist(), mdp.P("1").toarray().tolist()
         ([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]])
         """
-        whole = isinstance(action, int | np.integer) and 0 <= action < self.n_actions
-        taking = np.flatnonzero(self.pair_action == (action if whole else self.action(action)))
+        taking = np.flatnonzero(self.pair_action == self.action(action))
         rows = self.transition[taking]
         lengths = np.zeros(self.n_states, dtype=np.int64)
         lengths[self.pair_state[taking]] = np.diff(rows.indptr)
@@ -413,17 +416,27 @@ class MDP(ByFields, Parts):
         """Return the pairs of one state."""
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
 
-    def pair(self, state: int, action: int | str) -> int:
-        """Return the number of a pair; raises ModelError where the state lacks the action."""
-        number = self.action(action) if isinstance(action, str) else action
-        for pair in self.pairs_of(state):
+    def pair(self, state: object, action: object) -> int:
+        """Return the number of a pair; `mdp.forms.names` says how state and action are given.
+
+        Raises ModelError for what is neither, and where the state lacks the action.
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays({"rest": {"go": {"work": 1}}, "work": {}}, {"rest": 5, "work": 0})
+        >>> mdp.pair("rest", "go"), mdp.pair(0, 0)
+        (0, 0)
+        """
+        with located("states"):
+            place = self.space.number(state)
+        number = self.action(action)
+        for pair in self.pairs_of(place):
             if self.pair_action[pair] == number:
                 return pair
-        offered = [self.actions[self.pair_action[pair]] for pair in self.pairs_of(state)]
-        shown = self.actions[number] if 0 <= number < self.n_actions else str(number)
+        offered = [self.actions[self.pair_action[pair]] for pair in self.pairs_of(place)]
         raise ModelError(
-            f"action {shown} is not available",
-            where=f"state ({self.space.label(state)})",
+            f"action {self.actions[number]} is not available",
+            where=f"state ({self.space.label(place)})",
             fix=f"choose one of {', '.join(offered)}",
         )
 
@@ -435,16 +448,21 @@ class MDP(ByFields, Parts):
     @cached_property
     def action_names(self) -> Names:
         """Which action is meant by a name, a number, or the object that it was made of."""
-        words = {word: number for number, word in enumerate(self.actions)}
         made = enumerate(self.action_objects)
         return Names(
             what="action",
             size=self.n_actions,
-            words=words,
-            label=lambda number: f"action {self.actions[number]}",
+            words={word: number for number, word in enumerate(self.actions)},
+            label=self._action_label,
             objects={object_key(thing): number for number, thing in made},
-            otherwise=lambda thing: words.get(text_of(thing).removeprefix("action ")),
+            otherwise=self._printed_action,
         )
+
+    def _action_label(self, number: int) -> str:
+        return f"action {self.actions[number]}"
+
+    def _printed_action(self, thing: object) -> int | None:
+        return self.action_names.words.get(text_of(thing).removeprefix("action "))
 
     def backup(self, value: Floats) -> Floats:
         """Return (L,) action values r + γ P V for (S,) state values."""
@@ -492,6 +510,7 @@ class MDP(ByFields, Parts):
             if not parts.keys() & {"components", "component_table"}:
                 parts |= questions.ONE_COMPONENT
         if "components" in parts:
+            parts.setdefault("component_names", self.component_names)
             parts |= named_components(parts, parts.get("table", self.table))
         return replace(self, **parts)
 
@@ -656,7 +675,7 @@ class MDP(ByFields, Parts):
 
         Parameters
         ----------
-        P : (A, S, S) or (S, A, S) array, or A sparse (S, S) matrices
+        P : (A, S, S) or (S, A, S) array, A sparse (S, S) matrices, or {action: (S, S) matrix}
             Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
             keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
             dictionaries and lists, or quadruples (s, a, t, p): see `mdp.forms.listed`.
@@ -666,9 +685,9 @@ class MDP(ByFields, Parts):
             where rewards are costs) is not available, whatever P says of it; all others are.
         discount : number or "p/q"
         layout : "ass" or "sas", optional
-            Order of the indices action and state. Needed where A = S: P is (A, S, S) unless this
-            is "sas"; elsewhere the shape says it.
-        start : state, {state: probability}, or (S,) probabilities
+            Order of the indices action and state, of P and of rewards of transitions. The shape
+            says it, but not where A = S: there it is needed if the two readings of P differ.
+        start : state, {state: probability}, (S,) probabilities, or another model's `start`
             The first state unless given; `mdp.forms.names` says how a state is named.
         **names
             `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
@@ -683,7 +702,8 @@ class MDP(ByFields, Parts):
         Raises
         ------
         ModelError
-            For shapes that do not fit, and as the constructor does.
+            For shapes that do not fit, or fit two readings that differ; and as the constructor
+            does.
 
         Examples
         --------
@@ -691,8 +711,7 @@ class MDP(ByFields, Parts):
         >>> mdp.table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        with build.hinting(P, layout):
-            return cls(**build.from_arrays(P, R, discount, layout=layout, start=start, **names))
+        return cls(**build.from_arrays(P, R, discount, layout=layout, start=start, **names))
 
     @classmethod
     @followed(pairs_degree)

@@ -292,6 +292,17 @@ class StateSpace:
         """Return the numbers of states that are given together, as `number` does of one."""
         return self._names.numbers(states)
 
+    def knows(self, state: object) -> bool:
+        """Return whether something is an object that a state was made of, or has its text."""
+        return self._names.knows(state)
+
+    def holds(self, state: object) -> bool:
+        """Return whether something is a state, given in any way."""
+        try:
+            return self.number(state) >= 0
+        except ModelError:
+            return False
+
     def named(self, state: object) -> bool:
         """Return whether an object is a state of that name.
 

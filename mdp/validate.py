@@ -7,7 +7,7 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fractions import Fraction
 from math import inf
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from exact_mdp.mdp.errors import (
     located,
     suggest,
 )
-from exact_mdp.mdp.forms.names import ByNumber, labels_of
+from exact_mdp.mdp.forms.names import ByNumber, Told, labels_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.lazy import COMPILER, later
@@ -229,9 +229,19 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
     if start is None or (isinstance(start, ByNumber) and not start):
         return ((0, Fraction(1)),)
     with located("start"):
-        found = by_state(start, space)
-        given = {space.number(start): 1} if found is None else found
-        weights = {state: exact(weight) for state, weight in given.items()}
+        if isinstance(start, Told):
+            weights = {s: exact(p) for s, p in start}
+        elif _are_pairs(start) and not space.knows(start):
+            if any(map(space.holds, start)):
+                raise ModelError(
+                    "each of the pairs may be a state, or a state and its probability",
+                    fix="give {state: probability}",
+                )
+            weights = _once(space.numbers([s for s, _ in start]), [exact(p) for _, p in start])
+        else:
+            found = by_state(start, space)
+            given = {space.number(start): 1} if found is None else found
+            weights = {state: exact(weight) for state, weight in given.items()}
     return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
 
 
@@ -261,6 +271,13 @@ def _once(states: Sequence[int], numbers: Iterable[object]) -> dict[int, Any]:
     if len(set(states)) < len(states):
         raise ModelError("a state appears twice", fix="keep one of them")
     return dict(zip(states, numbers, strict=True))
+
+
+def _are_pairs(given: object) -> TypeGuard[Sequence[Sequence[Any]]]:
+    """Return whether something is a list of pairs, (state, probability) each."""
+    if not isinstance(given, list | tuple) or not given:
+        return False
+    return all(isinstance(each, list | tuple) and len(each) == 2 for each in given)
 
 
 def _is_state(given: object, space: StateSpace) -> bool:

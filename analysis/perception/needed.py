@@ -180,7 +180,7 @@ def _value_polynomial(mdp: MDP, policy: PolicyLike, status: str) -> fmpq_poly:
                     done[action] = done.get(action, zero) + distance * share
             total = zero
             for action, weight in done.items():
-                pair = mdp.pair(state, action)
+                pair = mdp.pair(mdp.space.label(state), mdp.actions[action])
                 ahead = zero
                 for p, following, _ in mdp.table.row(pair):
                     if following in value:

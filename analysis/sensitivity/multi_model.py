@@ -284,7 +284,9 @@ class _Problem:
         best, cast = votes.argmax(axis=1), votes.max(axis=1) > 0
         chosen = pairs.copy()
         for state in np.flatnonzero(self.free & cast[self.group]).tolist():
-            chosen[state] = self.first.pair(state, int(best[self.group[state]]))
+            chosen[state] = self.first.pair(
+                self.first.space.label(state), self.first.actions[best[self.group[state]]]
+            )
         return chosen
 
     def actions(self, group: int) -> list[int]:

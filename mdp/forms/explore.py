@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.forms.names import ByNumber
+from exact_mdp.mdp.forms.names import ByNumber, Told
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import Given, exact, given, rounding_of
@@ -48,6 +48,12 @@ def explored(
             )
     max_states = counted(max_states, "max_states")
     states, rows = Numbering(), list[Row]()
+    if isinstance(start, Told):
+        raise ModelError(
+            "the start of a model goes by numbers, and a function knows states as objects",
+            where="start",
+            fix="give a state, or {state: probability}",
+        )
     begins = start if isinstance(start, Mapping) else _alone(start)
     for state in begins:
         states.add(state, "a state", "start")
@@ -156,7 +162,8 @@ def _total(reward: Any) -> Any:
     if not isinstance(reward, Mapping):
         return reward
     amounts = [given(amount) for amount in reward.values()]
-    return Given(sum(amounts, Fraction(0)), rounding=sum(map(rounding_of, amounts)))
+    total, off = sum(amounts, Fraction(0)), sum(map(rounding_of, amounts))
+    return Given(total, rounding=off) if off else total
 
 
 def _outcome(given: Any) -> tuple[Any, Hashable, Any]:

@@ -3,6 +3,7 @@
     P[s][a][t], P[s, a][t], P[s, a, t]    dictionaries by state, action, next state; any hashables
     P[s][a] = [p, …]                      S probabilities by state and action, in lists
     [(s, a, t, p), …]                     quadruples, (N, 4)
+    {a: matrix}                           (S, S) by action, "ass"; see `layouts_of`
 
 An action that P does not list for a state, or lists with None or nothing, is not available there,
 nor is one of infinite loss: -inf, or inf where rewards are costs. Rewards are of states, of pairs
@@ -19,12 +20,15 @@ from math import inf
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
-from exact_mdp.mdp.forms.numbering import Numbering, numbered
-from exact_mdp.mdp.forms.numbers import refuse_masked
+from exact_mdp.mdp.forms.numbering import Numbering, action_names, numbered
+from exact_mdp.mdp.forms.numbers import array_of, dense, refuse_masked
 from exact_mdp.mdp.table import Given, exact, given, rounding_of
 
+Flags = NDArray[np.bool_]
 Path = tuple[Any, ...]
 
 
@@ -45,6 +49,90 @@ def is_listed(P: Any) -> bool:
     return odd or (len(set(map(len, P))) > 1 and any(map(_is_list, cells)))
 
 
+def layouts_of(P: Any) -> list[str]:
+    """Return the layouts that dictionaries and lists fit: "ass" only where they are matrices.
+
+    Examples
+    --------
+    >>> layouts_of({"go": [[0, 1], [0, 1]]}), layouts_of({0: {0: [1]}})
+    (['ass'], ['sas'])
+    """
+    shapes = {_shape(matrix) for matrix in (P.values() if isinstance(P, Mapping) else P)}
+    (rows, columns), *others = [(0, 1) if shape is None else shape for shape in shapes] or [(0, 1)]
+    if others or rows != columns:
+        return ["sas"]
+    return ["ass", "sas"] if columns == len(P) else ["ass"]
+
+
+def plain(values: Any) -> Any:
+    """Return a matrix of NumPy or SciPy as an array; others as they are."""
+    refuse_masked(values, "P or R")
+    if sp.issparse(values):
+        return dense(array_of(values, "P or R"))
+    return np.asarray(values) if isinstance(values, np.matrix) else values
+
+
+def _shape(matrix: Any) -> Any:
+    """Return rows and columns of a matrix, of which rows may be missing; None of anything else."""
+    if sp.issparse(matrix) or (isinstance(matrix, np.ndarray) and matrix.dtype != object):
+        return matrix.shape if matrix.ndim == 2 else None
+    if not _is_list(matrix) or not all(row is None or _is_list(row) for row in matrix):
+        return None
+    widths = {len(row) for row in matrix if row is not None and len(row)}
+    numbers = not any(_is_list(x) or isinstance(x, Mapping) for row in matrix for x in row or ())
+    return (len(matrix), widths.pop()) if numbers and len(widths) == 1 else None
+
+
+def by_action(P: Any) -> tuple[Any, Flags, list[Any] | None, dict[str, Any]]:
+    """Return A matrices (S, S), which pairs (S · A,) they list, their keys, and names of actions.
+
+    Examples
+    --------
+    >>> matrices, offered, keys, names = by_action({"go": [[0, 1], None]})
+    >>> matrices, offered.tolist(), keys, names["actions"]
+    ([[[0, 1], [0, 0]]], [True, False], ['go'], ('go',))
+    """
+    keys, names = None, {}
+    if isinstance(P, Mapping):
+        numbering = Numbering()
+        for key in P:
+            numbering.add(key, "an action", "P")
+        keys = numbering.ordered()
+        names = action_names(keys)
+        P = [P[key] for key in keys]
+    states = _shape(P[0])[0]
+    matrices, offered = [], np.ones((len(P), states), dtype=bool)
+    for matrix, there in zip(P, offered, strict=True):
+        if isinstance(matrix, list | tuple):
+            there[:] = [row is not None and len(row) > 0 for row in matrix]
+            matrix = [
+                row if used else [0] * states for row, used in zip(matrix, there, strict=True)
+            ]
+        matrices.append(matrix)
+    return matrices, offered.T.reshape(-1), keys, names
+
+
+def rewards_by_action(R: Mapping[Any, Any], where: str, actions: list[Any], states: int) -> Any:
+    """Return rewards in a dictionary, beside a matrix for each action, as an array has them."""
+    values = [plain(value) for value in R.values()]
+    depths = {
+        -1 if isinstance(v, Mapping) else 2 if _shape(v) else int(_is_list(v)) for v in values
+    }
+    of_actions, numbered = R.keys() == {*actions}, {*actions} == {*range(states)}
+    if depths == {0} and R.keys() == {*range(states)}:
+        return [R[state] for state in range(states)]
+    if of_actions and depths == {2}:
+        return [plain(R[action]) for action in actions]
+    if of_actions and depths == {1} and not numbered and {*map(len, values)} == {states}:
+        return [[R[action][state] for action in actions] for state in range(states)]
+    raise ModelError(
+        "the rewards are a dictionary, and P has a matrix for each action",
+        where=where,
+        fix=f"give an array ({states}, {len(actions)}) of states and actions, or "
+        f"{{action: ({states}, {states}) array}}",
+    )
+
+
 def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str, Any]]:
     """Return what `MDP.from_outcomes` takes to build the model of P and R: rows, and names.
 
@@ -54,6 +142,8 @@ def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str
     >>> rows, names["actions"]
     ([(0, 0, [(1, 1, Fraction(5, 1))]), (1, 0, [(1, 1, 0)])], ('go',))
     """
+    if isinstance(P, Mapping):
+        P = {key: plain(value) for key, value in P.items()}
     states, ends = Numbering(), set[Hashable]()
     listed = list(_quadruples(P))
     if not _are_quadruples(P) and all(len(path) == 3 for path, _ in _leaves(P)):
@@ -291,7 +381,7 @@ def _leaves(values: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
 
 
 def _items(values: Any) -> Any:
-    return values.items() if isinstance(values, Mapping) else enumerate(values)
+    return values.items() if isinstance(values, Mapping) else enumerate(plain(values))
 
 
 def _is_list(values: Any) -> bool:

@@ -42,6 +42,12 @@ class ByNumber(dict[Any, Any]):
     """What is said of things by their numbers in the model's order, which are no names."""
 
 
+class Told(tuple[tuple[int, Any], ...]):
+    """Pairs of a thing's number in the model's order and what is said of it, as a model tells."""
+
+    __slots__ = ()
+
+
 class Reading(NamedTuple):
     """What things may be; and the error to raise where this fits as well as the reading before."""
 

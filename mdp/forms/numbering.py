@@ -103,8 +103,12 @@ def numbered(
         words=() if plain else names_of(things, "state"),
         objects=() if plain else tuple(things),
     )
-    return found, {
-        "space": StateSpace(columns=(column,)),
-        "actions": names_of(doing, "action"),
-        "action_objects": () if _counted(doing) else tuple(doing),
+    return found, {"space": StateSpace(columns=(column,)), **action_names(doing)}
+
+
+def action_names(things: Sequence[Any]) -> dict[str, Any]:
+    """Return what `MDP` takes of things that are its actions: their names, and the things."""
+    return {
+        "actions": names_of(things, "action"),
+        "action_objects": () if _counted(things) else tuple(things),
     }

@@ -145,6 +145,9 @@ def _check_places(matrix: Any, *, columns: bool) -> None:
 
 
 def _array(values: Any) -> Any:
+    objects = isinstance(values, np.ndarray) and values.dtype == object
+    if objects and any(isinstance(value, np.ndarray) for value in values.flat):
+        values = values.tolist()  # an array of matrices is a list of them
     kinds = _kinds(values)
     try:
         if len(kinds) == 1 or kinds <= {float, np.float64} or kinds <= {int, bool}:

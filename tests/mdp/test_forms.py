@@ -180,12 +180,6 @@ def test_the_reward_of_a_pair_is_earned_in_full() -> None:
     assert laws(mdp) == laws(MDP.from_arrays(np.full((1, 10, 10), 0.1), [3.0] * 10, 0.9))
 
 
-def test_a_square_array_is_of_actions_unless_said() -> None:
-    P = np.array([[[1, 0], [0.5, 0.5]], [[0, 1], [1, 0]]])
-    assert MDP.from_arrays(P, [0, 0]).transition.toarray()[1].tolist() == [0, 1]
-    assert MDP.from_arrays(P, [0, 0], layout="sas").transition.toarray()[1].tolist() == [0.5, 0.5]
-
-
 def test_names_stay() -> None:
     mdp = MDP.from_arrays(
         {"<script>": {"$x$": {"b": "1/3", '"': "2/3"}, "go": {"b": 1}}, "b": {}, '"': {}},
@@ -223,6 +217,7 @@ BAD: dict[str, tuple[Any, Any, type[ModelError], str]] = {
     "no hashable": ([(({},), 0, 0, 1)], [0], ModelError, "cannot be a key"),
     "a control character": ({"\x1b": {}}, {}, ModelError, "U+001B"),
     "cube": (np.full((2, 2, 2), 0.4), [0, 0], DistributionError, "sum to 0.8"),
+    "one row": ([[[1, 0], [0.4, 0.4]], [[1, 0]] * 2], [0, 0], DistributionError, "sum to 0.8"),
     "layout": (np.full((2, 3, 3), 1 / 3), [0] * 3, ModelError, "'xyz' is not a layout"),
     "other layout": (np.full((2, 3, 3), 1 / 3), [0] * 3, ShapeError, "have shape (2, 3, 3)"),
 }
@@ -236,7 +231,7 @@ def test_what_is_no_model_is_refused(name: str) -> None:
         MDP.from_arrays(P, R, layout=LAYOUT.get(name))
     assert message in caught.value.what
     assert caught.value.fix
-    assert ('layout="sas"' in caught.value.fix) == (name == "cube")
+    assert ('layout="sas"' in caught.value.fix) == (name == "one row")
 
 
 # ---- the start ---------------------------------------------------------------------------------
@@ -563,7 +558,7 @@ def test_arguments_of_another_kind_are_told_what_to_be(name: str) -> None:
     assert caught.value.fix
 
 
-EYES = [np.eye(2)] * 2
+EYES = [np.array([[1.0, 0], [1, 0]])] * 2  # the same in both layouts
 CANCEL: dict[str, Callable[[], Any]] = {
     "function": lambda: MDP.from_function(
         0, lambda s: [0] if s == 0 else [], lambda s, a: [(1, 1, 1), (0.5, 2, 9), (-0.5, 2, 9)]

@@ -194,7 +194,8 @@ def test_a_process_that_ends_by_itself_is_not_changed_by_a_late_horizon() -> Non
 def test_returns_sum_to_one_exactly() -> None:
     """The exact distribution of the return within N steps; its mean is that of evaluate."""
     thirds = [["1/3", "2/3"], [0, 1]]
-    mdp = MDP.from_arrays([thirds, [["2/3", "1/3"], [0, 1]]], [["1/2", 1], [0, 0]])
+    P = [thirds, [["2/3", "1/3"], [0, 1]]]
+    mdp = MDP.from_arrays(P, [["1/2", 1], [0, 0]], layout="ass")
     found = return_distribution(mdp, "random", exact=True, horizon=4)
     assert found.exact is not None
     assert sum(found.exact) == 1

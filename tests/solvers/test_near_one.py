@@ -130,7 +130,8 @@ def leaking(seed: int) -> MDP:
         chances = np.eye(states)[rng.integers(states, size=(2, actions, states))].mean(axis=0)
     chances *= 1 - rng.choice([0.0, 1e-11, 1e-10, 9e-10], size=(actions, states, 1))
     reward = rng.integers(-3, 4, (states, actions)) * 1.0
-    return MDP.from_arrays(chances, reward, discount=1 - 2.0 ** -rng.integers(26, 50))
+    discount = 1 - 2.0 ** -rng.integers(26, 50)
+    return MDP.from_arrays(chances, reward, discount, layout="ass")
 
 
 @pytest.mark.parametrize("tol", [None, 1e-3])

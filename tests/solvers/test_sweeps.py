@@ -447,7 +447,7 @@ def test_rounds_end_alike_whatever_is_loaded(
             warnings.simplefilter("ignore")
             for module in (gains_module, sweeps_module):
                 patch.setattr(module, "loops_pay", lambda *_, loaded=loaded: loaded)
-            mdp = MDP.from_arrays(chances, reward, discount=discount)
+            mdp = MDP.from_arrays(chances, reward, discount=discount, layout="ass")
             status: Any = None
             try:
                 one: Any = solve(mdp, solver)
@@ -708,7 +708,7 @@ def test_one_living_state_is_solved_at_once(
 ) -> None:
     """V = r / (1 - γ); values that all change alike are no sign that they are reached."""
     stay, go = [[1, 0], [0, 1]], [[0.5, 0.5], [0, 1]]
-    mdp = MDP.from_arrays([stay, go], [[reward, 1], [0, 0]], discount)
+    mdp = MDP.from_arrays([stay, go], [[reward, 1], [0, 0]], discount, layout="ass")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = solve(mdp, tol=tol)

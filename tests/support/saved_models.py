@@ -26,6 +26,7 @@ MODELS = {
     "floats": MDP.from_arrays(
         [[[0.1, 0.9], [0.0, 1]], [[1, 0], [0.3, 0.7]]], [[0.1, -2.5], [3, 0]], 0.9,
         start={0: 0.25, 1: 0.75}, actions=["stay", "go"], states=["here", "there"], name="two",
+        layout="ass",
     ),
     "float moves": MDP.from_arrays(
         np.array([[[0.1, 0.9], [0, 1]]]), np.array([[[0.1, 1e300], [0, -0.0]]]), 0.99

@@ -29,7 +29,7 @@ def row_family(model: MDP) -> Family:
         Where no row is random, or more than 2,000 are.
     """
     mdp = _summing_to_one(model)
-    entries: dict[str, list[tuple[int, int]]] = {}
+    entries: dict[str, list[tuple[int, str]]] = {}
     rows: dict[str, tuple[str, ...]] = {}
     labels = mdp.space.labels(range(mdp.n_states))
     for pair in range(mdp.n_pairs):
@@ -42,7 +42,7 @@ def row_family(model: MDP) -> Family:
         state, action = int(mdp.pair_state[pair]), int(mdp.pair_action[pair])
         label = f"({labels[state]}, {mdp.actions[action]})"
         names = {s: f"{label}: to {labels[s]}" for s in sorted(chance) if s != largest}
-        entries |= {name: [(pair, s)] for s, name in names.items()}
+        entries |= {name: [(pair, labels[s])] for s, name in names.items()}
         rows[label] = tuple(names.values())
     if not 0 < len(rows) <= MOST_ROWS:
         raise ModelError(

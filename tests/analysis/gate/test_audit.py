@@ -279,7 +279,7 @@ def test_a_wrong_state_that_is_never_visited_does_no_harm() -> None:
 def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
     """A table may rule actions out by -inf, which says nothing of their values."""
     step = [[0, 1, 0], [0, 0, 1], [0, 0, 1]]
-    mdp = MDP.from_arrays([step] * 3, [[1, 3, 2], [0, 1, 4], [0, 0, 0]])
+    mdp = MDP.from_arrays([step] * 3, [[1, 3, 2], [0, 1, 4], [0, 0, 0]], layout="ass")
     table = np.array([[2.0, -np.inf, 6.5], [-np.inf, 0.5, 3.5], [0, 0, 0]])
     found = check(mdp, table, kind="q").q_error
     assert found is not None

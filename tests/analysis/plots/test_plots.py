@@ -60,7 +60,7 @@ def closed() -> Iterator[None]:
 
 
 MAINTENANCE = MDP.from_arrays(  # costs as negative rewards: wait and wear, or replace
-    [[["3/10", "7/10"], [0, 1]], [[1, 0], [1, 0]]], [[-1, -8], [-5, -8]], "19/20"
+    [[["3/10", "7/10"], [0, 1]], [[1, 0], [1, 0]]], [[-1, -8], [-5, -8]], "19/20", layout="ass"
 )
 
 

@@ -210,7 +210,7 @@ def test_a_worse_policy_is_found() -> None:
 # ---- forged numbers ------------------------------------------------------------------------------
 
 
-SMALL = MDP.from_arrays([[["1/3", "2/3"], [0, 1]], [["1/2", "1/2"], [0, 1]]], [1, 0])
+SMALL = MDP.from_arrays([[["1/3", "2/3"], [0, 1]], [["1/2", "1/2"], [0, 1]]], [1, 0], layout="ass")
 EXACT = certify(SMALL)
 
 

@@ -162,7 +162,7 @@ def test_chi_square_is_near_for_small_radii() -> None:
 
 def test_a_radius_for_each_pair() -> None:
     wait, go = [["1/2", "1/2"], [0, 1]], [["1/4", "3/4"], [0, 1]]
-    mdp = MDP.from_arrays([wait, go], [1, 0])
+    mdp = MDP.from_arrays([wait, go], [1, 0], layout="ass")
     blocks = blocks_of(mdp, np.arange(2))
     found = inner(
         L1Ball(radius=[0.0, 0.5, 0, 0]), blocks, np.array([1.0, 0.0]), discount=1.0, against=True
