@@ -1,8 +1,10 @@
 """What a solver answers with: values, a policy, and the claim that it makes about them.
 
-A number leaves the toolkit as one of three types, so that a table or a plot cannot confuse them:
+A number leaves the toolkit as one of four types, so that a table or a plot cannot confuse them:
 `Certified` (an exact rational with a proof), `Bounded` (a float and a bound on its error that is
-sound in floating point) and `Estimated` (a sample mean and its standard error).
+sound in floating point), `Checked` (a number that rests on the degree of polynomials, which was
+checked at points and not proven; of sensitivity analyses) and `Estimated` (a sample mean and its
+standard error).
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ class Claim(StrEnum):
 
     CERTIFIED = "certified"
     BOUNDED = "bounded"
+    CHECKED = "checked"
     ESTIMATED = "estimated"
 
 

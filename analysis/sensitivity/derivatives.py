@@ -58,7 +58,7 @@ class Checked:
     Examples
     --------
     >>> print(Checked(value=Fraction(4), points=6))
-    4 (estimated: the degree was checked at 6 points, not proven)
+    4 (checked: the degree holds at 6 points, and is not proven)
     """
 
     value: Fraction
@@ -69,12 +69,12 @@ class Checked:
 
     @property
     def claim(self) -> Claim:
-        """Estimated."""
-        return Claim.ESTIMATED
+        """Checked."""
+        return Claim.CHECKED
 
     def __str__(self) -> str:
         text = str(Certified(value=self.value)).partition(" (")[0]
-        return f"{text} ({self.claim}: the degree was checked at {self.points} points, not proven)"
+        return f"{text} ({self.claim}: the degree holds at {self.points} points, and is not proven)"
 
 
 def claimed(value: Fraction, change: RowChange) -> Certified | Checked:

@@ -86,7 +86,7 @@ class Derivative:
     def claim(self) -> Claim:
         """The weaker one of both sides' claims; certified where there is no side."""
         claims = {side.claim for side in (self.left, self.right) if side is not None}
-        order = (Claim.ESTIMATED, Claim.BOUNDED)
+        order = (Claim.CHECKED, Claim.BOUNDED)
         return next((claim for claim in order if claim in claims), Claim.CERTIFIED)
 
 

@@ -125,8 +125,8 @@ class Thresholds(Pictured):
 
     @property
     def claim(self) -> Claim:
-        """Certified, or estimated where the degree of the rows is checked and not proven."""
-        return Claim.CERTIFIED if self.checked is None else Claim.ESTIMATED
+        """Certified, or checked where the degree of the rows is checked and not proven."""
+        return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
 
     def frame(self) -> DataFrame:
         """Return one row for each state that changes at a threshold."""

@@ -333,9 +333,9 @@ def arrays_degree(
     made: object, P: object, R: object, discount: object = 1, **names: object
 ) -> float:
     """Return the degree of what `MDP.from_arrays` takes."""
-    _constant(names)
-    reward = _degree(R) + (_degree(P) if np.ndim(_objects(R)) == 3 else 0)
-    return max(_degree(P), reward, _degree(discount))
+    chance = _degree(P)
+    earned = _earned(R, chance, joint=3)
+    return max(chance, earned, _degree(discount), _components(names, chance, joint=3))
 
 
 def pairs_degree(
@@ -348,20 +348,32 @@ def pairs_degree(
     **names: object,
 ) -> float:
     """Return the degree of what `MDP.from_pairs` takes."""
-    _constant(pair_state, pair_action, names)
+    _constant(pair_state, pair_action)
     chance = _degree(transition)
-    earned = _degree(reward) + (chance if np.ndim(_objects(reward)) == 2 else 0)
-    return max(chance, earned, _degree(discount))
+    earned = _earned(reward, chance, joint=2)
+    return max(chance, earned, _degree(discount), _components(names, chance, joint=2))
 
 
 def outcomes_degree(made: object, rows: Any, discount: object = 1, **names: object) -> float:
     """Return the degree of what `MDP.from_outcomes` takes."""
-    _constant(names)
-    found = [_degree(discount)]
+    found = [_degree(discount), _components(names, 0, joint=2)]
     for state, action, outcomes in rows:
         _constant(state, action, [following for _, following, _ in outcomes])
         found += [_degree(chance) + _degree(gain) for chance, _, gain in outcomes]
     return max(found)
+
+
+def _earned(reward: object, chance: float, *, joint: int) -> float:
+    """Return the degree of expected rewards; an array of `joint` dimensions is of transitions."""
+    return _degree(reward) + (chance if np.ndim(_objects(reward)) == joint else 0)
+
+
+def _components(names: dict[str, object], chance: float, *, joint: int) -> float:
+    """Return the degree of the components of the reward; nothing else by name may depend on θ."""
+    given = names.pop("components", None)
+    _constant(names)
+    parts = given.values() if isinstance(given, Mapping) else [given]
+    return max((_earned(part, chance, joint=joint) for part in parts), default=0)
 
 
 def changed_degree(mdp: object, *, discount: object = None, **parts: object) -> float:

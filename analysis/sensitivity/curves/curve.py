@@ -101,8 +101,8 @@ class ValueFunction(Pictured):
 
     @property
     def claim(self) -> Claim:
-        """Certified, or estimated where the degree of the rows is checked and not proven."""
-        return Claim.CERTIFIED if self.checked is None else Claim.ESTIMATED
+        """Certified, or checked where the degree of the rows is checked and not proven."""
+        return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
 
     def around(self, value: object) -> list[CurvePiece]:
         """Return the piece that a value of the parameter is in, or both that it is between."""

@@ -84,8 +84,8 @@ class ExactMap:
 
     @property
     def claim(self) -> Claim:
-        """Certified, or estimated where the degree of the rows is checked and not proven."""
-        return Claim.CERTIFIED if self.checked is None else Claim.ESTIMATED
+        """Certified, or checked where the degree of the rows is checked and not proven."""
+        return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
 
     @cached_property
     def _known(self) -> list[_Known]:
